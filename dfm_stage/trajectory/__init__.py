@@ -1,0 +1,14 @@
+"""What the stage is asked to do: movements, excitations, experiments, and their limits."""
+
+from dfm_stage.trajectory.errors import LimitError, TrajectoryError
+from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
+from dfm_stage.trajectory.experiment import AxisSpec, Experiment, load_experiment
+from dfm_stage.trajectory.kind import Kind, Option
+from dfm_stage.trajectory.limits import Limits, Violation, check_limits, require_within
+from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
+
+__all__ = [
+    "EXCITATION_KINDS", "REFERENCE_KINDS", "AxisSpec", "Excitation", "Experiment", "Kind",
+    "LimitError", "Limits", "Option", "Reference", "TrajectoryError", "Violation",
+    "check_limits", "load_experiment", "make_excitation", "make_reference", "require_within",
+]

@@ -1,0 +1,200 @@
+"""An experiment as data: what is asked of each axis, for how long, by which controller."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from dfm_stage.trajectory.errors import TrajectoryError, nearest, place
+from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
+from dfm_stage.trajectory.kind import choose
+from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
+
+MODES = ("open_loop", "pid", "lqr")
+_KEYS = ("name", "description", "mode", "duration_s", "axes", "model", "controller", "seed")
+
+
+@dataclass(frozen=True)
+class AxisSpec:
+    """What one axis is asked to do; None is: hold zero, add no voltage."""
+
+    reference: Mapping[str, Any] | None = None
+    excitation: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A checked experiment. `source` is the file it came from, empty for a mapping.
+
+    `model` is a name or path of a model.yaml, `controller` a path of a parameter file or a mapping
+    of controller parameters; both are left to whoever uses them, and empty where not given.
+    """
+
+    name: str
+    mode: str
+    duration_s: float
+    axes: Mapping[str, AxisSpec]
+    model: str = ""
+    controller: str | Mapping[str, Any] = ""
+    seed: int = 0
+    description: str = ""
+    source: str = field(default="", compare=False)
+
+    def reference(self, axis: str, sample_period_s: float) -> Reference:
+        """Return the movement of an axis, holding zero where none is asked for."""
+        spec = self._axis(axis).reference or {"kind": "hold"}
+        return make_reference(spec, sample_period_s=sample_period_s, duration_s=self.duration_s,
+                              seed=self.axis_seed(axis), where=f"axes.{axis}.reference")
+
+    def excitation(self, axis: str, sample_period_s: float) -> Excitation:
+        """Return the voltage of an axis, zero where none is asked for."""
+        spec = self._axis(axis).excitation or {"kind": "hold"}
+        return make_excitation(spec, sample_period_s=sample_period_s, duration_s=self.duration_s,
+                               seed=self.axis_seed(axis), where=f"axes.{axis}.excitation")
+
+    def axis_seed(self, axis: str) -> int:
+        """Return the seed of an axis: the same for the same name, another for each axis."""
+        return zlib.crc32(f"{self.seed}/{axis}".encode())
+
+    def _axis(self, axis: str) -> AxisSpec:
+        if axis not in self.axes:
+            raise TrajectoryError(f"experiment {self.name!r} has no axis {axis!r}, "
+                                  f"{nearest(axis, self.axes)}", "axes")
+        return self.axes[axis]
+
+
+def load_experiment(source: str | os.PathLike[str] | Mapping[str, Any]) -> Experiment:
+    """Return the experiment in a YAML file or a mapping of the same shape.
+
+    Raises
+    ------
+    TrajectoryError
+        If the file cannot be read or an entry is missing, unknown or out of range; the message
+        names the file, the line and the entry.
+    """
+    if isinstance(source, Mapping):
+        return _experiment(source, "")
+    path = Path(source)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise TrajectoryError(f"{path}: there is no such experiment file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise TrajectoryError(f"{path}: cannot read the experiment: {reason}") from None
+    try:
+        content = YAML(typ="rt").load(text)
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        problem = " ".join(str(error.problem or error.context or "malformed").split())
+        raise TrajectoryError(f"{path}:{line}: not valid YAML: {problem}") from None
+    except (YAMLError, ValueError) as error:
+        raise TrajectoryError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(content, CommentedMap):
+        raise TrajectoryError(f"{path}:1: an experiment is a mapping with the keys "
+                              f"{', '.join(_KEYS)}")
+    try:
+        return _experiment(content, str(path))
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{path}:{_line(content, error.key)}: {error}", error.key) from None
+
+
+def _experiment(content: Mapping[str, Any], source: str) -> Experiment:
+    for key in content:
+        if key not in _KEYS:
+            raise TrajectoryError(f"an experiment has no entry {key!r}, {nearest(key, _KEYS)}",
+                                  str(key))
+    name = _text(content, "name")
+    if not name:
+        raise TrajectoryError("name is missing; give the experiment one")
+    mode = content.get("mode")
+    if mode not in MODES:
+        raise TrajectoryError(f"mode must be one of {', '.join(MODES)}, not {mode!r}", "mode")
+    controller = content.get("controller") or ""
+    if not isinstance(controller, (str, Mapping)):
+        raise TrajectoryError("controller must be a file name or a mapping of its parameters, "
+                              f"not {controller!r}", "controller")
+    seed = content.get("seed", 0)
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise TrajectoryError(f"seed must be a whole number from 0, not {seed!r}", "seed")
+    return Experiment(name, str(mode), _duration(content), _axes(content, str(mode)),
+                      _text(content, "model"),
+                      controller if isinstance(controller, str) else _plain(controller),
+                      int(seed), _text(content, "description"), source)
+
+
+def _axes(content: Mapping[str, Any], mode: str) -> dict[str, AxisSpec]:
+    axes = content.get("axes")
+    if not isinstance(axes, Mapping) or not axes:
+        raise TrajectoryError("axes is missing; give at least axes: {x: {reference: {...}}}",
+                              "axes")
+    specs = {}
+    for axis, entry in axes.items():
+        where = f"axes.{axis}"
+        if not isinstance(axis, str) or not axis.isidentifier():
+            raise TrajectoryError(f"an axis needs a plain name such as x, not {axis!r}", "axes")
+        entry = {} if entry is None else entry
+        if not isinstance(entry, Mapping):
+            raise TrajectoryError(f"{where} must hold reference and/or excitation, not {entry!r}",
+                                  where)
+        for key in entry:
+            if key not in ("reference", "excitation"):
+                raise TrajectoryError(f"{where} has no entry {key!r}, "
+                                      f"{nearest(key, ('reference', 'excitation'))}",
+                                      f"{where}.{key}")
+        if "reference" in entry:
+            choose(entry["reference"], REFERENCE_KINDS, f"{where}.reference")
+        if "excitation" in entry:
+            choose(entry["excitation"], EXCITATION_KINDS, f"{where}.excitation")
+        if mode == "open_loop" and "reference" in entry:
+            raise TrajectoryError(f"{where}.reference has no effect with mode: open_loop; remove "
+                                  "it or choose another mode", f"{where}.reference")
+        specs[axis] = AxisSpec(*(_plain(entry[part]) if part in entry else None
+                                 for part in ("reference", "excitation")))
+    return specs
+
+
+def _duration(content: Mapping[str, Any]) -> float:
+    value = content.get("duration_s")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < 1e6:
+        raise TrajectoryError("duration_s must be a number of seconds above 0 and below 1e6, "
+                              f"not {value!r}", "duration_s")
+    return float(value)
+
+
+def _text(content: Mapping[str, Any], key: str) -> str:
+    value = content.get(key, "")
+    if not isinstance(value, str):
+        raise TrajectoryError(place(key, f"must be text, not {value!r}"), key)
+    return str(value)
+
+
+def _plain(value: Any) -> Any:
+    """Turn what the YAML reader returns into plain dicts, lists and numbers."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    for kind in (bool, int, float, str):
+        if isinstance(value, kind):
+            return kind(value)
+    return value
+
+
+def _line(content: CommentedMap, key: str) -> int:
+    """Return the 1-based line of a dotted key, or of the deepest part of it that exists."""
+    line, here = 1, content
+    for part in key.split(".") if key else ():
+        if not isinstance(here, CommentedMap) or part not in here:
+            break
+        line = here.lc.key(part)[0] + 1
+        here = here[part]
+    return line

@@ -1,0 +1,274 @@
+"""Sine, chirp and multisine with their first two time derivatives, for positions and volts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.parameter import Parameter
+from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+
+Lines = NDArray[np.int64]
+
+
+def _no_lines() -> Lines:
+    return np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """A signal of shape (N,) with its rate and curvature (first and second derivative).
+
+    `period_samples` is 0 where the signal does not repeat on the sample grid. `excited_lines` and
+    `detection_lines` are harmonic numbers of 1 / (period_samples * sample_period).
+    """
+
+    value: Array
+    rate: Array
+    curvature: Array
+    period_samples: int = 0
+    periods: int = 0
+    ramp_samples: int = 0
+    excited_lines: Lines = field(default_factory=_no_lines)
+    detection_lines: Lines = field(default_factory=_no_lines)
+    crest_factor: float = math.nan
+
+
+def smooth_step(u: Array) -> tuple[Array, Array, Array]:
+    """Return S(u) = 10u^3 - 15u^4 + 6u^5 and its first two derivatives, constant outside [0, 1].
+
+    S rises from 0 to 1 with zero slope and curvature at both ends; it is the point-to-point
+    movement of least squared jerk (Flash and Hogan, J. Neuroscience 5, 1985).
+    """
+    u = np.clip(u, 0.0, 1.0)
+    return (u**3 * (10.0 + u * (6.0 * u - 15.0)),
+            30.0 * u**2 * (1.0 - u)**2,
+            60.0 * u * (1.0 - u) * (1.0 - 2.0 * u))
+
+
+def crest_factor(signal: Array) -> float:
+    """Return peak over RMS; NaN for a signal that is zero throughout."""
+    rms = math.sqrt(float(np.mean(np.square(signal)))) if signal.size else 0.0
+    return float(np.max(np.abs(signal))) / rms if rms > 0.0 else math.nan
+
+
+def amplitude_parameters(suffix: str, unit: str, amplitude: float) -> tuple[Parameter, ...]:
+    """Return the amplitude parameters of a waveform in `unit`."""
+    return (
+        Parameter(f"amplitude_{suffix}", amplitude, unit,
+                  "largest absolute value of the signal (its peak)", 0.0),
+        Parameter(f"rms_{suffix}", 0.0, unit,
+                  "RMS of the signal; above zero it replaces the amplitude", 0.0),
+    )
+
+
+RAMP = Parameter("ramp_s", 0.0, "s", "time over which the signal fades in smoothly", 0.0)
+
+
+def sine_parameters(suffix: str, unit: str, amplitude: float) -> tuple[Parameter, ...]:
+    """Return the parameter table of a sine in `unit`."""
+    return (*amplitude_parameters(suffix, unit, amplitude),
+            Parameter("frequency_hz", 1.0, "Hz", "frequency", 1e-6),
+            Parameter("phase_deg", 0.0, "deg", "phase at the start", -360.0, 360.0),
+            Parameter("periods", 0.0, "", "number of periods; 0 = to the end", 0.0),
+            RAMP)
+
+
+def chirp_parameters(suffix: str, unit: str, amplitude: float) -> tuple[Parameter, ...]:
+    """Return the parameter table of a chirp in `unit`."""
+    return (*amplitude_parameters(suffix, unit, amplitude),
+            Parameter("low_hz", 1.0, "Hz", "frequency at the start of a sweep", 1e-6),
+            Parameter("high_hz", 70.0, "Hz", "frequency at the end of a sweep", 1e-6),
+            Parameter("period_s", 20.0, "s", "duration of one sweep", 1e-6),
+            Parameter("periods", 1.0, "", "number of sweeps; 0 = to the end", 0.0),
+            Parameter("ramp_s", 0.0, "s",
+                      "time over which every sweep fades in and out smoothly", 0.0))
+
+
+CHIRP_OPTIONS = (Option("sweep", "linear", "how the frequency grows",
+                        choices=("linear", "logarithmic")),)
+
+
+def multisine_parameters(suffix: str, unit: str, amplitude: float) -> tuple[Parameter, ...]:
+    """Return the parameter table of a multisine in `unit`."""
+    return (*amplitude_parameters(suffix, unit, amplitude),
+            Parameter("low_hz", 1.0, "Hz", "lower edge of the excited band", 0.0),
+            Parameter("high_hz", 70.0, "Hz", "upper edge of the excited band", 1e-6),
+            Parameter("period_s", 8.0, "s", "period, a whole number of samples", 1e-6),
+            Parameter("periods", 0.0, "", "number of periods; 0 = to the end", 0.0),
+            Parameter("group", 4.0, "", "odd lines per group with one detection line", 2.0),
+            RAMP)
+
+
+MULTISINE_OPTIONS = (
+    Option("odd", False, "excite odd harmonics only, so that even distortion shows apart"),
+    Option("detection_lines", False,
+           "leave one odd line per group unexcited, so that odd distortion shows (needs odd)"),
+)
+
+
+def sine(values: Values, timing: Timing, suffix: str) -> Waveform:
+    """A sin(2 pi f t + phase); `period_samples` is 0 where the period is no whole number."""
+    frequency = values.number("frequency_hz")
+    _below_nyquist(values, "frequency_hz", timing)
+    exact = 1.0 / (frequency * timing.sample_period_s)
+    period = round(exact) if abs(exact - round(exact)) < 1e-6 * exact else 0
+    end = _end(values, exact, timing)
+    index = np.arange(timing.count) % period if period else np.arange(timing.count)
+    omega = 2.0 * math.pi * frequency
+    angle = omega * (index * timing.sample_period_s) + math.radians(values.number("phase_deg"))
+    amplitude = _amplitude(values, suffix, 1.0, math.sqrt(0.5))
+    wave = (amplitude * np.sin(angle), amplitude * omega * np.cos(angle),
+            -amplitude * omega**2 * np.sin(angle))
+    ramp = values.samples(values.number("ramp_s"), "ramp_s", timing)
+    value, rate, curvature = _cut(_faded(wave, _fade_in(timing, ramp)), end)
+    lines = np.array([1], dtype=np.int64) if period else _no_lines()
+    return Waveform(value, rate, curvature, period, end // period if period else 0, ramp, lines,
+                    crest_factor=math.sqrt(2.0))
+
+
+def chirp(values: Values, timing: Timing, suffix: str) -> Waveform:
+    """A sin(phi(t)) with d phi/dt = 2 pi f(t); every sweep starts at phase zero.
+
+    Linear: f = f0 + (f1 - f0) t / T. Logarithmic: f = f0 (f1 / f0)^(t / T).
+    """
+    for name in ("low_hz", "high_hz"):
+        _below_nyquist(values, name, timing)
+    low, high = values.number("low_hz"), values.number("high_hz")
+    seconds = values.number("period_s")
+    period = values.samples(seconds, "period_s", timing)
+    end = _end(values, period, timing)
+    ramp = values.samples(values.number("ramp_s"), "ramp_s", timing)
+    if 2 * ramp > period:
+        raise values.error("ramp_s", f"ramp_s = {values.number('ramp_s'):g} s is more than half "
+                                     f"of period_s = {seconds:g} s")
+    t = np.arange(period, dtype=np.float64) * timing.sample_period_s
+    two_pi = 2.0 * math.pi
+    if values.word("sweep") == "linear" or low == high:
+        slope = (high - low) / seconds
+        angle = two_pi * (low * t + 0.5 * slope * t**2)
+        omega = two_pi * (low + slope * t)
+        omega_rate = np.full(period, two_pi * slope)
+    else:
+        growth = math.log(high / low) / seconds
+        omega = two_pi * low * np.exp(growth * t)
+        angle = (omega - two_pi * low) / growth
+        omega_rate = growth * omega
+    amplitude = _amplitude(values, suffix, 1.0, math.sqrt(0.5))
+    sweep = (amplitude * np.sin(angle), amplitude * omega * np.cos(angle),
+             amplitude * (omega_rate * np.cos(angle) - omega**2 * np.sin(angle)))
+    if ramp:
+        scale = ramp * timing.sample_period_s
+        head = smooth_step(t / scale)
+        tail = smooth_step((seconds - t) / scale)
+        fade = (head[0] * tail[0],
+                (head[1] * tail[0] - head[0] * tail[1]) / scale,
+                (head[2] * tail[0] - 2.0 * head[1] * tail[1] + head[0] * tail[2]) / scale**2)
+        sweep = _faded(sweep, fade)
+    value, rate, curvature = _cut(_repeated(sweep, timing.count), end)
+    return Waveform(value, rate, curvature, period, end // period, ramp,
+                    crest_factor=crest_factor(sweep[0]))
+
+
+def multisine(values: Values, timing: Timing, suffix: str) -> Waveform:
+    """Sum of cosines of equal amplitude and random phase on the lines of one period.
+
+    The lines h satisfy low_hz <= h / period_s <= high_hz; with `odd` only odd h, and with
+    `detection_lines` one random line of every full `group` of odd lines is left out
+    (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3).
+    """
+    seconds = values.number("period_s")
+    period = values.samples(seconds, "period_s", timing)
+    _below_nyquist(values, "high_hz", timing)
+    rng = np.random.default_rng(timing.seed)
+    lines, detection = _choose_lines(values, period * timing.sample_period_s, rng)
+    ramp = values.samples(values.number("ramp_s"), "ramp_s", timing)
+    end = _end(values, period, timing)
+
+    spectrum = np.zeros(period // 2 + 1, dtype=complex)
+    spectrum[lines] = np.exp(2j * math.pi * rng.random(lines.size))
+    omega = 2.0 * math.pi * np.arange(spectrum.size) / (period * timing.sample_period_s)
+    unit = np.fft.irfft(spectrum, period)
+    rms = math.sqrt(float(np.mean(unit**2)))
+    scale = _amplitude(values, suffix, float(np.max(np.abs(unit))), rms)
+    one = (scale * unit, scale * np.fft.irfft(1j * omega * spectrum, period),
+           -scale * np.fft.irfft(omega**2 * spectrum, period))
+    wave = _faded(_repeated(one, timing.count), _fade_in(timing, ramp))
+    value, rate, curvature = _cut(wave, end)
+    return Waveform(value, rate, curvature, period, end // period, ramp, lines, detection,
+                    crest_factor(unit))
+
+
+Triple = tuple[Array, Array, Array]
+
+
+def _choose_lines(values: Values, seconds: float,
+                  rng: np.random.Generator) -> tuple[Lines, Lines]:
+    low, high = values.number("low_hz"), values.number("high_hz")
+    if low > high:
+        raise values.error("low_hz", f"low_hz = {low:g} Hz is above high_hz = {high:g} Hz")
+    first = max(1, math.ceil(low * seconds * (1.0 - 1e-9)))
+    lines = np.arange(first, math.floor(high * seconds * (1.0 + 1e-9)) + 1, dtype=np.int64)
+    odd = values.flag("odd")
+    if odd:
+        lines = lines[lines % 2 == 1]
+    if not lines.size:
+        raise values.error("period_s", f"no {'odd ' if odd else ''}line of {1 / seconds:g} Hz "
+                                       f"lies in {low:g} to {high:g} Hz; lengthen period_s")
+    if not values.flag("detection_lines"):
+        return lines, _no_lines()
+    if not odd:
+        raise values.error("detection_lines", "detection_lines needs odd: true")
+    group = values.whole("group")
+    groups = lines.size // group
+    if groups == 0:
+        raise values.error("group", f"{lines.size} odd lines do not fill one group of {group}; "
+                                    f"lengthen period_s or widen the band")
+    left_out = np.arange(groups) * group + rng.integers(0, group, groups)
+    return np.delete(lines, left_out), lines[left_out]
+
+
+def _below_nyquist(values: Values, name: str, timing: Timing) -> None:
+    nyquist = 0.5 / timing.sample_period_s
+    if values.number(name) >= nyquist * (1.0 - 1e-12):
+        raise values.error(name, f"{name} = {values.number(name):g} Hz is not below half the "
+                                 f"sample rate, {nyquist:g} Hz")
+
+
+def _amplitude(values: Values, suffix: str, peak: float, rms: float) -> float:
+    wanted_rms = values.number(f"rms_{suffix}")
+    return wanted_rms / rms if wanted_rms > 0.0 else values.number(f"amplitude_{suffix}") / peak
+
+
+def _end(values: Values, period: float, timing: Timing) -> int:
+    periods = values.whole("periods")
+    return min(timing.count, round(periods * period)) if periods else timing.count
+
+
+def _fade_in(timing: Timing, ramp: int) -> Triple | None:
+    if not ramp:
+        return None
+    scale = ramp * timing.sample_period_s
+    head = smooth_step(np.arange(timing.count) / ramp)
+    return head[0], head[1] / scale, head[2] / scale**2
+
+
+def _faded(wave: Triple, fade: Triple | None) -> Triple:
+    if fade is None:
+        return wave
+    x, dx, ddx = wave
+    w, dw, ddw = fade
+    return w * x, dw * x + w * dx, ddw * x + 2.0 * dw * dx + w * ddx
+
+
+def _repeated(wave: Triple, count: int) -> Triple:
+    return np.resize(wave[0], count), np.resize(wave[1], count), np.resize(wave[2], count)
+
+
+def _cut(wave: Triple, end: int) -> Triple:
+    for each in wave:
+        each[end:] = 0.0
+    return wave
