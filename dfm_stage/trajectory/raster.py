@@ -26,7 +26,7 @@ def raster(values: Values,
     With v = line_length_m / line_time_s the velocity in a turnaround of duration T is
     v (1 - 2 S(t/T)), S the smooth step 10u^3 - 15u^4 + 6u^5: velocity, acceleration and jerk are
     continuous, the acceleration is at most 3.75 v / T and the jerk at most 11.547 v / T^2. Past
-    the end of the line the stage moves 0.3125 v T further and comes back to the same point.
+    the end of the line the stage moves 0.34375 v T further and comes back to the same point.
     """
     length, line_s = values.number("line_length_m"), values.number("line_time_s")
     turn_s, center = values.number("turnaround_s"), values.number("center_m")
