@@ -1,0 +1,384 @@
+"""rosbag2-compatible MCAP bags, written from messages that are already serialised.
+
+Two threads share the work. The caller's `write` only appends the message to the chunk in memory,
+about a microsecond. A thread of the writer takes the chunk when it is full, and at least every
+`FLUSH_PERIOD_S` whether messages come or not, compresses it and hands it to the operating system in
+one call: both leave the interpreter lock alone, so a control loop in the same process runs on. A
+process killed at any moment loses what came after the last such call.
+
+The `mcap` library's own `Writer` compresses and writes inside `add_message`, in the caller's
+thread, at several times the cost per message; its record classes serve everything else here.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import struct
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Schema
+
+from dfm_stage.recording.errors import BagWriteError, write_error
+from dfm_stage.recording.mcap_sink import Chunk, McapSink
+from dfm_stage.recording.message_definitions import full_name
+from dfm_stage.recording.rosbag2_metadata import (
+    BagInformation,
+    QosProfile,
+    TopicEntry,
+    yaml_text,
+)
+
+FLUSH_PERIOD_S = 0.4
+MODEL_ATTACHMENT = "model.yaml"
+PARAMETERS_ATTACHMENT = "parameters.yaml"
+VERSIONS_ATTACHMENT = "versions.json"
+DROPPED_KEY = "messages_dropped"
+
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_FIXED_BYTES = 22
+_INDEX_ENTRY = struct.Struct("<QQ")
+
+
+@dataclass
+class _Progress:
+    accepted: int = 0
+    lost: int = 0
+    backlog_bytes: int = 0
+    error: BagWriteError | None = None
+
+
+class BagWriter:
+    """A new bag folder: `metadata.yaml` and one MCAP file named after the folder.
+
+    Parameters
+    ----------
+    directory : path
+        The bag folder; it must not exist, its parents are made.
+    compression : str
+        `zstd`, `lz4` or `none`.
+    chunk_bytes : int
+        A chunk is written when its messages reach this size, or after FLUSH_PERIOD_S.
+    backlog_bytes : int
+        What may wait for a slow disk. Beyond it messages are dropped and counted in `lost`; the
+        caller is never held up.
+    custom_data : mapping, optional
+        Goes into metadata.yaml.
+
+    Raises
+    ------
+    BagWriteError
+        If the folder exists, cannot be made or cannot be written.
+    """
+
+    def __init__(self, directory: str | os.PathLike[str], *, compression: str = "zstd",
+                 chunk_bytes: int = 1 << 20, backlog_bytes: int = 256 << 20,
+                 ros_distro: str = "jazzy", custom_data: Mapping[str, str] | None = None) -> None:
+        self.directory = Path(directory)
+        self.file_path = self.directory / f"{self.directory.resolve().name}_0.mcap"
+        try:
+            self.directory.parent.mkdir(parents=True, exist_ok=True)
+            self.directory.mkdir()
+        except OSError as error:
+            raise write_error(self.directory, error) from error
+        self._information = BagInformation(self.file_path.name, ros_distro=ros_distro,
+                                           custom_data=dict(custom_data or {}))
+        try:
+            self._sink = McapSink(self.file_path, compression)
+            self._write_metadata_yaml()
+        except BagWriteError:
+            shutil.rmtree(self.directory, ignore_errors=True)
+            raise
+        self._chunk_bytes = chunk_bytes
+        self._backlog_limit = backlog_bytes
+        self._topics: list[TopicEntry] = []
+        self._schemas: dict[str, Schema] = {}
+        self._progress = _Progress()
+        self._chunk = Chunk()
+        self._lock = threading.Lock()
+        self._work = threading.Condition(self._lock)
+        self._done = threading.Condition(self._lock)
+        self._jobs: list[Callable[[], None]] = []
+        self._busy = False
+        self._flush_now = False
+        self._closing = False
+        self._process = os.getpid()
+        self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
+        self._thread.start()
+        atexit.register(self.close)
+
+    @property
+    def message_count(self) -> int:
+        """Messages accepted by `write` so far."""
+        return self._progress.accepted
+
+    @property
+    def lost(self) -> int:
+        """Messages accepted that did not reach the file: disk refused, or far too slow."""
+        return self._progress.lost
+
+    @property
+    def error(self) -> BagWriteError | None:
+        """Why nothing is written any more, or None."""
+        return self._progress.error
+
+    def add_topic(self, name: str, type_name: str, qos_profiles: Sequence[QosProfile],
+                  type_hash: str, definition_text: str) -> int:
+        """Announce a topic and return the id that `write` wants.
+
+        Parameters
+        ----------
+        type_hash : str
+            `RIHS01_...`, or empty if unknown.
+        definition_text : str
+            The schema text, see `message_definitions.definition_text`.
+
+        Raises
+        ------
+        BagWriteError
+            If the topic is there already, or its type with another definition.
+        """
+        type_name = full_name(type_name)
+        with self._lock:
+            self._check_open()
+            if any(topic.name == name for topic in self._topics):
+                raise BagWriteError(f"{self.directory}: topic {name} was added before")
+            data = definition_text.encode()
+            schema = self._schemas.get(type_name)
+            if schema is None:
+                schema = Schema(id=len(self._schemas) + 1, data=data, encoding="ros2msg",
+                                name=type_name)
+                self._schemas[type_name] = schema
+                self._queue(lambda: self._sink.write_schema(schema))
+            elif schema.data != data:
+                raise BagWriteError(f"{self.directory}: {type_name} has two definitions; "
+                                    f"the processes run different versions of it")
+            entry = TopicEntry(name, type_name, tuple(qos_profiles), type_hash)
+            self._topics.append(entry)
+            topic_id = len(self._topics)
+            profiles = [profile.to_dict() for profile in qos_profiles]
+            channel = Channel(
+                id=topic_id, topic=name, message_encoding="cdr", schema_id=schema.id,
+                metadata={"offered_qos_profiles": yaml_text(profiles) if profiles else "",
+                          "topic_type_hash": type_hash})
+            self._queue(lambda: self._sink.write_channel(channel))
+            self._start_chunk(self._chunk)
+        return topic_id
+
+    def write(self, topic_id: int, data: bytes, log_time_ns: int, publish_time_ns: int,
+              sequence: int = 0) -> None:
+        """Add one message; returns before it is on disk.
+
+        Parameters
+        ----------
+        data : bytes
+            The serialised message with its 4-byte CDR header, unchanged as it came.
+        log_time_ns, publish_time_ns : int
+            When it was received and published, ns since the epoch.
+        sequence : int
+            The publisher's counter; its low 32 bits are kept.
+
+        Raises
+        ------
+        BagWriteError
+            If the writer is closed, has failed (`error`; the message counts as lost), or an
+            argument is impossible.
+        """
+        with self._lock:
+            if self._progress.error is not None or self._closing:
+                self._refuse()
+            chunk = self._chunk
+            records = chunk.records
+            try:
+                head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, _MESSAGE_FIXED_BYTES + len(data),
+                                          topic_id, sequence & 0xFFFFFFFF, log_time_ns,
+                                          publish_time_ns)
+                chunk.indexes[topic_id] += _INDEX_ENTRY.pack(log_time_ns, len(records))
+            except (struct.error, IndexError) as error:
+                raise BagWriteError(f"{self.directory}: message of topic {topic_id} at "
+                                    f"{log_time_ns} ns refused: {error}") from error
+            records += head
+            records += data
+            self._progress.accepted += 1
+            if len(records) >= self._chunk_bytes:
+                self._hand_over()
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Put a file into the bag; it stands before every message written after this call."""
+        now = time.time_ns()
+        attachment = Attachment(create_time=now, log_time=now, name=name, media_type=media_type,
+                                data=data)
+        with self._lock:
+            self._check_open()
+            self._hand_over()
+            self._queue(lambda: self._sink.write_attachment(attachment))
+
+    def flush(self) -> None:
+        """Return when everything written so far has been handed to the operating system.
+
+        Raises
+        ------
+        BagWriteError
+            If that fails.
+        """
+        with self._lock:
+            self._flush_now = True
+            self._work.notify()
+            while self._flush_now or self._busy or self._jobs:
+                if not self._thread.is_alive():
+                    break
+                self._done.wait(FLUSH_PERIOD_S)
+            if self._progress.error is not None:
+                raise self._progress.error
+
+    def close(self) -> None:
+        """Write what is left, the index and metadata.yaml. A second call does nothing.
+
+        Raises
+        ------
+        BagWriteError
+            If the bag is not complete; what was written before stays readable.
+        """
+        with self._lock:
+            if self._closing or os.getpid() != self._process:
+                return
+            self._closing = True
+            self._work.notify()
+        atexit.unregister(self.close)
+        self._thread.join()
+        try:
+            self._finish()
+        finally:
+            self._sink.close()
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
+                 traceback: TracebackType | None) -> None:
+        self.close()
+
+    def _check_open(self) -> None:
+        if self._closing:
+            raise BagWriteError(f"{self.directory}: the bag is closed")
+        if self._progress.error is not None:
+            raise self._progress.error
+
+    def _refuse(self) -> None:
+        if not self._closing:
+            self._progress.accepted += 1
+            self._progress.lost += 1
+        self._check_open()
+
+    def _start_chunk(self, chunk: Chunk) -> None:
+        missing = len(self._topics) + 1 - len(chunk.indexes)
+        chunk.indexes += [bytearray() for _ in range(missing)]
+
+    def _queue(self, job: Callable[[], None]) -> None:
+        self._jobs.append(lambda: self._do(job))
+        self._work.notify()
+
+    def _hand_over(self) -> None:
+        """Queue the chunk in memory and begin another; the lock is held."""
+        chunk = self._chunk
+        if not chunk.records:
+            return
+        self._chunk = Chunk()
+        self._start_chunk(self._chunk)
+        size = len(chunk.records)
+        if self._progress.backlog_bytes + size > self._backlog_limit:
+            self._progress.lost += chunk.message_count
+            return
+        self._progress.backlog_bytes += size
+        self._jobs.append(lambda: self._write_chunk(chunk))
+        self._work.notify()
+
+    def _write_chunk(self, chunk: Chunk) -> None:
+        try:
+            self._do(lambda: self._sink.write_chunk(chunk))
+        finally:
+            with self._lock:
+                self._progress.backlog_bytes -= len(chunk.records)
+                if self._progress.error is not None:
+                    self._progress.lost += chunk.message_count
+
+    def _do(self, job: Callable[[], None]) -> None:
+        """Run a job of the sink, unless one failed before: no hole is followed by more data."""
+        if self._progress.error is None:
+            try:
+                job()
+            except BagWriteError as error:
+                self._progress.error = error
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                if not (self._jobs or self._flush_now or self._closing):
+                    self._work.wait(FLUSH_PERIOD_S)
+                if self._flush_now or self._closing or not self._jobs:
+                    self._hand_over()
+                jobs, self._jobs = self._jobs, []
+                self._flush_now = False
+                self._busy = bool(jobs)
+            for job in jobs:
+                job()
+            with self._lock:
+                self._busy = False
+                self._done.notify_all()
+                if self._closing and not self._jobs and not self._chunk.records:
+                    return
+
+    def _finish(self) -> None:
+        sink, progress = self._sink, self._progress
+        custom = dict(self._information.custom_data)
+        if progress.lost:
+            custom[DROPPED_KEY] = str(progress.lost)
+        written = sink.message_count
+        self._information = replace(
+            self._information, message_count=written, custom_data=custom,
+            start_ns=sink.start_ns if written else 0,
+            duration_ns=sink.end_ns - sink.start_ns if written else 0,
+            topics=[replace(topic, message_count=sink.counts.get(index, 0))
+                    for index, topic in enumerate(self._topics, 1)])
+        try:
+            sink.write_metadata("rosbag2",
+                                {"serialized_metadata": yaml_text(self._information.to_dict())})
+            sink.finish()
+            self._write_metadata_yaml()
+        except BagWriteError as error:
+            progress.error = progress.error or error
+        if progress.lost:
+            reason = progress.error or f"{self.file_path}: the disk is too slow"
+            raise BagWriteError(f"{reason} ({progress.lost} of {progress.accepted} messages "
+                                f"were not recorded)")
+        if progress.error is not None:
+            raise progress.error
+
+    def _write_metadata_yaml(self) -> None:
+        path = self.directory / "metadata.yaml"
+        text = yaml_text({"rosbag2_bagfile_information": self._information.to_dict()})
+        try:
+            write_atomically(path, text.encode())
+        except OSError as error:
+            raise write_error(path, error) from error
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file that appears whole or not at all; raises OSError."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise

@@ -1,0 +1,46 @@
+"""What can go wrong when runs are recorded and read; every message is one line."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+from dfm_stage.errors import DfmError
+
+
+class RecordingError(DfmError):
+    """Base of the errors of this package."""
+
+
+class BagWriteError(RecordingError):
+    """A bag cannot be created, or can no longer be written to."""
+
+
+class BagReadError(RecordingError):
+    """A bag, or what was asked of it, cannot be read at all."""
+
+
+class DefinitionError(RecordingError):
+    """The definition of a message type is missing or cannot be understood."""
+
+
+class RecordError(RecordingError):
+    """A file does not hold a usable record; the message names the place in the file."""
+
+
+_REMEDIES = {
+    errno.ENOSPC: "the disk is full; free some space or choose a folder on another disk",
+    errno.EDQUOT: "the disk quota is used up; free some space or choose another disk",
+    errno.EFBIG: "the file would grow beyond the allowed size; raise the limit (ulimit -f)",
+    errno.EACCES: "no permission to write here; choose another folder",
+    errno.EPERM: "no permission to write here; choose another folder",
+    errno.EROFS: "the disk is read-only; choose another folder",
+    errno.EEXIST: "exists already and nothing is overwritten; choose another name",
+    errno.ENOTDIR: "a part of this path is a file, not a folder; choose another name",
+}
+
+
+def write_error(path: Path, error: OSError) -> BagWriteError:
+    """Return the error to raise when the system refuses to write `path`."""
+    reason = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
+    return BagWriteError(f"{path}: {reason}")

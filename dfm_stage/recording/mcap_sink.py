@@ -1,0 +1,238 @@
+"""An MCAP file being written: records in, bytes on disk, the index kept for the end.
+
+One thread at a time. Everything rare goes through the record classes of the `mcap` library; chunks
+are written here, because their messages arrive already serialised (see `bag_writer`). A failed
+write is cut off again, so that the file always ends with a whole record.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from dfm_stage.recording.errors import BagWriteError, write_error
+
+MAGIC = b"\x89MCAP0\r\n"
+COMPRESSIONS = ("zstd", "lz4", "none")
+
+_RECORD_HEAD = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQI")
+_INDEX_HEAD = struct.Struct("<BQHI")
+
+
+@dataclass
+class Chunk:
+    """Messages waiting to be written.
+
+    `records` holds whole MCAP message records; `indexes[channel_id]` holds for each of its messages
+    the log time (ns) and the offset in `records`, two little-endian uint64 each, as the MCAP message
+    index wants them.
+    """
+
+    records: bytearray = field(default_factory=bytearray)
+    indexes: list[bytearray] = field(default_factory=list)
+
+    @property
+    def message_count(self) -> int:
+        return sum(map(len, self.indexes)) // 16
+
+
+class McapSink:
+    """A new MCAP file of profile `ros2`.
+
+    Parameters
+    ----------
+    path : Path
+        Must not exist.
+    compression : str
+        One of `zstd`, `lz4`, `none`; by chunk. zstd frames carry a checksum.
+    library : str
+        Who wrote the file.
+
+    Raises
+    ------
+    BagWriteError
+        If the file exists or cannot be created.
+    """
+
+    def __init__(self, path: Path, compression: str = "zstd", library: str = "dfm_stage") -> None:
+        if compression not in COMPRESSIONS:
+            raise BagWriteError(f"compression {compression!r}: choose one of {COMPRESSIONS}")
+        self.path = path
+        self.compression = "" if compression == "none" else compression
+        self.counts: dict[int, int] = {}
+        self.start_ns = 2**64 - 1
+        self.end_ns = 0
+        self._compress = _compressor(compression)
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._chunk_indexes: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._end = 0
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        except OSError as error:
+            raise write_error(path, error) from error
+        try:
+            self._append(MAGIC + _bytes_of(Header("ros2", library)))
+        except BagWriteError:
+            os.close(self._file)
+            raise
+
+    @property
+    def message_count(self) -> int:
+        """Messages on disk."""
+        return sum(self.counts.values())
+
+    def write_schema(self, schema: Schema) -> None:
+        """Write one schema; raises BagWriteError as everything here does when the disk refuses."""
+        self._append(_bytes_of(schema))
+        self._schemas.append(schema)
+
+    def write_channel(self, channel: Channel) -> None:
+        """Write one channel; its schema must be there."""
+        self._append(_bytes_of(channel))
+        self._channels.append(channel)
+        self.counts[channel.id] = 0
+
+    def write_attachment(self, attachment: Attachment) -> None:
+        """Write one attachment."""
+        data = _bytes_of(attachment)
+        offset = self._append(data)
+        self._attachments.append(AttachmentIndex(
+            offset=offset, length=len(data), log_time=attachment.log_time,
+            create_time=attachment.create_time, data_size=len(attachment.data),
+            name=attachment.name, media_type=attachment.media_type))
+
+    def write_metadata(self, name: str, content: dict[str, str]) -> None:
+        """Write one metadata record."""
+        data = _bytes_of(Metadata(name=name, metadata=content))
+        offset = self._append(data)
+        self._metadata.append(MetadataIndex(offset=offset, length=len(data), name=name))
+
+    def write_chunk(self, chunk: Chunk) -> None:
+        """Compress and write one chunk and its message indexes, in one system call."""
+        indexes = {channel: index for channel, index in enumerate(chunk.indexes) if index}
+        start_ns, end_ns = _time_range(indexes.values())
+        records = self._compress(chunk.records)
+        compression = self.compression.encode()
+        head = (_CHUNK_HEAD.pack(start_ns, end_ns, len(chunk.records), zlib.crc32(chunk.records))
+                + struct.pack("<I", len(compression)) + compression
+                + struct.pack("<Q", len(records)))
+        chunk_length = _RECORD_HEAD.size + len(head) + len(records)
+        parts = [_RECORD_HEAD.pack(Opcode.CHUNK, chunk_length - _RECORD_HEAD.size), head, records]
+        index_offsets = {}
+        position = self._end + chunk_length
+        for channel, index in indexes.items():
+            index_offsets[channel] = position
+            parts += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(index), channel, len(index)),
+                      index]
+            position += _INDEX_HEAD.size + len(index)
+        offset = self._append(b"".join(parts))
+        self._chunk_indexes.append(ChunkIndex(
+            message_start_time=start_ns, message_end_time=end_ns, chunk_start_offset=offset,
+            chunk_length=chunk_length, message_index_offsets=index_offsets,
+            message_index_length=position - offset - chunk_length, compression=self.compression,
+            compressed_size=len(records), uncompressed_size=len(chunk.records)))
+        for channel, index in indexes.items():
+            self.counts[channel] += len(index) // 16
+        self.start_ns = min(self.start_ns, start_ns)
+        self.end_ns = max(self.end_ns, end_ns)
+
+    def finish(self) -> None:
+        """Write the end of the data, the summary and the footer."""
+        start = self._end + len(data_end := _bytes_of(DataEnd(0)))
+        has_messages = self.message_count > 0
+        statistics = Statistics(
+            attachment_count=len(self._attachments), channel_count=len(self._channels),
+            channel_message_counts=self.counts, chunk_count=len(self._chunk_indexes),
+            message_count=self.message_count, metadata_count=len(self._metadata),
+            message_start_time=self.start_ns if has_messages else 0,
+            message_end_time=self.end_ns, schema_count=len(self._schemas))
+        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+            (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [statistics]), (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata)]
+        summary = RecordBuilder()
+        offsets = []
+        for opcode, records in groups:
+            group_start = summary.count
+            for record in records:
+                record.write(summary)
+            if records:
+                offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + group_start,
+                                             group_length=summary.count - group_start))
+        offset_start = start + summary.count
+        for entry in offsets:
+            entry.write(summary)
+        content = summary.end()
+        crc = zlib.crc32(content + struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start))
+        footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
+        self._append(data_end + content + _bytes_of(footer) + MAGIC)
+
+    def close(self) -> None:
+        """Close the file; `finish` first, or it stays without an index."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def _append(self, data: bytes) -> int:
+        """Write all of `data` at the end; return its offset, or leave the file as it was."""
+        offset, view = self._end, memoryview(data)
+        try:
+            while view:
+                view = view[os.pwrite(self._file, view, self._end):]
+                self._end = offset + len(data) - len(view)
+        except OSError as error:
+            self._end = offset
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, offset)
+            raise write_error(self.path, error) from error
+        return offset
+
+
+def _compressor(compression: str) -> Callable[[bytearray], bytes | bytearray]:
+    if compression == "zstd":
+        return zstandard.ZstdCompressor(level=1, write_checksum=True).compress
+    if compression == "lz4":
+        return lambda data: bytes(lz4.frame.compress(data, content_checksum=True))
+    return lambda data: data
+
+
+def _bytes_of(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+def _time_range(indexes: Iterable[bytearray]) -> tuple[int, int]:
+    times = [np.frombuffer(index, dtype="<u8")[::2] for index in indexes]
+    return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
