@@ -114,6 +114,14 @@ def test_staircase_down_again_repeats_with_a_period() -> None:
     assert r.period_samples == 40
 
 
+def test_repeated_smooth_steps_stay_continuous() -> None:
+    r = made("steps", dt=1e-3, duration_s=3.0, levels_m=[0.0, 1e-3, -1e-3], dwell_s=0.5,
+             rise_s=0.2, repeat=True)
+    assert np.max(np.abs(np.diff(r.position))) < 2e-3 * 1.875 / 200 * 1.01
+    assert np.array_equal(r.position[1000:1500], r.position[2500:])
+    assert r.position[1600] == pytest.approx(-0.5e-3)
+
+
 def test_a_smooth_step_is_not_steady_while_it_moves() -> None:
     r = made("steps", dt=1e-2, duration_s=1.0, levels_m=[0.0, 1e-3], dwell_s=0.5, rise_s=0.2)
     assert r.position[50] == 0.0
