@@ -1,0 +1,59 @@
+"""A table as data, and as HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from numbers import Integral, Real
+
+from dfm_stage.reporting.units import Quantity, format_number
+
+Cell = str | float | int | bool | Quantity | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Column heads and rows of cells; every row has as many cells as there are columns."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+    def html(self, caption: str = "") -> str:
+        """Return the table as escaped HTML that scrolls sideways where it is too wide."""
+        numeric = [all(_is_number(row[i]) for row in self.rows) and bool(self.rows)
+                   for i in range(len(self.columns))]
+        parts = ['<div class="scroll" tabindex="0"><table>']
+        if caption:
+            parts.append(f"<caption>{escape(caption)}</caption>")
+        parts.append("<thead><tr>" + "".join(
+            f"<th{' class=number' if number else ''} scope=\"col\">{escape(str(column))}</th>"
+            for column, number in zip(self.columns, numeric, strict=True)) + "</tr></thead><tbody>")
+        for row in self.rows:
+            parts.append("<tr>" + "".join(
+                f"<td{' class=number' if number else ''}>{cell_html(cell)}</td>"
+                for cell, number in zip(row, numeric, strict=True)) + "</tr>")
+        parts.append("</tbody></table></div>")
+        return "\n".join(parts)
+
+    def __post_init__(self) -> None:
+        for i, row in enumerate(self.rows):
+            if len(row) != len(self.columns):
+                raise ValueError(f"row {i} has {len(row)} cells, not {len(self.columns)}")
+
+
+def cell_html(cell: Cell) -> str:
+    """Return one cell as escaped text."""
+    if cell is None:
+        return "–"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, Integral):
+        return str(int(cell)).replace("-", "−")
+    if isinstance(cell, Real):
+        return format_number(float(cell))
+    return escape(str(cell))
+
+
+def _is_number(cell: Cell) -> bool:
+    return cell is None or (isinstance(cell, (Real, Quantity)) and not isinstance(cell, bool))

@@ -1,0 +1,94 @@
+"""Numbers as people read them: a prefix that fits, digits that mean something, the interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+_PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+_SCALABLE = ("m", "s", "V", "A", "N", "Hz", "W", "H", "F", "m/s", "m/V", "m/N", "N/V", "N/A")
+_PRETTY = {"ohm": "Ω", "deg": "°", "m/s^2": "m/s²", "m/s^3": "m/s³", "N/m^2": "N/m²",
+           "N/m^3": "N/m³", "N s/m": "N·s/m", "V s/m": "V·s/m", "V/(m s)": "V/(m·s)"}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A value in an SI unit with its 95 % interval, if it has one."""
+
+    value: float
+    unit: str = ""
+    ci95: Sequence[float] | None = None
+
+    def __str__(self) -> str:
+        return format_quantity(self.value, self.unit, self.ci95)
+
+
+def display_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
+    """Return (factor, unit): what to multiply `values` in `unit` by, and the unit they then have.
+
+    The prefix keeps the largest absolute value between 1 and 1000 where there is one (lengths of
+    millimetres stay millimetres). Units that take no prefix come back with factor 1.
+    """
+    finite = [abs(float(v)) for v in values if math.isfinite(v) and v != 0.0]
+    if unit not in _SCALABLE or not finite:
+        return 1.0, _PRETTY.get(unit, unit)
+    largest = max(finite) * (1.0 + 1e-12)
+    usable = [each for each in _PREFIXES if unit != "s" or each[0] <= 1.0]
+    if unit in ("m", "m/s", "m/V", "m/N"):
+        usable = [each for each in usable if each[0] <= 1.0]
+    scale, prefix = next((each for each in usable if largest >= each[0]), usable[-1])
+    return 1.0 / scale, prefix + unit
+
+
+def format_number(value: float, digits: int = 4) -> str:
+    """Return a number with `digits` significant digits, and a real minus sign."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else ("∞" if value > 0 else "−∞")
+    if value == 0.0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < 6:
+        text = f"{value:.{max(0, digits - 1 - exponent)}f}"
+    else:
+        mantissa, power = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}·10{_superscript(int(power))}"
+    return text.replace("-", "−")
+
+
+def format_quantity(value: float, unit: str = "", ci95: Sequence[float] | None = None) -> str:
+    """Return "24.510 ± 0.012 rad/s": the interval to two digits decides those of the value.
+
+    An interval that is not symmetric about the value (by more than a tenth) is written out.
+    """
+    factor, shown = display_unit((value,), unit)
+    tail = f" {shown}" if shown and shown != "°" else shown
+    if ci95 is None or not all(math.isfinite(bound) for bound in ci95):
+        return format_number(value * factor) + tail
+    low, high = (float(bound) * factor for bound in ci95)
+    value *= factor
+    half = 0.5 * (high - low)
+    if not half > 0.0:
+        return format_number(value) + tail
+    decimals = max(0, 1 - math.floor(math.log10(half)))
+    if decimals > 9 or max(abs(value), half) >= 1e7:
+        return f"{format_number(value, 6)} ± {format_number(half, 2)}{tail}"
+    if abs(0.5 * (low + high) - value) <= 0.1 * half:
+        text = f"{value:.{decimals}f} ± {half:.{decimals}f}"
+    else:
+        text = f"{value:.{decimals}f} ({low:.{decimals}f} to {high:.{decimals}f})"
+    return text.replace("-", "−") + tail
+
+
+def superscript_power(value: float) -> str:
+    """Return a power of ten as "10⁻³", small ones as plain numbers."""
+    exponent = round(math.log10(value)) if value > 0.0 else 0
+    if value > 0.0 and np.isclose(value, 10.0**exponent) and not -3 <= exponent <= 4:
+        return f"10{_superscript(exponent)}"
+    return f"{value:g}".replace("-", "−")
+
+
+def _superscript(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
