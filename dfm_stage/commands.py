@@ -1,0 +1,31 @@
+"""Every name people can type, with its one-line description; the front door, __main__ and setup.py read it.
+
+A new node is a line in NODES and a module dfm_stage/nodes/<name>.py; a new tool is a line in TOOLS and a
+module dfm_stage/cli/<name>.py. Only the standard library, so that it can be read before anything is installed.
+"""
+
+from __future__ import annotations
+
+NODES: dict[str, str] = {
+    "encoder_driver": "node: encoder counts to position measurements",
+    "amplifier_driver": "node: commands to the amplifier's output, with its safety limits",
+    "controller": "node: one command per measurement",
+    "trajectory_generator": "node: scans as references, excitations as voltages",
+    "sim_plant": "node: the simulated stage, in real time or in lockstep",
+    "recorder": "node: every topic into a rosbag2-compatible MCAP bag",
+}
+
+TOOLS: dict[str, str] = {
+    "demo": "bring the graph up, scan, excite, record, identify, show the table and the pictures",
+    "identify": "model and 95 % intervals from a recorded bag or CSV file",
+    "bench": "run the benchmarks and print each figure beside its bar and its peer",
+}
+
+
+def module_of(name: str) -> str:
+    """Module that holds main() of a node or tool; KeyError when there is no such name."""
+    if name in NODES:
+        return f"dfm_stage.nodes.{name}"
+    if name in TOOLS:
+        return f"dfm_stage.cli.{name}"
+    raise KeyError(name)

@@ -1,0 +1,3 @@
+"""Every test session alone: its own ROS domain, its own folders, and no process left behind."""
+
+from __future__ import annotations

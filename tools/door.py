@@ -1,0 +1,144 @@
+"""./run: the names it knows, the set-up when it is needed, and the hand-over to the program."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PRIVATE = ROOT / ".dfm"
+OWN_COMMANDS = {
+    "test": "the whole test suite; arguments go to pytest",
+    "lint": "ruff and mypy",
+    "shell": "a shell with everything sourced; -c COMMAND runs one command",
+    "exec": "one command in the environment: ./run exec CMD ...",
+    "setup": "prepare everything and stop",
+}
+PYTEST = ["-m", "pytest", "-p", "no:launch_testing", "-p", "no:launch_ros"]
+
+
+def known_names() -> tuple[dict[str, str], dict[str, str]]:
+    """Nodes and tools from dfm_stage/commands.py, read without importing the package."""
+    spec = importlib.util.spec_from_file_location("commands", ROOT / "dfm_stage/commands.py")
+    if spec is None or spec.loader is None:
+        raise ImportError("dfm_stage/commands.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.NODES, module.TOOLS
+
+
+def usage(nodes: dict[str, str], tools: dict[str, str]) -> str:
+    """The list of names with one line each."""
+    lines = ["usage: ./run NAME [arguments]     (./run NAME --help says more)", ""]
+    for title, group in (("tools", tools), ("nodes", nodes), ("working here", OWN_COMMANDS)):
+        lines.append(f"{title}:")
+        lines += [f"  {name:22}{text.removeprefix('node: ')}" for name, text in group.items()]
+        lines.append("")
+    lines.append("The first call prepares everything inside this checkout (.dfm); Python 3.10 to 3.13")
+    lines.append("and a C++ compiler are needed. DFM_PYTHON names another Python than python3.")
+    return "\n".join(lines)
+
+
+def prepare() -> tuple[Path, dict[str, str]]:
+    """Bring environment and build up to date; the environment's Python and the variables to run with."""
+    import environment
+    import host as host_module
+    import workspace
+
+    host = host_module.find_host(os.environ, PRIVATE / "installation.json")
+    folder = PRIVATE / host.tag
+    if not environment.is_ready(ROOT, host, folder) or workspace.stale(ROOT, folder):
+        from console import Steps, locked, sweep, write_whole
+
+        host_module.check(host)
+        write_whole(PRIVATE / "COLCON_IGNORE", "")
+        with locked(PRIVATE / "lock") as lock_fd:
+            sweep(folder)
+            ready = environment.is_ready(ROOT, host, folder)
+            todo = workspace.stale(ROOT, folder)
+            if not ready:
+                steps = Steps(folder / "logs/environment.log", lock_fd)
+                environment.build(ROOT, host, folder, steps, os.environ)
+            if not ready or todo:
+                steps = Steps(folder / "logs/build.log", lock_fd)
+                variables = workspace.variables(host, folder, os.environ)
+                workspace.build(ROOT, host, folder, steps, variables)
+    return folder / "env/bin/python", workspace.variables(host, folder, os.environ)
+
+
+def shell_command(arguments: list[str], folder: Path, variables: dict[str, str]) -> list[str]:
+    """bash with the environment, kept even if the user's own start-up file changes it."""
+    import shlex
+
+    from console import write_whole
+
+    bash = "/bin/bash" if os.path.exists("/bin/bash") else "/bin/sh"
+    if arguments or not sys.stdin.isatty():
+        return [bash, *arguments]
+    changed = {name: value for name, value in variables.items() if os.environ.get(name) != value}
+    lines = ["[ -f ~/.bashrc ] && . ~/.bashrc"]
+    lines += [f"export {name}={shlex.quote(value)}" for name, value in changed.items()]
+    lines.append('PS1="(dfm_stage) ${PS1-\\$ }"')
+    start_up = folder / "shellrc"
+    write_whole(start_up, "\n".join(lines) + "\n")
+    return [bash, "--rcfile", str(start_up), "-i"]
+
+
+def command_for(name: str, rest: list[str], python: Path, variables: dict[str, str]) -> list[str]:
+    """The program to become for one of the known names."""
+    folder = python.parent.parent.parent
+    if name == "setup":
+        return ["true"]
+    if name == "shell":
+        return shell_command(rest, folder, variables)
+    if name == "exec":
+        return rest
+    if name == "test":
+        os.chdir(ROOT)
+        variables["ROS_PYTHON_CHECK_FIELDS"] = "1"
+        return [str(python), *PYTEST, *rest]
+    if name == "lint":
+        os.chdir(ROOT)
+        return [str(python), str(ROOT / "tools/lint.py"), *rest]
+    safe_path = ["-P"] if python.with_name("python3.10").exists() is False else []
+    return [str(python), *safe_path, "-m", "dfm_stage", name, *rest]
+
+
+def main(arguments: list[str]) -> int:
+    """Exit code, unless the process became the program; 2 for a name that is not known."""
+    nodes, tools = known_names()
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(usage(nodes, tools))
+        return 0
+    name, rest = arguments[0], arguments[1:]
+    names = [*nodes, *tools, *OWN_COMMANDS]
+    if name not in names or (name == "exec" and not rest):
+        import difflib
+
+        near = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
+        remedy = f"did you mean {near[0]}?" if near and name not in names else "./run lists the names"
+        wrong = "exec needs a command" if name == "exec" else f"there is no {name!r}"
+        print(f"run: {wrong}: {remedy}", file=sys.stderr)
+        return 2
+    from console import SetupError
+
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        python, variables = prepare()
+        command = command_for(name, rest, python, variables)
+    except SetupError as error:
+        print(f"run: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("run: stopped; the next call goes on with the set-up", file=sys.stderr)
+        return 130
+    signal.signal(signal.SIGTERM, before)
+    sys.stdout.flush()
+    try:
+        os.execvpe(command[0], command, variables)
+    except OSError as error:
+        print(f"run: {command[0]}: {error.strerror}", file=sys.stderr)
+        return 127

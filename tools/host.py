@@ -1,0 +1,141 @@
+"""What the machine offers: a ROS 2 installation that is sourced, a compiler, Python's headers."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+import sysconfig
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from console import SetupError, read_stamp, write_stamp
+
+DISTRIBUTION = "jazzy"
+PRIVATE_MARK = "dfm_private_environment"
+
+
+@dataclass(frozen=True)
+class Host:
+    """The Python to build on and, when ROS 2 is installed and sourced, where."""
+
+    python: str
+    version: str  # "3.11"
+    ros_prefix: str | None
+
+    @property
+    def tag(self) -> str:
+        """Name of this combination's folder inside the private folder."""
+        return f"{'ros' if self.ros_prefix else 'private'}-py{self.version}"
+
+
+def base_python() -> str:
+    """The interpreter behind any virtual environment that this one belongs to."""
+    return str(getattr(sys, "_base_executable", None) or sys.executable)
+
+
+def find_host(environ: Mapping[str, str], cache: Path) -> Host:
+    """The installation that is sourced, if rclpy can be imported from it, else this Python."""
+    own_version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    prefix, version = _sourced_rclpy(environ)
+    if prefix:
+        python = _python_for(version, own_version)
+        if python and _imports_rclpy(python, prefix, environ, cache):
+            return Host(python, version, prefix)
+    return Host(base_python(), own_version, None)
+
+
+def _sourced_rclpy(environ: Mapping[str, str]) -> tuple[str, str]:
+    if environ.get("ROS_DISTRO") != DISTRIBUTION:
+        return "", ""
+    for prefix in filter(None, environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        if os.path.exists(os.path.join(prefix, PRIVATE_MARK)):
+            continue
+        for pattern in ("lib/python3.*/site-packages", "local/lib/python3.*/dist-packages"):
+            for folder in sorted(Path(prefix).glob(f"{pattern}/rclpy")):
+                return prefix, folder.parents[1].name.removeprefix("python")
+    return "", ""
+
+
+def _python_for(version: str, own_version: str) -> str | None:
+    if version == own_version:
+        return sys.executable
+    return shutil.which(f"python{version}")
+
+
+def _imports_rclpy(python: str, prefix: str, environ: Mapping[str, str], cache: Path) -> bool:
+    import hashlib
+
+    seen = "\n".join([python, prefix, *(environ.get(name, "") for name in (
+        "AMENT_PREFIX_PATH", "PYTHONPATH", "LD_LIBRARY_PATH"))])
+    key = hashlib.sha256(seen.encode()).hexdigest()
+    known = read_stamp(cache)
+    if known.get("key") == key:
+        return bool(known["imports"])
+    import subprocess
+
+    imports = subprocess.run(
+        [python, "-c", "import rclpy, rosidl_adapter"],
+        env=dict(environ), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL, check=False,
+    ).returncode == 0
+    write_stamp(cache, {"key": key, "imports": imports})
+    return imports
+
+
+def check(host: Host) -> None:
+    """SetupError with the package to install unless everything to build with is there."""
+    if sys.platform != "linux":
+        raise SetupError(f"ROS 2 Jazzy runs on Linux here, not on {sys.platform}: use a Linux machine")
+    if not host.ros_prefix and platform.machine() != "x86_64":
+        raise SetupError(
+            f"the ROS wheels exist for x86_64, not for {platform.machine()}: "
+            "install ROS 2 Jazzy and source its setup.bash"
+        )
+    for language, variable, names, package in (
+        ("C", "CC", ("cc", "gcc", "clang"), "gcc"),
+        ("C++", "CXX", ("c++", "g++", "clang++"), "g++"),
+    ):
+        wanted = os.environ.get(variable, "").split()
+        if not any(shutil.which(name) for name in (wanted[:1] or names)):
+            missing = f"{variable}={wanted[0]} is not there" if wanted else f"no {language} compiler"
+            raise SetupError(f"{missing}: install {package} (apt-get install g++)")
+    header, has_venv = _python_offers(host)
+    package = _package_stem(host)
+    if not os.path.exists(header):
+        raise SetupError(
+            f"Python's headers are missing ({header}): install {package}-dev "
+            f"(apt-get install {package}-dev)"
+        )
+    if not has_venv:
+        raise SetupError(
+            f"{host.python} has no venv module: install {package}-venv "
+            f"(apt-get install {package}-venv)"
+        )
+
+
+def _package_stem(host: Host) -> str:
+    return "python3" if host.python == "/usr/bin/python3" else f"python{host.version}"
+
+
+def _python_offers(host: Host) -> tuple[str, bool]:
+    """Path of Python.h and whether venv and ensurepip are there, as `host.python` sees it."""
+    own = f"{sys.version_info[0]}.{sys.version_info[1]}" == host.version
+    if own:
+        from importlib.util import find_spec
+
+        has_venv = find_spec("venv") is not None and find_spec("ensurepip") is not None
+        return os.path.join(sysconfig.get_path("include"), "Python.h"), has_venv
+    import json
+    import subprocess
+
+    code = (
+        "import json, sysconfig, importlib.util as u;"
+        "print(json.dumps([sysconfig.get_path('include') + '/Python.h',"
+        "bool(u.find_spec('venv') and u.find_spec('ensurepip'))]))"
+    )
+    answer = subprocess.run([host.python, "-I", "-c", code], capture_output=True, check=True)
+    header, has_venv = json.loads(answer.stdout)
+    return str(header), bool(has_venv)
