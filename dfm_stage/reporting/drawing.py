@@ -85,6 +85,26 @@ def _inline(text: str, prefix: str, label: str) -> str:
     for colour, variable in _VARIABLES.items():
         svg = svg.replace(colour, f"var(--{variable})")
     svg = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font: \1px system-ui, sans-serif", svg)
+    svg = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _rounded, svg)
+    svg = re.sub(r'<g clip-path="([^"]*)">\s*((?:<use [^>]*/>\s*)+)</g>', _shared_style, svg)
     box = re.search(r'viewBox="[^"]*"', svg)
     head = f'<svg role="img" aria-label="{label}" {box.group(0) if box else ""}>'
     return head + svg[svg.index(">") + 1:]
+
+
+def _rounded(attribute: re.Match[str]) -> str:
+    """Keep two decimals of a coordinate: 1/7000 of an inch."""
+    def short(number: re.Match[str]) -> str:
+        return f"{float(number.group()):.2f}".rstrip("0").rstrip(".")
+    name, value = attribute.groups()
+    return f'{name}="{re.sub(r"-?[0-9]+[.][0-9]{3,}", short, value)}"'
+
+
+def _shared_style(group: re.Match[str]) -> str:
+    """Give the markers of a line their style once instead of at every point."""
+    clip, markers = group.groups()
+    styles = set(re.findall(r' style="([^"]*)"', markers))
+    if len(styles) != 1:
+        return group.group()
+    bare = re.sub(r' style="[^"]*"|\n\s*', "", markers)
+    return f'<g clip-path="{clip}" style="{styles.pop()}">{bare}</g>'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,7 +104,8 @@ def time_figure(time_s: Array, panels: Sequence[tuple[str, str, Mapping[str, Arr
                              *_statistics(np.asarray(signal) * factor), shown])
             axis.set_ylabel(f"{title} ({shown})" if shown else title)
             if len(signals) > 1:
-                axis.legend(loc="upper right", ncols=len(signals))
+                axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
+                            ncols=min(3, len(signals)))
             axis.margins(x=0.0)
         axes[-1, 0].set_xlabel("time (s)")
         figure.align_ylabels()
@@ -149,7 +151,7 @@ def _thinned(t: Array, y: Array) -> tuple[Array, Array]:
         return t, y
     edges = np.linspace(0, t.size, _PLOT_POINTS // 2 + 1).astype(int)
     keep = {0, t.size - 1}
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         part = y[low:high]
         if np.isfinite(part).any():
             keep.update((low + int(np.nanargmin(part)), low + int(np.nanargmax(part))))

@@ -27,8 +27,9 @@ class Table:
         if caption:
             parts.append(f"<caption>{escape(caption)}</caption>")
         parts.append("<thead><tr>" + "".join(
-            f"<th{' class=number' if number else ''} scope=\"col\">{escape(str(column))}</th>"
-            for column, number in zip(self.columns, numeric, strict=True)) + "</tr></thead><tbody>")
+            f"<th{' class=number' if number else ''} scope=col>{escape(str(column))}</th>"
+            for column, number in zip(self.columns, numeric, strict=True))
+            + "</tr></thead><tbody>")
         for row in self.rows:
             parts.append("<tr>" + "".join(
                 f"<td{' class=number' if number else ''}>{cell_html(cell)}</td>"

@@ -29,13 +29,13 @@ class Quantity:
 def display_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
     """Return (factor, unit): what to multiply `values` in `unit` by, and the unit they then have.
 
-    The prefix keeps the largest absolute value between 1 and 1000 where there is one (lengths of
-    millimetres stay millimetres). Units that take no prefix come back with factor 1.
+    The prefix brings the largest absolute value to between about 1 and 1000 (0.99 V stays in
+    volts). Units that take no prefix come back with factor 1.
     """
     finite = [abs(float(v)) for v in values if math.isfinite(v) and v != 0.0]
     if unit not in _SCALABLE or not finite:
         return 1.0, _PRETTY.get(unit, unit)
-    largest = max(finite) * (1.0 + 1e-12)
+    largest = max(finite) * 1.02
     usable = [each for each in _PREFIXES if unit != "s" or each[0] <= 1.0]
     if unit in ("m", "m/s", "m/V", "m/N"):
         usable = [each for each in usable if each[0] <= 1.0]
@@ -44,17 +44,17 @@ def display_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
 
 
 def format_number(value: float, digits: int = 4) -> str:
-    """Return a number with `digits` significant digits, and a real minus sign."""
+    """Return a number with at most `digits` significant digits, and a real minus sign."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else ("∞" if value > 0 else "−∞")
     if value == 0.0:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
     if -4 <= exponent < 6:
-        text = f"{value:.{max(0, digits - 1 - exponent)}f}"
+        text = _bare(f"{value:.{max(0, digits - 1 - exponent)}f}")
     else:
         mantissa, power = f"{value:.{digits - 1}e}".split("e")
-        text = f"{mantissa}·10{_superscript(int(power))}"
+        text = f"{_bare(mantissa)}·10{_superscript(int(power))}"
     return text.replace("-", "−")
 
 
@@ -88,6 +88,10 @@ def superscript_power(value: float) -> str:
     if value > 0.0 and np.isclose(value, 10.0**exponent) and not -3 <= exponent <= 4:
         return f"10{_superscript(exponent)}"
     return f"{value:g}".replace("-", "−")
+
+
+def _bare(text: str) -> str:
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _superscript(exponent: int) -> str:
