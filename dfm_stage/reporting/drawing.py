@@ -28,7 +28,7 @@ _STYLE: dict[str, Any] = {
     "lines.linewidth": 1.4, "lines.markersize": 3.5, "legend.frameon": False,
     "legend.fontsize": 9.0, "axes.titlesize": 9.5, "axes.titlelocation": "left",
     "axes.unicode_minus": True, "path.simplify": True, "path.simplify_threshold": 0.3,
-    "agg.path.chunksize": 0,
+    "text.parse_math": False,
 }
 
 
@@ -84,7 +84,8 @@ def _inline(text: str, prefix: str, label: str) -> str:
     svg = re.sub(r"url\(#", f"url(#{prefix}-", svg)
     for colour, variable in _VARIABLES.items():
         svg = svg.replace(colour, f"var(--{variable})")
-    svg = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font: \1px system-ui, sans-serif", svg)
+    svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    svg = re.sub(r" ?font-family: [^;\"]*;?", "", svg)
     svg = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _rounded, svg)
     svg = re.sub(r'<g clip-path="([^"]*)">\s*((?:<use [^>]*/>\s*)+)</g>', _shared_style, svg)
     box = re.search(r'viewBox="[^"]*"', svg)

@@ -1,0 +1,188 @@
+"""The page: escaped, self-contained, well formed, written whole."""
+
+from __future__ import annotations
+
+import os
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dfm_stage.reporting import (
+    Page,
+    Quantity,
+    ReportError,
+    Response,
+    Table,
+    bode_figure,
+    new_figure,
+    time_figure,
+)
+from dfm_stage.reporting.drawing import GRID, INK, PAPER, SERIES, SOFT
+
+EVIL = '<script>alert("1")</script> & \'quoted\''
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+
+
+class Checker(HTMLParser):
+    """Collects text, ids and references, and insists on balanced tags."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.stack: list[str] = []
+        self.ids: list[str] = []
+        self.references: list[str] = []
+        self.tags: list[str] = []
+        self.words: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.stack.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            if name in ("src", "href", "xlink:href", "action", "data"):
+                self.references.append(value or "")
+            assert not name.startswith("on")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.stack.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack and self.stack.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def checked(html: str) -> Checker:
+    checker = Checker()
+    checker.feed(html)
+    checker.close()
+    assert checker.stack == []
+    return checker
+
+
+@pytest.fixture(scope="module")
+def full() -> Page:
+    t = np.arange(5000) * 1e-3
+    f = np.geomspace(1.0, 70.0, 60)
+    s = 2j * np.pi * f
+    g = 1.0 / (s**2 + 1.705 * s + 600.7)
+    page = Page(EVIL)
+    page.lead(EVIL, verdict=EVIL, tone="good").note(EVIL)
+    page.section(EVIL, f"{EVIL}\n\nsecond")
+    page.table((EVIL, "b"), [(EVIL, Quantity(1e-3, EVIL)), ("x", None)], EVIL)
+    for _ in range(2):
+        page.figure(bode_figure([Response(EVIL, f, g, np.full(60, 1e-6), measured=True),
+                                 Response("model", f, g)]), EVIL)
+        page.figure(time_figure(t, [("position", "m", {EVIL: np.sin(t), "b": np.cos(t)}),
+                                    ("voltage", "V", {"u": t})]), EVIL)
+    return page.provenance({EVIL: EVIL})
+
+
+def test_everything_is_escaped(full: Page) -> None:
+    html = full.html()
+    assert "<script" not in html
+    text = "".join(checked(html).words)
+    assert text.count(EVIL) >= 12
+
+
+def test_nothing_is_asked_of_the_network(full: Page) -> None:
+    html = full.html()
+    checker = checked(html)
+    assert checker.references
+    assert all(reference.startswith("#") for reference in checker.references)
+    assert not {"script", "link", "img", "iframe", "object", "embed"} & set(checker.tags)
+    assert "@import" not in html
+    assert all(url.startswith("#") for url in re.findall(r"url\(([^)]*)\)", html))
+
+
+def test_ids_are_unique_and_references_resolve(full: Page) -> None:
+    html = full.html()
+    checker = checked(html)
+    assert len(checker.ids) == len(set(checker.ids))
+    used = {r[1:] for r in checker.references} | set(re.findall(r"url\(#([^)]*)\)", html))
+    assert used <= set(checker.ids)
+
+
+def test_colours_follow_the_page_and_all_are_defined_twice(full: Page) -> None:
+    html = full.html()
+    assert not any(colour in html for colour in (INK, SOFT, GRID, PAPER, *SERIES))
+    for variable in set(re.findall(r"var\(--(\w+)\)", html)):
+        assert html.count(f"--{variable}:") == 3, variable     # light, dark, print
+
+
+def test_every_plot_has_its_figures_and_is_drawn_for_page_and_phone(full: Page) -> None:
+    html = full.html()
+    assert html.count("<figure>") == html.count("<details>") == 4
+    assert html.count('class="plot wide"') == html.count('class="plot narrow"') == 4
+    assert html.count("<svg ") == 8
+    assert "font-size: 9px" in html
+    assert "DejaVu" not in html                    # text takes the font of the page
+
+
+def test_the_same_page_comes_out_the_same() -> None:
+    def made() -> str:
+        figure, axes = new_figure()
+        axes.plot([0, 1], [1, 0])
+        return re.sub(r"<dt>Made.*", "", Page("a").figure(figure, "c").html())
+    assert made() == made()
+
+
+def test_drawing_leaves_the_figure_as_it_was() -> None:
+    figure, axes = new_figure(height_in=2.5)
+    axes.plot([0, 1])
+    before = tuple(figure.get_size_inches())
+    Page("a").figure(figure, "c")
+    assert tuple(figure.get_size_inches()) == before
+
+
+def test_numbers_are_aligned_and_ragged_rows_refused() -> None:
+    html = Table(("name", "value"), [("a", 1.5), ("b", Quantity(2e-6, "m"))]).html()
+    assert html.count("class=number") == 3
+    assert "2 µm" in html
+    with pytest.raises(ValueError, match="row 0 has 1 cells, not 2"):
+        Table(("a", "b"), [("x",)])
+
+
+def test_no_peak_is_lost_in_a_long_signal() -> None:
+    signal = np.zeros(200_000)
+    signal[123_457], signal[77_777] = 5.0, -3.0
+    figure = time_figure(np.arange(200_000) * 1e-3, [("u", "V", {"u": signal})]).figure
+    line = figure.axes[0].lines[0]
+    assert len(line.get_xdata()) < 4000
+    assert max(line.get_ydata()) == 5.0
+    assert min(line.get_ydata()) == -3.0
+    assert line.get_xdata()[int(np.argmax(line.get_ydata()))] == pytest.approx(123.457)
+
+
+def test_bode_figures_are_those_of_the_response() -> None:
+    f = np.array([1.0, 2.0, 4.0])
+    drawing = bode_figure([Response("g", f, np.array([1e-3, -1e-3j, -1e-4 + 0j]))])
+    assert drawing.table is not None
+    assert drawing.table.columns == ["frequency (Hz)", "g (mm/V)", "g (°)"]
+    assert np.allclose(np.array(drawing.table.rows, dtype=float),
+                       [[1, 1.0, 0], [2, 1.0, -90], [4, 0.1, -180]])
+
+
+def test_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "report.html"
+    assert Page("one").write(target) == target
+    before = target.read_text()
+    assert before.startswith("<!DOCTYPE html>")
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(ReportError, match="No space left"):
+        Page("two").write(target)
+    assert target.read_text() == before
+    assert os.listdir(tmp_path) == ["report.html"]
+    with pytest.raises(ReportError, match="cannot write the report"):
+        Page("x").write(tmp_path / "absent" / "report.html")
