@@ -1,0 +1,9 @@
+"""What goes wrong when a controller is set up."""
+
+from __future__ import annotations
+
+from dfm_stage.errors import DfmError
+
+
+class ControlError(DfmError):
+    """A controller's parameters are unusable, or no controller meets what is asked of it."""

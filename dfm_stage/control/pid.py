@@ -1,0 +1,221 @@
+"""A PID controller with two degrees of freedom, one sample per call.
+
+The law (Astrom and Hagglund, Advanced PID Control, ISA 2006, ch. 3 and sec. 13.3), with reference
+r, measurement y, sample period h, filter time Tf, tracking time Tt, weights b and c:
+
+    P_k = kp (b r_k - y_k)
+    d_k = Tf / (Tf + h) d_{k-1} + ((c r_k - y_k) - (c r_{k-1} - y_{k-1})) / (Tf + h)
+    v_k = P_k + I_k + kd d_k + F_k
+    u_k = v_k limited in size and, against u_{k-1}, in slew
+    I_{k+1} = I_k + ki h (r_k - y_k) + (h / Tt) (u_k - v_k)
+
+The derivative is the backward difference of kd s / (1 + s Tf), the integral the forward
+difference of ki / s, F the feedforward. With "clamping" the last term is left out and the integral
+stands still while the output is limited and the error would drive it further. Unless anti_windup
+is "none" the integral also never grows beyond the output limit.
+"""
+
+from __future__ import annotations
+
+import math
+
+from dfm_stage.control.errors import ControlError
+from dfm_stage.control.gains import PidGains
+
+_LONGEST = 10.0
+
+
+class Pid:
+    """The controller of one axis.
+
+    `fault` is empty, or says why the last output was zero. `saturated` tells whether the last
+    output was limited, in size or slew. `output_v` and `integral_v` are the last output and the
+    integral part the next one starts from, V.
+
+    Parameters
+    ----------
+    gains : PidGains
+    sample_period_s : float
+        Time between calls of `step` that do not say otherwise, s.
+
+    Raises
+    ------
+    ControlError
+        If the sample period is not positive and finite.
+    """
+
+    __slots__ = ("_aw", "_b", "_c", "_clamping", "_decay", "_derivative", "_fa", "_fp", "_fv",
+                 "_gains", "_i_limit", "_kd", "_ki_h", "_kp", "_last", "_leak", "_limit",
+                 "_per_dt", "_period", "_slew_h", "fault", "integral_v", "output_v", "saturated")
+
+    def __init__(self, gains: PidGains, sample_period_s: float) -> None:
+        if not (math.isfinite(sample_period_s) and sample_period_s > 0.0):
+            raise ControlError("pid: sample_period_s must be a positive number of seconds, "
+                               f"not {sample_period_s!r}")
+        self._period = float(sample_period_s)
+        self.reset()
+        self._use(gains)
+
+    @property
+    def gains(self) -> PidGains:
+        """The gains in force."""
+        return self._gains
+
+    @property
+    def sample_period_s(self) -> float:
+        """The nominal sample period, s."""
+        return self._period
+
+    def reset(self) -> None:
+        """Forget everything but the gains."""
+        self.integral_v = 0.0
+        self.output_v = 0.0
+        self.saturated = False
+        self.fault = ""
+        self._derivative = 0.0
+        self._last: tuple[float, float, float, float] | None = None
+
+    def step(self, reference_m: float, position_m: float, velocity_m_s: float = 0.0,
+             acceleration_m_s2: float = 0.0, dt_s: float = 0.0) -> float:
+        """Return the output for one sample, V.
+
+        Parameters
+        ----------
+        reference_m, position_m : float
+            Where the stage is to be and where it is, m.
+        velocity_m_s, acceleration_m_s2 : float
+            Of the reference, for the feedforward.
+        dt_s : float
+            Measured time since the last call, s. At most ten nominal periods are believed; 0,
+            negative or not finite means one.
+
+        An input that is not finite gives 0 V and a `fault`, and leaves integral and derivative as
+        they were; the next good sample goes on from there.
+        """
+        if dt_s == 0.0 or dt_s == self._period:
+            ki_h, leak, aw = self._ki_h, self._leak, self._aw
+            decay, per_dt, slew = self._decay, self._per_dt, self._slew_h
+        else:
+            usable = 0.0 < dt_s < math.inf
+            ki_h, leak, aw, decay, per_dt, slew = self._coefficients(
+                min(dt_s, _LONGEST * self._period) if usable else self._period)
+        last = self._last
+        weighted = self._c * reference_m - position_m
+        if last is None:
+            derivative = self._derivative
+        else:
+            derivative = (decay * self._derivative
+                          + (weighted - self._c * last[0] + last[1]) * per_dt)
+        forward = (self._fp * reference_m + self._fv * velocity_m_s
+                   + self._fa * acceleration_m_s2)
+        integral = self.integral_v
+        wanted = (self._kp * (self._b * reference_m - position_m) + integral
+                  + self._kd * derivative + forward)
+        if wanted - wanted != 0.0:
+            return self._faulted()
+
+        limit, before = self._limit, self.output_v
+        output = limit if wanted > limit else -limit if wanted < -limit else wanted
+        if slew:
+            if output > before + slew:
+                output = before + slew
+            elif output < before - slew:
+                output = before - slew
+        short = output - wanted
+        error = reference_m - position_m
+        if not (self._clamping and short * error < 0.0):
+            integral += ki_h * error
+        integral += aw * short - leak * integral
+        bound = self._i_limit
+        if integral > bound:
+            integral = max(bound, min(integral, self.integral_v))
+        elif integral < -bound:
+            integral = min(-bound, max(integral, self.integral_v))
+        self.integral_v = integral
+        self._derivative = derivative
+        self._last = (reference_m, position_m, velocity_m_s, acceleration_m_s2)
+        self.saturated = short != 0.0
+        self.output_v = output
+        if self.fault:
+            self.fault = ""
+        return output
+
+    def applied(self, output_v: float) -> None:
+        """Say what really reached the actuator instead of the last output.
+
+        An amplifier that gives less than was asked winds the integral up like a limit of one's
+        own; back-calculation takes the difference back.
+        """
+        if math.isfinite(output_v):
+            self.integral_v += self._aw * (output_v - self.output_v)
+            self.output_v = output_v
+
+    def track(self, output_v: float, reference_m: float, position_m: float,
+              velocity_m_s: float = 0.0, acceleration_m_s2: float = 0.0) -> None:
+        """Follow another controller (or a hand) so that taking over from it gives no bump.
+
+        Call it in place of `step`, each sample or once: the next `step` with the same inputs
+        returns `output_v`, as far as the limits allow.
+
+        Raises
+        ------
+        ControlError
+            If an input is not finite.
+        """
+        now = (reference_m, position_m, velocity_m_s, acceleration_m_s2)
+        if not all(map(math.isfinite, (output_v, *now))):
+            raise ControlError("pid: track needs finite numbers")
+        if self._last is not None:
+            moved = self._c * (reference_m - self._last[0]) - (position_m - self._last[1])
+            self._derivative = self._decay * self._derivative + moved * self._per_dt
+        self._last = now
+        self.output_v = min(self._limit, max(-self._limit, output_v))
+        self.integral_v = self.output_v - self._parts(self._decay * self._derivative)
+        self.fault = ""
+
+    def set_gains(self, gains: PidGains) -> None:
+        """Change the gains without a bump.
+
+        The integral takes up what the other parts change by, so that the output goes on from
+        where it was. Without integral action in the new gains that share decays with the tracking
+        time instead of staying for ever.
+        """
+        before = self._parts(self._derivative)
+        self._use(gains)
+        self.integral_v += before - self._parts(self._derivative)
+
+    def _parts(self, derivative: float) -> float:
+        """All of the output at the last inputs but the integral, V."""
+        if self._last is None:
+            return 0.0
+        reference, position, velocity, acceleration = self._last
+        return (self._kp * (self._b * reference - position) + self._kd * derivative
+                + self._fp * reference + self._fv * velocity + self._fa * acceleration)
+
+    def _use(self, gains: PidGains) -> None:
+        self._gains = gains
+        self._kp, self._kd = gains.kp, gains.kd
+        self._b, self._c = gains.setpoint_weight, gains.derivative_weight
+        self._fp, self._fv, self._fa = (gains.feedforward_position, gains.feedforward_velocity,
+                                        gains.feedforward_acceleration)
+        self._limit = gains.output_limit_v
+        self._clamping = gains.anti_windup == "clamping"
+        self._i_limit = math.inf if gains.anti_windup == "none" else gains.output_limit_v
+        (self._ki_h, self._leak, self._aw, self._decay, self._per_dt,
+         self._slew_h) = self._coefficients(self._period)
+
+    def _coefficients(self, h: float) -> tuple[float, float, float, float, float, float]:
+        gains = self._gains
+        share = min(1.0, h / gains.back_calculation_time_s(h))
+        integrates = gains.ki > 0.0
+        returned = share if integrates and gains.anti_windup == "back_calculation" else 0.0
+        return (gains.ki * h, 0.0 if integrates else share, returned,
+                gains.derivative_filter_s / (gains.derivative_filter_s + h),
+                1.0 / (gains.derivative_filter_s + h), gains.slew_limit_v_s * h)
+
+    def _faulted(self) -> float:
+        self.fault = "reference or measurement is not a finite number"
+        self.saturated = False
+        self.output_v = 0.0
+        self._last = None
+        return 0.0
