@@ -1,0 +1,7 @@
+"""The one base of every error this package raises on purpose."""
+
+from __future__ import annotations
+
+
+class DfmError(Exception):
+    """An error whose message is one line: what is wrong, where, and what to do about it."""

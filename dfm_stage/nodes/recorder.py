@@ -1,0 +1,245 @@
+"""recorder: every topic into a rosbag2-compatible MCAP bag, with what the nodes say of themselves.
+
+Messages are written as the bytes that came. A bag that cannot be created ends the node; one that
+can no longer be written (full disk) is reported and stops nothing else.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import platform
+import re
+import time
+from collections.abc import Callable
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from std_srvs.srv import Trigger
+
+import dfm_stage
+from dfm_stage.errors import DfmError
+from dfm_stage.nodes.base import LoopNode, run_node
+from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.wire import header_stamp_ns
+from dfm_stage.recording import (
+    MODEL_ATTACHMENT,
+    PARAMETERS_ATTACHMENT,
+    VERSIONS_ATTACHMENT,
+    BagWriteError,
+    BagWriter,
+    QosProfile,
+    definition_text,
+)
+
+_QUIET_S = 0.3
+
+
+class Recorder(LoopNode):
+    """Records until it is stopped; `~/stop` closes the bag and answers when it is complete."""
+
+    kind = "recorder"
+    settings_table = (
+        Setting("bag", "", "folder of the new bag; empty: bags/<date and time>"),
+        Setting("topics", ".*", "regular expression of the full topic names to record"),
+        Setting("exclude", "/parameter_events", "regular expression of full names to leave out"),
+        Setting("compression", "zstd", "compression of the file", choices=("zstd", "lz4", "none")),
+    )
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._wanted = _pattern("topics", self.settings["topics"])
+        self._unwanted = _pattern("exclude", self.settings["exclude"])
+        folder = self.settings["bag"] or f"bags/{datetime.now():%Y%m%d_%H%M%S}"
+        self._bag = BagWriter(folder, compression=self.settings["compression"])
+        self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
+                         json.dumps(versions(), sort_keys=True).encode())
+        self._topics: dict[str, Any] = {}
+        self._refused: set[str] = set()
+        self._configs: dict[str, Any] = {}
+        self._model_attached = False
+        self._open = True
+        self._last_arrival_s = time.monotonic()
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self._look_for_topics()
+        self.create_timer(0.05, self._look_for_topics, clock=self.steady)
+        self.publish_config()
+        self.get_logger().info(f"recording to {folder}")
+
+    # Topics
+
+    def _look_for_topics(self) -> None:
+        if not self._open:
+            return
+        for name, types in self.get_topic_names_and_types():
+            if "/_" in name:  # hidden, as ROS 2 calls it: the inner topics of actions
+                continue
+            if (name not in self._topics and name not in self._refused and len(types) == 1
+                    and self._wanted.fullmatch(name) and not self._unwanted.fullmatch(name)):
+                offers = self.get_publishers_info_by_topic(name)
+                if offers:
+                    self._record(name, types[0], offers)
+
+    def _record(self, name: str, type_name: str, offers: list[Any]) -> None:
+        try:
+            package, _, kind = type_name.partition("/msg/")
+            message_type = getattr(importlib.import_module(f"{package}.msg"), kind)
+            topic = self._bag.add_topic(name, type_name, [_offer(each) for each in offers],
+                                        str(offers[0].topic_type_hash),
+                                        definition_text(type_name))
+        except (ImportError, AttributeError, DfmError) as error:
+            self._refused.add(name)
+            self.count("topics_refused")
+            self.get_logger().warning(f"{name} ({type_name}) is not recorded: {error}")
+            return
+        profiles = [each.qos_profile for each in offers]
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_ALL,
+            reliability=_common(profiles, "reliability", ReliabilityPolicy.RELIABLE,
+                                ReliabilityPolicy.BEST_EFFORT),
+            durability=_common(profiles, "durability", DurabilityPolicy.TRANSIENT_LOCAL,
+                               DurabilityPolicy.VOLATILE))
+        has_header = next(iter(message_type.get_fields_and_field_types().values()),
+                          "") == "std_msgs/Header"
+        is_config = type_name == "std_msgs/msg/String" and name.endswith("/config")
+        self._topics[name] = self.create_subscription(
+            message_type, name, self._writer(topic, has_header, is_config), qos, raw=True)
+
+    def _writer(self, topic: int, has_header: bool,
+                is_config: bool) -> Callable[[bytes], None]:
+        write, clock, sequence = self._bag.write, time.time_ns, 0
+        lockstep = self.lockstep
+
+        def on_message(data: bytes) -> None:
+            nonlocal sequence
+            if not self._open:
+                return
+            stamp = header_stamp_ns(data) if has_header else 0
+            log = stamp if lockstep and has_header else clock()
+            sequence += 1
+            try:
+                write(topic, data, log, stamp or log, sequence)
+            except BagWriteError as error:
+                self._failed(error)
+            if is_config:
+                self._on_config(data)
+
+        def on_message_quietly(data: bytes) -> None:
+            self._last_arrival_s = time.monotonic()
+            on_message(data)
+
+        return on_message_quietly if lockstep else on_message
+
+    def _on_config(self, data: bytes) -> None:
+        try:
+            config = json.loads(data[8:].rstrip(b"\0"))
+            self._configs[config["node"]] = config
+        except (ValueError, KeyError, TypeError):
+            return
+        model = config.get("model_yaml")
+        if model and not self._model_attached:
+            self._model_attached = True
+            self._bag.attach(MODEL_ATTACHMENT, "application/yaml", model.encode())
+
+    # State
+
+    def _failed(self, error: BagWriteError) -> None:
+        if "bag" not in self.warnings_active:
+            self.get_logger().error(str(error))
+        self.warnings_active["bag"] = str(error)
+
+    def _every_second(self) -> None:
+        self.counters["messages"] = self._bag.message_count
+        self.counters["messages_not_recorded"] = self._bag.lost
+        if self._open and self._bag.error is not None:
+            self._failed(self._bag.error)
+        super()._every_second()
+
+    def not_ready(self) -> str | None:
+        """Every topic that is there must be subscribed and matched with all its publishers."""
+        self._look_for_topics()
+        for name, subscription in self._topics.items():
+            if subscription.get_publisher_count() < self.count_publishers(name):
+                return f"recorder is not matched with {name} yet"
+        return None
+
+    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.lockstep and not self.quiet():
+            response.success, response.message = False, "messages are still arriving"
+        else:
+            response.success, response.message = self.finish()
+        return response
+
+    def quiet(self) -> bool:
+        """Return whether nothing has come for a while (lockstep: all that was sent is here)."""
+        return time.monotonic() - self._last_arrival_s > _QUIET_S
+
+    def finish(self) -> tuple[bool, str]:
+        """Close the bag; return whether it is complete and what is in it."""
+        if not self._open:
+            return True, "closed before"
+        self._open = False
+        try:
+            if self._configs:
+                self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml",
+                                 json.dumps(self._configs, sort_keys=True, indent=1).encode())
+            self._bag.close()
+        except BagWriteError as error:
+            self.get_logger().error(str(error))
+            return False, str(error)
+        return True, f"{self._bag.message_count} messages in {self._bag.directory}"
+
+    def destroy_node(self) -> None:
+        """Close the bag, then the node."""
+        self.finish()
+        super().destroy_node()
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of everything that can change a result."""
+    out = {"dfm_stage": dfm_stage.__version__, "python": platform.python_version(),
+           "system": platform.platform()}
+    for package in ("numpy", "scipy", "numba", "control", "filterpy", "mcap", "rclpy",
+                    "ros-rclpy"):
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return out
+
+
+def _pattern(name: str, text: str) -> re.Pattern[str]:
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise DfmError(f"recorder: parameter {name} = {text!r} is not a regular expression: "
+                       f"{error}") from None
+
+
+def _common(profiles: list[Any], policy: str, strong: Any, weak: Any) -> Any:
+    return strong if all(getattr(each, policy) == strong for each in profiles) else weak
+
+
+def _offer(info: Any) -> QosProfile:
+    qos = info.qos_profile
+    return QosProfile(
+        history=HistoryPolicy(qos.history).short_key, depth=qos.depth,
+        reliability=ReliabilityPolicy(qos.reliability).short_key,
+        durability=DurabilityPolicy(qos.durability).short_key,
+        deadline_ns=qos.deadline.nanoseconds, lifespan_ns=qos.lifespan.nanoseconds,
+        liveliness=LivelinessPolicy(qos.liveliness).short_key,
+        liveliness_lease_duration_ns=qos.liveliness_lease_duration.nanoseconds,
+        avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(Recorder, args)

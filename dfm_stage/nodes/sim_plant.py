@@ -1,0 +1,153 @@
+"""sim_plant: the simulated stage, where coil and scale would be.
+
+Real time: a steady clock takes a sample every period, late ones are made up for at once and
+counted. Lockstep: sample k waits for the drive that answers it, then the plant steps and /clock
+advances. In both the drive that answers sample k is held from t_k to t_(k+1); in real time a late
+one acts a sample later and is counted.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from dfm_stage.model import Plant, load_model, model_text
+from dfm_stage.nodes.base import LoopNode, Publisher, run_node
+from dfm_stage.nodes.parameters import Setting
+
+_GIVE_UP_SAMPLES = 100
+
+
+class _Axis:
+    """The wires of one axis."""
+
+    def __init__(self, node: SimPlant, name: str, index: int, publish_current: bool) -> None:
+        prefix = f"{name}/" if name else ""
+        self.index = index
+        self.topic = f"{prefix}sim/drive"
+        self.counts: Publisher = node.link_publisher("sim/position_counts", prefix)
+        self.plant: Publisher = node.link_publisher("plant", prefix)
+        self.current = node.link_publisher("sim/current", prefix) if publish_current else None
+        self.input = 0.0
+        self.answered = -1
+        node.link_subscription("sim/drive", self._on_drive, prefix)
+        self._node = node
+
+    def _on_drive(self, drive: Any) -> None:
+        if drive.measurement_seq == self._node.seq:
+            self.answered = drive.measurement_seq
+        else:
+            self._node.count("late_drives")
+        self.input = drive.voltage if drive.enabled else 0.0
+        if self._node.lockstep:
+            self._node.step_when_answered()
+
+
+class SimPlant(LoopNode):
+    """Publishes `sim/position_counts` and `plant`, obeys `sim/drive`."""
+
+    kind = "sim_plant"
+    settings_table = (
+        Setting("model", "paper_stage", "model.yaml to simulate: a path or a name in "
+                "config/models"),
+        Setting("axes", "", "axes to simulate, such as 'x y', each in its own sub-namespace; "
+                "empty: one axis, in the node's namespace"),
+        Setting("seed", 0, "fixes the noise", "", 0, 2**31),
+    )
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._model = load_model(self.settings["model"])
+        names = self.settings["axes"].split() or [""]
+        self._stage = Plant(self._model, axes=names if names != [""] else None,
+                            seed=self.settings["seed"])
+        self._period_ns = round(self._model.sample_period * 1e9)
+        self.seq = 0
+        self._published = False
+        self._clock_out = self.create_publisher(ClockMessage, "/clock", QoSProfile(depth=100))
+        self._axes = [_Axis(self, name, index, self._stage.has_current)
+                      for index, name in enumerate(names)]
+        self._next_ns: int | None = None
+        if self.lockstep:
+            self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
+        else:
+            self.create_timer(self._model.sample_period, self._tick, clock=self.steady)
+        self.publish_config()
+
+    def config(self) -> dict[str, Any]:
+        """Return the model that is simulated."""
+        return {"model_yaml": model_text(self._model), "model": self._model.name}
+
+    # Lockstep
+
+    def _publish_first(self) -> None:
+        self._first.cancel()
+        self._publish_samples(0)
+
+    def step_when_answered(self) -> None:
+        """Step once every axis has answered the sample that is out."""
+        if any(axis.answered != self.seq for axis in self._axes):
+            return
+        self._advance()
+        stamp_ns = self.seq * self._period_ns
+        clock = ClockMessage()
+        clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
+        self._clock_out.publish(clock)
+        self._publish_samples(stamp_ns)
+
+    # Real time
+
+    def _tick(self) -> None:
+        now = time.monotonic_ns()
+        if self._next_ns is None:
+            if not all(publisher.open() for publisher in self.publishers_of_links):
+                return
+            self._next_ns = now
+            self._publish_samples(self.now_ns())
+            return
+        due = (now - self._next_ns + self._period_ns // 2) // self._period_ns
+        if due > _GIVE_UP_SAMPLES:
+            self.count("deadlines_missed", due)
+            self.get_logger().warning(f"held up for {due} samples; they are left out")
+            self._next_ns += due * self._period_ns
+            for _ in range(due):
+                self._advance()
+            self._publish_samples(self.now_ns())
+            return
+        if due > 1:
+            self.count("deadlines_missed", due - 1)
+        for _ in range(due):
+            self._next_ns += self._period_ns
+            self._advance()
+            self._publish_samples(self.now_ns())
+
+    # Both
+
+    def _advance(self) -> None:
+        self._stage.advance([axis.input for axis in self._axes])
+        self.seq = (self.seq + 1) & 0xFFFFFFFF
+
+    def _publish_samples(self, stamp_ns: int) -> None:
+        self._published = True
+        self.counters["samples"] = self.seq
+        for axis, sample in zip(self._axes, self._stage.sample(), strict=True):
+            axis.counts.send(stamp_ns, self.seq, sample.counts, self._stage.resolution)
+            if axis.current is not None:
+                axis.current.send(stamp_ns, self.seq, sample.current)
+            axis.plant.send(stamp_ns, self.seq, sample.position, sample.velocity, sample.current,
+                            sample.force)
+
+    def waiting_for(self) -> str | None:
+        """Return the drive that has not come."""
+        for axis in self._axes:
+            if self._published and axis.answered != self.seq:
+                return axis.topic
+        return None
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(SimPlant, args)

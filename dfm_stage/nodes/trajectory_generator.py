@@ -1,0 +1,242 @@
+"""trajectory_generator: the reference and the excitation of one axis, sample by sample.
+
+It answers measurement k. In lockstep it gives reference and excitation k and, when no experiment
+is running, nothing at all: time stands still between experiments. In real time it gives those of
+k + 1, so that the controller has them when measurement k + 1 arrives; between experiments it
+holds the last position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from dfm_interfaces.action import RunExperiment
+from rclpy.action import ActionServer, CancelResponse
+from std_srvs.srv import Trigger
+
+from dfm_stage.errors import DfmError
+from dfm_stage.nodes.base import LoopNode, run_node
+from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.share import find_experiment
+from dfm_stage.nodes.signal_settings import KINDS, signal_settings, specification
+from dfm_stage.trajectory import load_experiment, make_excitation, make_reference
+
+
+@dataclass
+class Run:
+    """An experiment under way; `first_seq` is set by the first sample."""
+
+    name: str
+    position: list[float]
+    velocity: list[float]
+    acceleration: list[float]
+    voltage: list[float]
+    metadata: dict[str, Any]
+    goal: Any = None
+    first_seq: int | None = None
+    done: int = 0
+
+    @property
+    def count(self) -> int:
+        """How many samples it has."""
+        return len(self.position)
+
+
+class TrajectoryGenerator(LoopNode):
+    """Publishes `reference` and `excitation`; runs experiments through an action."""
+
+    kind = "trajectory_generator"
+    settings_table = (
+        Setting("sample_period_s", 0.001, "sample period of the loop", "s", 1e-5, 1.0),
+        Setting("experiment", "", "experiment to run: a name in config/experiments or a YAML "
+                "file; empty runs the reference and excitation given here", live=True),
+        Setting("duration_s", 10.0, "how long reference and excitation last", "s", 0.001, 1e6,
+                live=True),
+        Setting("seed", 0, "fixes random phases", "", 0, 2**31, live=True),
+        Setting("repeat", False, "start again when the signal ends (real time)", live=True),
+        Setting("autostart", True, "run as soon as the controller listens, where an experiment "
+                "or a signal other than hold is given"),
+        *signal_settings(),
+    )
+
+    def __init__(self, **kwargs: Any) -> None:
+        self._given: set[str] = set()
+        super().__init__(**kwargs)
+        self._given |= set(self._parameter_overrides)
+        self._run: Run | None = None
+        self._pending: Any = None
+        self._hold = 0.0
+        self._reference = self.link_publisher("reference")
+        self._excitation = self.link_publisher("excitation")
+        self.link_subscription("measurement", self._on_measurement)
+        self.create_service(Trigger, "~/start", self._on_start)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self._action = ActionServer(
+            self, RunExperiment, "~/run_experiment", lambda goal: RunExperiment.Result(),
+            handle_accepted_callback=self._on_goal,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT)
+        self.create_timer(0.2, self._report, clock=self.steady)
+        if self.settings["autostart"] and self._asked_for_something():
+            self._autostart = self.create_timer(0.05, self._start_when_open, clock=self.steady)
+        self._make_run()
+        self.publish_config()
+
+    def _asked_for_something(self) -> bool:
+        values = self.settings.values
+        return bool(values["experiment"]) or any(values[f"{part}.kind"] != "hold"
+                                                 for part in KINDS)
+
+    # Parameters
+
+    def check_settings(self, values: dict[str, Any]) -> None:
+        """Refuse a signal that cannot be made."""
+        given = self._given | set(self._parameter_overrides)
+        if hasattr(self, "settings"):
+            given |= {name for name, value in values.items() if value != self.settings[name]}
+        for part, make in (("reference", make_reference), ("excitation", make_excitation)):
+            make(specification(part, values, given), sample_period_s=values["sample_period_s"],
+                 duration_s=values["duration_s"], seed=values["seed"], where=part)
+
+    def settings_applied(self, names: set[str]) -> None:
+        """Remember what was given; it takes effect at the next start."""
+        self._given |= names
+
+    def _make_run(self, experiment: str = "", goal: Any = None) -> Run:
+        values = self.settings.values
+        period = values["sample_period_s"]
+        experiment = experiment or values["experiment"]
+        if experiment:
+            loaded = load_experiment(find_experiment(experiment))
+            reference = loaded.reference(self.axis, period)
+            excitation = loaded.excitation(self.axis, period)
+            name = loaded.name
+        else:
+            common = {"sample_period_s": period, "duration_s": values["duration_s"],
+                      "seed": values["seed"]}
+            reference = make_reference(specification("reference", values, self._given), **common)
+            excitation = make_excitation(specification("excitation", values, self._given),
+                                         **common)
+            name = "parameters"
+        metadata = {"experiment": name, "reference": reference.metadata(),
+                    "excitation": excitation.metadata()}
+        return Run(name, reference.position.tolist(), reference.velocity.tolist(),
+                   reference.acceleration.tolist(), excitation.voltage.tolist(), metadata, goal)
+
+    def config(self) -> dict[str, Any]:
+        """Return what signal is, or was last, running and where in the record it starts."""
+        if self._run is None:
+            return {}
+        return {"run": {**self._run.metadata, "first_seq": self._run.first_seq}}
+
+    # Starting and stopping
+
+    def _on_goal(self, goal: Any) -> None:
+        try:
+            if self._run is not None:
+                raise DfmError(f"{self._run.name} is still running; cancel it first")
+            self._run = self._make_run(goal.request.experiment, goal)
+        except DfmError as error:
+            self._conclude(goal, "abort", str(error))
+            return
+        self._begin()
+
+    def _conclude(self, goal: Any, how: str, message: str = "", run: Run | None = None) -> None:
+        def execute(handle: Any) -> RunExperiment.Result:
+            getattr(handle, how)()
+            result = RunExperiment.Result(success=how == "succeed", message=message)
+            if run is not None and run.first_seq is not None:
+                result.first_seq = run.first_seq
+                result.last_seq = run.first_seq + max(0, run.done - 1)
+            return result
+
+        goal.execute(execute)
+
+    def _begin(self) -> None:
+        self.publish_config()
+        if self.lockstep and self._pending is not None:
+            pending, self._pending = self._pending, None
+            self._answer(pending.seq, pending.stamp_ns)
+
+    def _start_when_open(self) -> None:
+        if self._run is None and not self._reference.missing(["controller"]):
+            self._autostart.cancel()
+            self._run = self._make_run()
+            self._begin()
+
+    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            if self._run is not None:
+                raise DfmError(f"{self._run.name} is still running")
+            self._run = self._make_run()
+            self._begin()
+            response.success, response.message = True, f"{self._run.count} samples"
+        except DfmError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._run is not None
+        response.message = "stopped" if self._run else "nothing is running"
+        self._end("abort", "stopped")
+        return response
+
+    def _end(self, how: str, message: str = "") -> None:
+        run, self._run = self._run, None
+        if run is None:
+            return
+        self.count("experiments")
+        if run.goal is not None:
+            self._conclude(run.goal, how, message, run)
+
+    # The loop
+
+    def _on_measurement(self, measurement: Any) -> None:
+        if not self.lockstep:
+            self._answer(measurement.seq + 1,
+                         measurement.stamp_ns + int(self.settings["sample_period_s"] * 1e9))
+        elif self._run is not None:
+            self._answer(measurement.seq, measurement.stamp_ns)
+        else:
+            self._pending = measurement
+
+    def _answer(self, seq: int, stamp_ns: int) -> None:
+        run = self._run
+        if run is None:
+            self._reference.send(stamp_ns, seq, self._hold, 0.0, 0.0)
+            self._excitation.send(stamp_ns, seq, 0.0)
+            return
+        if run.first_seq is None:
+            run.first_seq = seq
+            self.publish_config()
+        index = seq - run.first_seq
+        if index < run.count:
+            run.done = index + 1
+            self._hold = run.position[index]
+            self._reference.send(stamp_ns, seq, run.position[index], run.velocity[index],
+                                 run.acceleration[index])
+            self._excitation.send(stamp_ns, seq, run.voltage[index])
+            if run.goal is not None and run.goal.is_cancel_requested:
+                self._end("canceled", "cancelled")
+                return
+        if index >= run.count - 1:
+            if self.settings["repeat"] and not self.lockstep and run.goal is None:
+                run.first_seq = seq + 1
+            else:
+                self._end("succeed")
+
+    def _report(self) -> None:
+        run = self._run
+        if run is not None and run.goal is not None:
+            period = self.settings["sample_period_s"]
+            run.goal.publish_feedback(RunExperiment.Feedback(
+                elapsed=run.done * period, duration=run.count * period))
+
+    def not_ready(self) -> str | None:
+        """Measurements must be on their way."""
+        return None if self.count_publishers("measurement") else "no encoder_driver"
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(TrajectoryGenerator, args)

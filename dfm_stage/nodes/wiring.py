@@ -1,0 +1,70 @@
+"""Who talks to whom: the loop topics, their types, their quality of service.
+
+Loop topics are relative names inside the namespace of one axis (`/stage/x`). Publishers are
+reliable with a history of 100 samples, so a recorder that is held up for a tenth of a second
+loses nothing; the nodes of the loop subscribe best effort with depth 1, because a late sample is
+of no use to them. In lockstep every sample counts: both sides are reliable and keep all, and a
+full history holds the publisher back instead of losing a sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from dfm_interfaces.msg import (
+    AmplifierState,
+    CoilCurrent,
+    Command,
+    Drive,
+    Excitation,
+    Measurement,
+    PlantState,
+    PositionCounts,
+    Reference,
+)
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+DEFAULT_NAMESPACE = "/stage/x"
+
+
+@dataclass(frozen=True)
+class Link:
+    """One loop topic: its name in the axis namespace, its type, the nodes at its ends."""
+
+    topic: str
+    type: Any
+    publisher: str
+    subscribers: tuple[str, ...]
+
+
+LINKS = {
+    link.topic: link for link in (
+        Link("sim/position_counts", PositionCounts, "sim_plant", ("encoder_driver",)),
+        Link("sim/current", CoilCurrent, "sim_plant", ("amplifier_driver",)),
+        Link("sim/drive", Drive, "amplifier_driver", ("sim_plant",)),
+        Link("measurement", Measurement, "encoder_driver",
+             ("controller", "trajectory_generator")),
+        Link("reference", Reference, "trajectory_generator", ("controller",)),
+        Link("excitation", Excitation, "trajectory_generator", ("controller",)),
+        Link("command", Command, "controller", ("amplifier_driver",)),
+        Link("amplifier", AmplifierState, "amplifier_driver", ()),
+        Link("plant", PlantState, "sim_plant", ()),
+    )
+}
+
+LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+PUBLISHER_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+SUBSCRIBER_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                         durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def publisher_qos(lockstep: bool) -> QoSProfile:
+    """Return the quality of service of a loop publisher."""
+    return LOCKSTEP_QOS if lockstep else PUBLISHER_QOS
+
+
+def subscriber_qos(lockstep: bool) -> QoSProfile:
+    """Return the quality of service of a loop subscription."""
+    return LOCKSTEP_QOS if lockstep else SUBSCRIBER_QOS
