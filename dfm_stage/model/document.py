@@ -1,0 +1,357 @@
+"""model.yaml: read with messages that name the line, written back with its comments."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from dfm_stage.errors import DfmError
+from dfm_stage.model.base import BASE_BY_NAME
+from dfm_stage.model.description import (
+    COUPLING_EFFECT,
+    SCHEMA_VERSION,
+    AxisModel,
+    Drive,
+    EffectUse,
+    Model,
+    unknown_name,
+)
+from dfm_stage.model.errors import ModelError
+from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.registry import EFFECTS
+
+_AXIS_KEYS = ("base", "effects")
+_TOP_KEYS = ("dfm_model", "name", "sample_period", "position_unit", "drive", *_AXIS_KEYS, "axes",
+             "coupling", "origin")
+_EFFECT_KEYS = ("name", "parameters", "origin")
+
+
+def load_model(path_or_name: str | os.PathLike[str]) -> Model:
+    """The model in a file, or the one of that bare name among those that come with the package.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or it is malformed; the message names file and line.
+    """
+    path = _find(path_or_name)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path}: cannot be read: {error}") from error
+    return parse_model(text, str(path))
+
+
+def parse_model(text: str, where: str) -> Model:
+    """The model in a YAML text; `where` begins every message.
+
+    Raises
+    ------
+    ModelError
+        As `load_model`.
+    """
+    try:
+        data = _yaml().load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f":{mark.line + 1}" if mark is not None else ""
+        raise ModelError(f"{where}{line}: not valid YAML: "
+                         f"{' '.join(str(error.problem or error.context).split())}") from error
+    except (YAMLError, ValueError) as error:
+        raise ModelError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from error
+    return model_from_mapping(data, where, text)
+
+
+def save_model(model: Model, path: str | os.PathLike[str]) -> None:
+    """Write `model` to `path`; comments of the text it was read from stay where they are.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be written. What stood there before is then still there.
+    """
+    target = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=target.name, suffix=".part")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(model_text(model))
+            os.chmod(temporary, 0o666 & ~_umask())
+            os.replace(temporary, target)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise ModelError(f"{target}: cannot be written: {error.strerror}") from error
+
+
+def model_text(model: Model) -> str:
+    """The YAML text of a model."""
+    data: Any = model.to_dict()
+    if model.document is not None:
+        old = _yaml().load(model.document)
+        _merge(old, data)
+        data = old
+    stream = io.StringIO()
+    _yaml().dump(data, stream)
+    return stream.getvalue()
+
+
+def model_from_mapping(data: Any, where: str, text: str | None = None) -> Model:
+    """The model described by nested mappings, such as ruamel.yaml returns them.
+
+    Raises
+    ------
+    ModelError
+        If it is malformed; the message names the line where `data` knows it.
+    """
+    top = _Node(data, where, (), data)
+    top.keys(_TOP_KEYS)
+    version = top.get("dfm_model")
+    if version is None:
+        top.fail(f"the schema version is missing; begin with dfm_model: {SCHEMA_VERSION}")
+    if isinstance(version, bool) or version != SCHEMA_VERSION:
+        top.fail(f"dfm_model: {version!r} is not a schema version this program reads; "
+                 f"it reads {SCHEMA_VERSION}", "dfm_model")
+    name = top.get("name")
+    if not isinstance(name, str) or not name:
+        top.fail(f"name must be a text, not {name!r}", "name")
+    period = top.number(Parameter("sample_period", 1e-3, "s", "", 1e-7, 1e3), "sample_period")
+    unit = top.get("position_unit", "m")
+    if not isinstance(unit, str):
+        top.fail(f"position_unit must be a text, not {unit!r}", "position_unit")
+    origin = _origin(top)
+    common: dict[str, Any] = {"origin": origin, "position_unit": str(unit), "document": text}
+    if "axes" not in top:
+        if "coupling" in top:
+            top.fail("coupling needs axes", "coupling")
+        axis = _axis(top, top.get("drive"))
+        return top.build(lambda: Model(str(name), period, axis.base, axis.effects,
+                                       drive=axis.drive, **common))
+    for key in _AXIS_KEYS:
+        if key in top:
+            top.fail(f"{key} belongs below each of the axes", key)
+    axes = {str(key): _axis(child, top.get("drive")) for key, child in top.child("axes").items()}
+    if not axes:
+        top.fail("axes is empty; give at least one axis", "axes")
+    coupling: dict[str, dict[str, dict[str, float]]] = {}
+    if "coupling" in top:
+        for target, sources in top.child("coupling").items():
+            coupling[target] = {source: _values(node, COUPLING_EFFECT)
+                                for source, node in sources.items()}
+    return top.build(lambda: Model(str(name), period, axes=axes, coupling=coupling, **common),
+                     "coupling" if "coupling" in top else "axes")
+
+
+def _axis(node: _Node, default_drive: object) -> AxisModel:
+    if node.path:
+        node.keys(_AXIS_KEYS)
+    base_node = node.child("base")
+    base_node.keys((*BASE_BY_NAME, "drive"))
+    drive: Any = base_node.get("drive", default_drive or "voltage")
+    if drive not in ("voltage", "current"):
+        base_node.fail(f"drive must be voltage or current, not {drive!r}", "drive")
+    base = {key: base_node.number(BASE_BY_NAME[key], key) for key in base_node if key != "drive"}
+    effects = []
+    if "effects" in node:
+        listed = node.get("effects")
+        if listed is not None and not _is_list(listed):
+            node.fail("effects must be a list of items with name and parameters", "effects")
+        for index in range(len(listed or ())):
+            effects.append(_effect(node.child("effects", index)))
+    checked_drive: Drive = drive
+    return base_node.build(lambda: AxisModel(base, tuple(effects), checked_drive))
+
+
+def _effect(node: _Node) -> EffectUse:
+    node.keys(_EFFECT_KEYS)
+    name = node.get("name")
+    if name not in EFFECTS:
+        node.fail(unknown_name("effect", name, EFFECTS), "name")
+    values = _values(node.child("parameters"), str(name)) if "parameters" in node else {}
+    return node.build(lambda: EffectUse(str(name), values, _origin(node)))
+
+
+def _values(node: _Node, effect: str) -> dict[str, float]:
+    known = EFFECTS[effect]
+    node.keys(tuple(known.defaults), f"{effect}: parameter")
+    return {key: node.number(known.parameter(key), key) for key in node}
+
+
+def _origin(node: _Node) -> Mapping[str, Any] | None:
+    if node.get("origin") is None:
+        return None
+    plain = _to_plain(node.child("origin").data)
+    assert isinstance(plain, dict)
+    return plain
+
+
+class _Node:
+    """A mapping inside the document that knows its path, so that messages can name the line."""
+
+    def __init__(self, data: Any, where: str, path: tuple[Any, ...], root: Any) -> None:
+        self.where, self.path, self.root = where, path, root
+        if not isinstance(data, Mapping):
+            self.data: Mapping[Any, Any] = {}
+            name = ".".join(str(p) for p in path) or "the document"
+            self.fail(f"{name} must be a mapping of names to values, not {_short(data)}")
+        self.data = data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.data)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.data
+
+    def get(self, key: str, default: Any = None) -> Any:
+        return self.data.get(key, default)
+
+    def items(self) -> list[tuple[str, _Node]]:
+        return [(str(key), self.child(key)) for key in self.data]
+
+    def child(self, key: str, index: int | None = None) -> _Node:
+        if key not in self.data:
+            self.fail(f"{key} is missing")
+        if index is None:
+            return _Node(self.data[key], self.where, (*self.path, key), self.root)
+        return _Node(self.data[key][index], self.where, (*self.path, key, index), self.root)
+
+    def keys(self, known: Sequence[str], kind: str | None = None) -> None:
+        kind = kind or ".".join(str(p) for p in (*self.path, "key"))
+        for key in self.data:
+            if key not in known:
+                self.fail(unknown_name(kind, key, known), key)
+
+    def number(self, parameter: Parameter, key: str) -> float:
+        value = self.get(key)
+        if isinstance(value, str):
+            try:
+                value = float(value)
+            except ValueError:
+                pass
+        try:
+            return parameter.checked(value, ".".join(str(p) for p in self.path))
+        except DfmError as error:
+            self.fail(str(error), key)
+
+    def build(self, make: Any, key: str | None = None) -> Any:
+        try:
+            return make()
+        except DfmError as error:
+            self.fail(str(error), key)
+
+    def fail(self, message: str, key: Any = None) -> Any:
+        line = _line(self.root, self.path if key is None else (*self.path, key))
+        raise ModelError(f"{self.where}{f':{line}' if line else ''}: {message}")
+
+
+def _line(root: Any, path: tuple[Any, ...]) -> int | None:
+    """The 1-based line of the deepest part of `path` that exists, or None outside ruamel data."""
+    line, node = None, root
+    for key in path:
+        position = getattr(node, "lc", None)
+        if position is None or position.data is None or key not in position.data:
+            break
+        line = int(position.data[key][0]) + 1
+        node = node[key]
+    return line
+
+
+def _merge(old: Any, new: Mapping[str, Any]) -> None:
+    """Make `old` equal to `new`, touching only what differs."""
+    for key in [k for k in old if k not in new]:
+        del old[key]
+    for key, value in new.items():
+        current = old.get(key)
+        if isinstance(value, Mapping) and isinstance(current, Mapping):
+            _merge(current, value)
+        elif key == "effects" and _is_list(current):
+            _merge_effects(current, value)
+        elif key not in old or _to_plain(current) != value:
+            old[key] = value
+
+
+def _merge_effects(old: Any, new: list[dict[str, Any]]) -> None:
+    wanted = {item["name"]: item for item in new}
+    for index in reversed(range(len(old))):
+        if old[index].get("name") not in wanted:
+            del old[index]
+    present = {item["name"]: item for item in old}
+    for item in new:
+        if item["name"] not in present:
+            old.append(item)
+            continue
+        known = EFFECTS[item["name"]]
+        given = present[item["name"]].get("parameters") or {}
+        _merge(present[item["name"]], {**item, "parameters": {
+            k: v for k, v in item["parameters"].items()
+            if k in given or k not in known.optional or v != known.defaults[k]}})
+
+
+def _find(path_or_name: str | os.PathLike[str]) -> Path:
+    path = Path(path_or_name)
+    if path.suffix in (".yaml", ".yml") or len(path.parts) != 1 or path.is_file():
+        return path
+    folders = model_folders()
+    for folder in folders:
+        if (folder / f"{path.name}.yaml").is_file():
+            return folder / f"{path.name}.yaml"
+    known = sorted({found.stem for folder in folders for found in folder.glob("*.yaml")})
+    raise ModelError(unknown_name("model", path.name, known) if known else
+                     f"model {path.name}: no folder config/models found; give the path of a file")
+
+
+def model_folders() -> list[Path]:
+    """Where models that come with the package lie: the source tree, or installed share folders."""
+    package = Path(__file__).resolve().parents[1]
+    share = Path("share") / "dfm_stage" / "config" / "models"
+    candidates = [package.parent / "config" / "models"]
+    candidates += [parent / share for parent in package.parents]
+    candidates += [Path(prefix) / share
+                   for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+                   if prefix]
+    return [folder for folder in dict.fromkeys(candidates) if folder.is_dir()]
+
+
+def _yaml() -> YAML:
+    yaml = YAML(typ="rt")
+    yaml.width = 99
+    yaml.preserve_quotes = True
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    return yaml
+
+
+def _to_plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _to_plain(v) for k, v in value.items()}
+    if _is_list(value):
+        return [_to_plain(v) for v in value]
+    if isinstance(value, bool) or value is None:
+        return value
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        return float(value)
+    return str(value)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, (str, bytes))
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

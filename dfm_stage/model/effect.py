@@ -1,0 +1,115 @@
+"""What an effect is: its physics as data, and the compiled pieces the simulator is built from.
+
+Each module of `dfm_stage.model.effects` holds one `EFFECT`. Nothing else has to be edited to add
+an effect: the registry finds it, the kernel compiles its hooks in, validation, fitting and the
+documentation read its data.
+
+Hooks are plain functions of floats and arrays that numba can compile. `p` is the effect's own
+parameter array, in the order of `parameters`; `x` (m) and `v` (m/s) are position and velocity of
+the driven point, `drive` is the input after delay, limit, amplifier and coil (V, or A).
+
+`force(x, v, drive, p) -> N`
+    A smooth force on the driven point.
+`advance(z, dx, v0, v1, p) -> z` with `bristle_force(z, v, p) -> N`
+    A force with memory: the state `z` after the point moved by `dx` without reversing, while its
+    velocity went from `v0` to `v1`; and the force that goes with it.
+`stamp(a, rows, first, p, base)`
+    A linear part with states of its own, see `dfm_stage.model.kernel.assemble`.
+`sense(y, x, t, other, p) -> m`
+    What is added to the reading `y` of the encoder at time `t`; `other` is the position of the
+    neighbouring axis.
+`other_force(p) -> N/m`
+    Force per metre of the neighbouring axis.
+`adds_to`
+    The base parameter (or internal slot) that the first parameter is simply added to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from dfm_stage.model.parameter import Parameter
+
+Side = Literal["mechanical", "actuator", "sensor"]
+Parity = Literal["linear", "even", "odd", "both", "none"]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Where a parameter usually lies on such stages; `log` when it spans decades."""
+
+    low: float
+    high: float
+    log: bool = True
+
+
+@dataclass(frozen=True)
+class Equivalence:
+    """Members that cannot be told apart on the data described by `on`, and what would part them.
+
+    A member is an effect's name, or the name of a base parameter (then the answer is `retune`).
+    """
+
+    members: tuple[str, ...]
+    on: str
+    split_by: str
+
+
+@dataclass(frozen=True)
+class Reparametrisation:
+    """Coordinates in which a fit is well conditioned.
+
+    `names` are the free parameters it replaces, as `Model.parameters` names them; `forward` and
+    `backward` map arrays of their values, same order, to the fitted coordinates `fitted`.
+    """
+
+    names: tuple[str, ...]
+    fitted: tuple[str, ...]
+    forward: Callable[[Any], Any]
+    backward: Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical effect; see the module docstring for the hooks.
+
+    Parameters named in `optional` take their default where a model leaves them out; the others
+    must be given.
+    """
+
+    name: str
+    meaning: str
+    equation: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    priors: Mapping[str, Prior]
+    side: Side
+    parity: Parity
+    memory: bool
+    shown_by: str
+    optional: tuple[str, ...] = ()
+    classes: tuple[Equivalence, ...] = ()
+    fit: Reparametrisation | None = None
+    adds_to: str | None = None
+    states: tuple[str, ...] = ()
+    stage: Literal["modes", "amplifier", "mechanics"] = "mechanics"
+    force: Callable[..., float] | None = field(default=None, repr=False)
+    advance: Callable[..., float] | None = field(default=None, repr=False)
+    bristle_force: Callable[..., float] | None = field(default=None, repr=False)
+    stamp: Callable[..., None] | None = field(default=None, repr=False)
+    sense: Callable[..., float] | None = field(default=None, repr=False)
+    other_force: Callable[..., float] | None = field(default=None, repr=False)
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        """Name -> default value of each parameter."""
+        return {p.name: p.default for p in self.parameters}
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter called `name`; KeyError if there is none."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(name)

@@ -1,0 +1,1 @@
+"""The effect library: one module, one effect, one `EFFECT`."""

@@ -1,0 +1,1 @@
+"""The compiled simulator: pure functions of flat arrays. Use `Simulator` and `Plant` instead."""

@@ -1,0 +1,78 @@
+"""Matrix exponentials of small, badly scaled matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.kernel.compiled import compiled
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def multiply(a: Array, b: Array, out: Array) -> None:
+    """out = a b for small matrices; `out` must be another array."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            total = 0.0
+            for k in range(a.shape[1]):
+                total += a[i, k] * b[k, j]
+            out[i, j] = total
+
+
+@compiled
+def balance(a: Array, scale: Array) -> None:
+    """Scale a in place to D^-1 a D with D = diag(scale) of powers of two (Osborne 1960)."""
+    n = a.shape[0]
+    scale[:] = 1.0
+    for _ in range(20):
+        changed = False
+        for i in range(n):
+            row = column = 0.0
+            for j in range(n):
+                if j != i:
+                    row += abs(a[i, j])
+                    column += abs(a[j, i])
+            if row == 0.0 or column == 0.0:
+                continue
+            factor = 2.0 ** np.rint(0.5 * np.log2(row / column))
+            if factor != 1.0:
+                changed = True
+                scale[i] *= factor
+                for j in range(n):
+                    a[i, j] /= factor
+                for j in range(n):
+                    a[j, i] *= factor
+        if not changed:
+            break
+
+
+@compiled
+def exponential(a: Array, out: Array) -> None:
+    """out = exp(a), by balancing, Taylor series and squaring; relative error near 1e-14."""
+    n = a.shape[0]
+    scaled, scale = a.copy(), np.empty(n)
+    balance(scaled, scale)
+    norm = 0.0
+    for i in range(n):
+        norm = max(norm, np.sum(np.abs(scaled[i])))
+    squarings = 0
+    while norm > 0.5:
+        norm *= 0.5
+        squarings += 1
+    scaled *= 0.5 ** squarings
+    term, other = np.eye(n), np.empty((n, n))
+    out[:] = term
+    for order in range(1, 15):
+        multiply(term, scaled, other)
+        for i in range(n):
+            for j in range(n):
+                term[i, j] = other[i, j] / order
+                out[i, j] += term[i, j]
+    for _ in range(squarings):
+        multiply(out, out, other)
+        out[:] = other
+    for i in range(n):
+        for j in range(n):
+            out[i, j] *= scale[i] / scale[j]

@@ -1,0 +1,80 @@
+"""The linear part of one axis as a state space, put together from stamps.
+
+The state is s = [position and velocity of the first mode, the states of amplifier and coil, the
+states of effects]. `a` has shape (n, n + 1): ds/dt = a[:, :n] s + a[:, n] u with the delayed and
+limited input u. `rows` has shape (ROWS, n + 1) and tells, in the same columns, what position and
+velocity of the driven point and the drive are; ROW_FORCE_IN holds ds/dt per newton at the point.
+
+An effect's stamp changes them: in the stage "modes" position, velocity and force input, in the
+stage "amplifier" the drive, in the stage "mechanics" it adds forces at the point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.kernel.compiled import compiled
+from dfm_stage.model.kernel.hooks import stamp_amplifier, stamp_mechanics, stamp_modes
+from dfm_stage.model.kernel.slots import (
+    AMPLIFIER,
+    BACK_EMF,
+    DAMPING,
+    FORCE_CONSTANT,
+    INDUCTANCE,
+    LAYOUT_FIXED,
+    MASS,
+    RESISTANCE,
+    ROW_DRIVE,
+    ROW_FORCE_IN,
+    ROW_POSITION,
+    ROW_VELOCITY,
+    STIFFNESS,
+)
+
+Array = NDArray[np.float64]
+_AMPLIFIER_STATE, _COIL_STATE = LAYOUT_FIXED + 2, LAYOUT_FIXED + 3
+
+
+@compiled
+def lag(a: Array, rows: Array, state: int, time_constant: float) -> None:
+    """Put a first-order lag into the drive; without delay where the time constant is zero."""
+    if state < 0 or time_constant <= 0.0:
+        return
+    for j in range(rows.shape[1]):
+        a[state, j] = rows[ROW_DRIVE, j] / time_constant
+        rows[ROW_DRIVE, j] = 0.0
+    a[state, state] -= 1.0 / time_constant
+    rows[ROW_DRIVE, state] = 1.0
+
+
+@compiled
+def assemble(on: NDArray[np.bool_], layout: NDArray[np.int64], theta: Array, a: Array,
+             rows: Array) -> None:
+    """Fill `a` and `rows` for the parameters `theta`."""
+    n = a.shape[0]
+    a[:] = 0.0
+    rows[:] = 0.0
+    mass = theta[MASS]
+    a[0, 1] = 1.0
+    a[1, 0] = -theta[STIFFNESS] / mass
+    a[1, 1] = -theta[DAMPING] / mass
+    rows[ROW_POSITION, 0] = 1.0
+    rows[ROW_VELOCITY, 1] = 1.0
+    rows[ROW_FORCE_IN, 1] = 1.0 / mass
+    stamp_modes(on, layout, a, rows, theta)
+
+    rows[ROW_DRIVE, n] = 1.0
+    lag(a, rows, layout[_AMPLIFIER_STATE], theta[AMPLIFIER])
+    stamp_amplifier(on, layout, a, rows, theta)
+    for j in range(n):
+        rows[ROW_DRIVE, j] -= theta[BACK_EMF] * rows[ROW_VELOCITY, j]
+    if theta[RESISTANCE] > 0.0:
+        lag(a, rows, layout[_COIL_STATE], theta[INDUCTANCE] / theta[RESISTANCE])
+
+    for i in range(n):
+        share = rows[ROW_FORCE_IN, i] * theta[FORCE_CONSTANT]
+        if share != 0.0:
+            for j in range(n + 1):
+                a[i, j] += share * rows[ROW_DRIVE, j]
+    stamp_mechanics(on, layout, a, rows, theta)

@@ -1,0 +1,65 @@
+"""The decorator of all compiled code, and where its machine code is kept between runs.
+
+numba notices when the file of a function changed, but not when a function that it calls, in
+another file, did. So the code of this package is cached in a folder whose name is a hash of all
+sources it is built from: a changed effect, wherever it is, can never run stale code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import config
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def compiled(function: F) -> F:
+    """`function` as machine code that runs without the interpreter lock, not cached itself."""
+    result: F = numba.njit(nogil=True, error_model="numpy")(function)
+    return result
+
+
+def entry(function: F) -> F:
+    """As `compiled`, with its machine code, and all it calls, kept on disk."""
+    with _cache_folder():
+        result: F = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
+    return result
+
+
+@contextmanager
+def _cache_folder() -> Iterator[None]:
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(_folder())
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+def _folder() -> Path:
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256(str(package).encode())
+    for source in sorted(package.rglob("*.py")):
+        digest.update(source.read_bytes())
+    name = f"dfm_stage-{digest.hexdigest()[:16]}"
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    for parent in (given, os.path.join(home, "dfm_stage"), tempfile.gettempdir()):
+        if not parent:
+            continue
+        folder = Path(parent) / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError:
+            continue
+    return Path(tempfile.mkdtemp(prefix="dfm_stage-"))
