@@ -13,11 +13,12 @@ from dfm_stage.model.parameter import Parameter, ParameterError
 
 ANTI_WINDUP = ("back_calculation", "clamping", "none")
 
+# The defaults are `pid_for` at 8 Hz on the paper's stage with 1 ms of delay and of amplifier lag.
 PID_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("kp", 3000.0, "V/m", "proportional gain"),
-    Parameter("ki", 60000.0, "V/(m s)", "integral gain", 0.0),
-    Parameter("kd", 80.0, "V s/m", "derivative gain", 0.0),
-    Parameter("derivative_filter_s", 1e-3, "s", "time constant of the derivative's filter", 0.0,
+    Parameter("kp", 3100.0, "V/m", "proportional gain"),
+    Parameter("ki", 38000.0, "V/(m s)", "integral gain", 0.0),
+    Parameter("kd", 94.0, "V s/m", "derivative gain", 0.0),
+    Parameter("derivative_filter_s", 2.5e-3, "s", "time constant of the derivative's filter", 0.0,
               1e3),
     Parameter("output_limit_v", 10.0, "V", "largest absolute output", 1e-9, 1e6),
     Parameter("slew_limit_v_s", 0.0, "V/s", "largest change of the output; 0 = no limit", 0.0),

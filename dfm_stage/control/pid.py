@@ -12,7 +12,8 @@ r, measurement y, sample period h, filter time Tf, tracking time Tt, weights b a
 The derivative is the backward difference of kd s / (1 + s Tf), the integral the forward
 difference of ki / s, F the feedforward. With "clamping" the last term is left out and the integral
 stands still while the output is limited and the error would drive it further. Unless anti_windup
-is "none" the integral also never grows beyond the output limit.
+is "none" the integral also never grows beyond what the largest output would need with the stage
+at rest on its reference.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class Pid:
 
     __slots__ = ("_aw", "_b", "_c", "_clamping", "_decay", "_derivative", "_fa", "_fp", "_fv",
                  "_gains", "_i_limit", "_kd", "_ki_h", "_kp", "_last", "_leak", "_limit",
-                 "_per_dt", "_period", "_slew_h", "fault", "integral_v", "output_v", "saturated")
+                 "_per_dt", "_period", "_shortfall", "_slew_h", "_steady", "fault",
+                 "integral_v", "output_v", "saturated")
 
     def __init__(self, gains: PidGains, sample_period_s: float) -> None:
         if not (math.isfinite(sample_period_s) and sample_period_s > 0.0):
@@ -73,6 +75,7 @@ class Pid:
         self.saturated = False
         self.fault = ""
         self._derivative = 0.0
+        self._shortfall = 0.0
         self._last: tuple[float, float, float, float] | None = None
 
     def step(self, reference_m: float, position_m: float, velocity_m_s: float = 0.0,
@@ -123,14 +126,15 @@ class Pid:
                 output = before - slew
         short = output - wanted
         error = reference_m - position_m
-        if not (self._clamping and short * error < 0.0):
+        if not (self._clamping and (short * error < 0.0 or self._shortfall * error < 0.0)):
             integral += ki_h * error
+        self._shortfall = 0.0
         integral += aw * short - leak * integral
-        bound = self._i_limit
-        if integral > bound:
-            integral = max(bound, min(integral, self.integral_v))
-        elif integral < -bound:
-            integral = min(-bound, max(integral, self.integral_v))
+        bound, offset = self._i_limit, self._steady * reference_m
+        if integral > bound - offset:
+            integral = max(bound - offset, min(integral, self.integral_v))
+        elif integral < -bound - offset:
+            integral = min(-bound - offset, max(integral, self.integral_v))
         self.integral_v = integral
         self._derivative = derivative
         self._last = (reference_m, position_m, velocity_m_s, acceleration_m_s2)
@@ -144,10 +148,11 @@ class Pid:
         """Say what really reached the actuator instead of the last output.
 
         An amplifier that gives less than was asked winds the integral up like a limit of one's
-        own; back-calculation takes the difference back.
+        own: back-calculation takes the difference back, clamping stops the next integration.
         """
         if math.isfinite(output_v):
-            self.integral_v += self._aw * (output_v - self.output_v)
+            self._shortfall = output_v - self.output_v
+            self.integral_v += self._aw * self._shortfall
             self.output_v = output_v
 
     def track(self, output_v: float, reference_m: float, position_m: float,
@@ -198,6 +203,7 @@ class Pid:
         self._b, self._c = gains.setpoint_weight, gains.derivative_weight
         self._fp, self._fv, self._fa = (gains.feedforward_position, gains.feedforward_velocity,
                                         gains.feedforward_acceleration)
+        self._steady = self._kp * (self._b - 1.0) + self._fp
         self._limit = gains.output_limit_v
         self._clamping = gains.anti_windup == "clamping"
         self._i_limit = math.inf if gains.anti_windup == "none" else gains.output_limit_v

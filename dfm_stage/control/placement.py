@@ -1,0 +1,142 @@
+"""PID gains for a second-order stage by placing the closed-loop poles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from dfm_stage.control.errors import ControlError
+from dfm_stage.control.gains import PidGains
+from dfm_stage.control.sampled import Margins, margins, sample_stage
+
+_FILTER_RATIO = 8.0
+
+
+@dataclass(frozen=True)
+class PidDesign:
+    """Gains, the margins they leave on the sampled model, and why they are what they are."""
+
+    gains: PidGains
+    margins: Margins
+    reason: str
+
+
+def pid_for(base: Mapping[str, float], bandwidth_hz: float, *, sample_period_s: float = 1e-3,
+            damping_ratio: float = 0.8, integral_ratio: float = 0.3, output_limit_v: float = 10.0,
+            feedforward: bool = True) -> PidDesign:
+    """Return PID gains that put the poles of a mass on a spring where they are wanted.
+
+    With m x'' + c x' + k x = K u and w = 2 pi bandwidth_hz, the gains
+
+        kp = (m w^2 (1 + 2 zeta alpha) - k) / K,  ki = m alpha w^3 / K,
+        kd = (m w (2 zeta + alpha) - c) / K
+
+    give the characteristic polynomial (s + alpha w)(s^2 + 2 zeta w s + w^2) (Astrom and
+    Hagglund, Advanced PID Control, sec. 6.4). Delay, amplifier lag, sampling and the derivative's
+    filter, 1 / (8 w), are left out there and counted in `margins`.
+
+    Parameters
+    ----------
+    base : mapping
+        As in a model.yaml: mass, force_constant; damping, stiffness, delay,
+        amplifier_time_constant where there are such.
+    bandwidth_hz : float
+        Distance of the complex poles from the origin over 2 pi.
+    damping_ratio, integral_ratio : float
+        zeta and alpha.
+    output_limit_v : float
+        The amplifier's limit.
+    feedforward : bool
+        Add the inverse model's output, and let the reference's velocity act in the derivative
+        part; steps of the reference still give no derivative kick.
+
+    Raises
+    ------
+    ControlError
+        If the model lacks mass or force constant, a number is not positive, the bandwidth is so
+        low that the spring alone is stiffer, or so high that the sampled loop is unstable.
+    """
+    for name, value in (("bandwidth_hz", bandwidth_hz), ("sample_period_s", sample_period_s),
+                        ("damping_ratio", damping_ratio), ("integral_ratio", integral_ratio)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise ControlError(f"{name} must be a positive number, not {value!r}")
+    stage = sample_stage(base, sample_period_s)
+    m, gain = base["mass"], base["force_constant"]
+    c, k = base.get("damping", 0.0), base.get("stiffness", 0.0)
+    w, zeta, alpha = 2.0 * math.pi * bandwidth_hz, damping_ratio, integral_ratio
+    kp = (m * w**2 * (1.0 + 2.0 * zeta * alpha) - k) / gain
+    kd = (m * w * (2.0 * zeta + alpha) - c) / gain
+    ki = m * alpha * w**3 / gain
+    if kp <= 0.0 or kd <= 0.0:
+        least = math.sqrt(k / m / (1.0 + 2.0 * zeta * alpha)) / (2.0 * math.pi)
+        raise ControlError(f"bandwidth_hz = {bandwidth_hz:g} Hz is below what spring and damper "
+                           f"give without control; ask for more than {least:.3g} Hz")
+    filter_s = 1.0 / (_FILTER_RATIO * w)
+    weight = min(1.0, ki / (kp * alpha * w))
+    gains = PidGains(
+        kp=kp, ki=ki, kd=kd, derivative_filter_s=filter_s, output_limit_v=output_limit_v,
+        setpoint_weight=weight,
+        feedforward_position=k / gain + kp * (1.0 - weight) if feedforward else 0.0,
+        feedforward_velocity=c / gain + kd if feedforward else 0.0,
+        feedforward_acceleration=(m / gain - kd * (filter_s + 0.5 * sample_period_s)
+                                  if feedforward else 0.0))
+    found = margins(stage, gains)
+    if not found.stable:
+        raise ControlError(f"bandwidth_hz = {bandwidth_hz:g} Hz is unstable with the model's "
+                           f"delay and lag at {1.0 / sample_period_s:g} Hz sampling; ask for less")
+    reason = (f"poles at {bandwidth_hz:g} Hz with damping ratio {zeta:g} and at "
+              f"{alpha * bandwidth_hz:g} Hz for the integral; derivative filtered at "
+              f"{_FILTER_RATIO * bandwidth_hz:g} Hz; "
+              + ("inverse model fed forward; " if feedforward else
+                 f"setpoint weight {weight:.2f} cancels the integral's pole; ")
+              + f"the sampled loop with delay and lag keeps a modulus margin of "
+              f"{found.modulus:.2f}, {found.phase_deg:.0f} degrees of phase and a gain margin of "
+              f"{found.gain:.1f}")
+    return PidDesign(gains, found, reason)
+
+
+def pid_with_margin(base: Mapping[str, float], modulus_margin: float = 0.5, *,
+                    sample_period_s: float = 1e-3, damping_ratio: float = 0.8,
+                    integral_ratio: float = 0.3, output_limit_v: float = 10.0,
+                    feedforward: bool = True) -> PidDesign:
+    """Return the fastest `pid_for` that keeps the modulus margin; its bandwidth to 1 %.
+
+    Raises
+    ------
+    ControlError
+        As `pid_for`, or if no bandwidth keeps the margin.
+    """
+    if not 0.0 < modulus_margin < 1.0:
+        raise ControlError(f"modulus_margin must lie between 0 and 1, not {modulus_margin!r}")
+
+    def design(bandwidth_hz: float) -> PidDesign:
+        return pid_for(base, bandwidth_hz, sample_period_s=sample_period_s,
+                       damping_ratio=damping_ratio, integral_ratio=integral_ratio,
+                       output_limit_v=output_limit_v, feedforward=feedforward)
+
+    sample_stage(base, sample_period_s)
+    spring = math.sqrt(base.get("stiffness", 0.0) / base["mass"])
+    damper = base.get("damping", 0.0) / base["mass"] / (2.0 * damping_ratio + integral_ratio)
+    low = 1.02 * max(spring, damper, 1e-4 / sample_period_s) / (2.0 * math.pi)
+    best: PidDesign | None
+    try:
+        best = design(low)
+    except ControlError:
+        best = None
+    if best is None or best.margins.modulus < modulus_margin:
+        raise ControlError(f"no bandwidth above the stage's own {low:.3g} Hz keeps a modulus "
+                           f"margin of {modulus_margin:g}; lower the margin or the delay")
+    high = 0.25 / sample_period_s
+    while high / low > 1.01:
+        middle = math.sqrt(low * high)
+        try:
+            found = design(middle)
+        except ControlError:
+            high = middle
+            continue
+        if found.margins.modulus >= modulus_margin:
+            low, best = middle, found
+        else:
+            high = middle
+    return best
