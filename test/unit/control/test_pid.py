@@ -100,6 +100,24 @@ def test_a_limit_of_the_actuator_alone_does_not_wind_it_up_either(law: str) -> N
     assert -0.01 < overshoot(law, 100.0, 2.7) < 0.5 * overshoot("none", 100.0, 2.7)
 
 
+def test_back_calculation_is_the_equation_of_the_docstring() -> None:
+    gains = PidGains(kp=1000.0, ki=4000.0, kd=0.0, output_limit_v=2.0, tracking_time_s=0.02)
+    pid = Pid(gains, H)
+    assert pid.step(5e-3, 0.0) == 2.0                   # wanted 5 V
+    assert pid.integral_v == pytest.approx(4000.0 * H * 5e-3 + H / 0.02 * (2.0 - 5.0))
+    before = pid.integral_v
+    pid.applied(1.5)
+    assert pid.integral_v == pytest.approx(before + H / 0.02 * (1.5 - 2.0))
+
+
+@pytest.mark.parametrize(("values", "seconds"), [
+    ({"ki": 400.0, "kd": 4.0}, 0.1), ({"ki": 400.0, "kp": 80.0, "kd": 0.0}, 0.2),
+    ({"tracking_time_s": 0.3}, 0.3), ({"tracking_time_s": 1e-6}, H), ({"ki": 0.0}, 0.1),
+])
+def test_the_tracking_time_in_force(values: dict[str, float], seconds: float) -> None:
+    assert PidGains(**values).back_calculation_time_s(H) == pytest.approx(seconds)
+
+
 def test_output_and_slew_are_limited_and_flagged() -> None:
     gains = PidGains(kp=1000.0, ki=0.0, kd=0.0, output_limit_v=2.0, slew_limit_v_s=100.0)
     pid = Pid(gains, H)
