@@ -118,7 +118,11 @@ class Pid:
             return self._faulted()
 
         limit, before = self._limit, self.output_v
-        output = limit if wanted > limit else -limit if wanted < -limit else wanted
+        output = wanted
+        if output > limit:
+            output = limit
+        elif output < -limit:
+            output = -limit
         if slew:
             if output > before + slew:
                 output = before + slew

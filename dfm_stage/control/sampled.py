@@ -61,7 +61,7 @@ def sample_stage(base: Mapping[str, float], sample_period_s: float) -> Sampled:
     late = max(0.0, delay - whole) * h
     phi, new = _held(a, b, h - late)
     phi_late, old = _held(a, b, late)
-    a_d, new, old = phi @ phi_late, new, phi @ old
+    a_d, old = phi @ phi_late, phi @ old
     n, m = b.size, whole + (1 if late > 1e-9 * h else 0)
     full = np.zeros((n + m, n + m))
     full[:n, :n] = a_d

@@ -35,10 +35,10 @@ _STYLE: dict[str, Any] = {
 @contextmanager
 def page_style() -> Iterator[None]:
     """Draw inside this so that a figure's text, grid and series take the page's colours."""
-    import matplotlib
+    import matplotlib as mpl
     from cycler import cycler
     style: Any = {**_STYLE, "axes.prop_cycle": cycler(color=list(SERIES))}
-    with matplotlib.rc_context(style):
+    with mpl.rc_context(style):
         yield
 
 
@@ -64,11 +64,11 @@ def to_svg(figure: Figure, prefix: str, label: str, width_in: float | None = Non
     width, height = figure.get_size_inches()
     buffer = io.StringIO()
     with page_style():
-        import matplotlib
+        import matplotlib as mpl
         try:
             if width_in is not None:
                 figure.set_size_inches(width_in, max(height * 0.9, 2.2))
-            with matplotlib.rc_context({"svg.hashsalt": prefix}):
+            with mpl.rc_context({"svg.hashsalt": prefix}):
                 figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
         finally:
             figure.set_size_inches(width, height)

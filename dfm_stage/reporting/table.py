@@ -30,10 +30,9 @@ class Table:
             f"<th{' class=number' if number else ''} scope=col>{escape(str(column))}</th>"
             for column, number in zip(self.columns, numeric, strict=True))
             + "</tr></thead><tbody>")
-        for row in self.rows:
-            parts.append("<tr>" + "".join(
-                f"<td{' class=number' if number else ''}>{cell_html(cell)}</td>"
-                for cell, number in zip(row, numeric, strict=True)) + "</tr>")
+        parts.extend("<tr>" + "".join(
+            f"<td{' class=number' if number else ''}>{cell_html(cell)}</td>"
+            for cell, number in zip(row, numeric, strict=True)) + "</tr>" for row in self.rows)
         parts.append("</tbody></table></div>")
         return "\n".join(parts)
 

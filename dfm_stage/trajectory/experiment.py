@@ -137,11 +137,11 @@ def _axes(content: Mapping[str, Any], mode: str) -> dict[str, AxisSpec]:
         raise TrajectoryError("axes is missing; give at least axes: {x: {reference: {...}}}",
                               "axes")
     specs = {}
-    for axis, entry in axes.items():
+    for axis, given in axes.items():
         where = f"axes.{axis}"
         if not isinstance(axis, str) or not axis.isidentifier():
             raise TrajectoryError(f"an axis needs a plain name such as x, not {axis!r}", "axes")
-        entry = {} if entry is None else entry
+        entry = {} if given is None else given
         if not isinstance(entry, Mapping):
             raise TrajectoryError(f"{where} must hold reference and/or excitation, not {entry!r}",
                                   where)

@@ -54,7 +54,8 @@ class Checker(HTMLParser):
             self.stack.pop()
 
     def handle_endtag(self, tag: str) -> None:
-        assert self.stack and self.stack.pop() == tag
+        assert self.stack
+        assert self.stack.pop() == tag
 
     def handle_data(self, data: str) -> None:
         self.words.append(data)
