@@ -8,8 +8,8 @@ from setuptools import find_packages, setup
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
-from dfm_stage import __version__  # noqa: E402
-from dfm_stage.commands import NODES, TOOLS, module_of  # noqa: E402
+from dfm_stage import __version__
+from dfm_stage.commands import NODES, TOOLS, module_of
 
 PACKAGE = "dfm_stage"
 

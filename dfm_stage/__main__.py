@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _unknown(name: str) -> str:
-    near = difflib.get_close_matches(name, [*NODES, *TOOLS], n=1, cutoff=0.3)
+    near = difflib.get_close_matches(name, [*NODES, *TOOLS], n=1, cutoff=0.5)
     remedy = f"did you mean {near[0]}?" if near else "--help lists the names"
     return f"there is no {name!r}: {remedy}"
 

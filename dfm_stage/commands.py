@@ -1,7 +1,8 @@
-"""Every name people can type, with its one-line description; the front door, __main__ and setup.py read it.
+"""Every name people can type, with its one-line description.
 
-A new node is a line in NODES and a module dfm_stage/nodes/<name>.py; a new tool is a line in TOOLS and a
-module dfm_stage/cli/<name>.py. Only the standard library, so that it can be read before anything is installed.
+A new node is a line in NODES and a module dfm_stage/nodes/<name>.py; a new tool is a line in TOOLS
+and a module dfm_stage/cli/<name>.py. The front door reads this file before anything is installed,
+so it imports nothing but the standard library.
 """
 
 from __future__ import annotations

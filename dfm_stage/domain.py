@@ -1,50 +1,82 @@
-"""A ROS domain of one's own, so that two graphs on one machine do not see each other."""
+"""A ROS domain of one's own, so that two node graphs on one machine do not see each other."""
 
 from __future__ import annotations
 
-import fcntl
 import os
-import tempfile
-from pathlib import Path
+import socket
 from types import TracebackType
 
 from dfm_stage.errors import DfmError
 
-# Linux's ephemeral ports begin where the ports of domain 102 do.
-_DOMAINS = range(101, 0, -1)
+DOMAINS = range(1, 102)  # 0 is everybody's default; above 101 DDS ports meet the ephemeral ones
+# DDSI-RTPS 2.5, 9.6.2.4: first port of a domain, and offset and step of a participant's own port
+PORT_BASE, DOMAIN_GAIN, UNICAST_OFFSET, PARTICIPANT_GAIN = 7400, 250, 10, 2
+PARTICIPANTS_LOOKED_FOR = 4
 
 
-class DomainLock:
-    """Holds one ROS domain id that no other holder of a DomainLock has, until it is released.
+class NoFreeDomainError(DfmError):
+    """Every ROS domain of this machine is taken."""
 
-    The lock is the operating system's on a file, so it ends with the process in any case.
+
+class Domain:
+    """A domain id that this process holds until `release` or its end; a context manager.
+
+    Held by an abstract socket's name: the kernel frees it with the process, however that ends, and
+    it reaches as far as discovery on localhost does, which is one network namespace.
     """
 
-    def __init__(self) -> None:
-        folder = Path(tempfile.gettempdir()) / f"dfm_stage_domains_{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        for domain in _DOMAINS:
-            handle = os.open(folder / str(domain), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                os.close(handle)
-                continue
-            self.domain_id = domain
-            self._handle: int | None = handle
-            return
-        raise DfmError(f"all {len(_DOMAINS)} ROS domains are in use by other graphs of this "
-                       f"user; end some of them (locks are in {folder})")
+    def __init__(self, number: int, claim: socket.socket) -> None:
+        self.number = number
+        self._claim = claim
 
     def release(self) -> None:
-        """Give the domain back."""
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
+        """Let others have the domain; again is harmless."""
+        self._claim.close()
 
-    def __enter__(self) -> DomainLock:
+    def __enter__(self) -> Domain:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
-                 traceback: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.release()
+
+
+def claim_domain(first: int | None = None) -> Domain:
+    """Claim a domain that no other claimer holds and in which nobody is heard.
+
+    `first` is tried first (by default one that depends on the process id), then the others in turn.
+    Raises NoFreeDomainError.
+    """
+    start = (os.getpid() if first is None else first - DOMAINS.start) % len(DOMAINS)
+    for step in range(len(DOMAINS)):
+        number = DOMAINS[(start + step) % len(DOMAINS)]
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            claim.bind(f"\0dfm_stage_domain_{number}")
+        except OSError:
+            claim.close()
+            continue
+        if _has_participants(number):
+            claim.close()
+            continue
+        return Domain(number, claim)
+    raise NoFreeDomainError(
+        f"all ROS domains {DOMAINS[0]} to {DOMAINS[-1]} of this machine are in use: "
+        "end some of the node graphs that run here"
+    )
+
+
+def _has_participants(number: int) -> bool:
+    """Whether one of the first participants' ports of the domain is bound on this machine."""
+    first = PORT_BASE + DOMAIN_GAIN * number + UNICAST_OFFSET
+    for participant in range(PARTICIPANTS_LOOKED_FOR):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", first + PARTICIPANT_GAIN * participant))
+            except OSError:
+                return True
+    return False

@@ -1,3 +1,107 @@
 """Every test session alone: its own ROS domain, its own folders, and no process left behind."""
 
 from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+from dfm_stage.domain import Domain, claim_domain
+
+GRACE_S = 3.0
+PR_SET_CHILD_SUBREAPER = 36
+HELPERS_THAT_MAY_STAY = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver")
+REACHING_OUT = (
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_STATIC_PEERS",
+)
+DOMAIN = pytest.StashKey[Domain]()
+FOLDER = pytest.StashKey[Path]()
+
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("repeatable")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Isolate before any test module, and with it ROS, is imported."""
+    domain, folder = claim_domain(), Path(tempfile.mkdtemp(prefix="dfm_stage_test_"))
+    config.stash[DOMAIN], config.stash[FOLDER] = domain, folder
+    for name in REACHING_OUT:
+        os.environ.pop(name, None)
+    os.environ.update(
+        ROS_DOMAIN_ID=str(domain.number),
+        ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
+        ROS_PYTHON_CHECK_FIELDS="1",
+        ROS_HOME=str(folder / "ros"),
+        ROS_LOG_DIR=str(folder / "log"),
+        MPLBACKEND="Agg",
+    )
+    # orphans of processes that a test started become ours, so that they are seen
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Give the domain back and remove the session's folders."""
+    if DOMAIN in config.stash:
+        config.stash[DOMAIN].release()
+        shutil.rmtree(config.stash[FOLDER], ignore_errors=True)
+
+
+@pytest.fixture(autouse=True)
+def no_process_left_behind() -> Iterator[None]:
+    """Fail a test that leaves a running process behind, and end that process."""
+    before = running_children()
+    yield
+    deadline = time.monotonic() + GRACE_S
+    while (left := running_children().keys() - before.keys()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    if left:
+        names = running_children()
+        for pid, _ in left:
+            end_process_tree(pid)
+        commands = "; ".join(names.get(process, "?") for process in sorted(left))
+        pytest.fail(f"left {len(left)} process(es) running: {commands}", pytrace=False)
+
+
+def running_children() -> dict[tuple[int, str], str]:
+    """Command lines of this process's children that still run, by process id and start time."""
+    found = {}
+    for entry in Path("/proc/self/task").glob("*/children"):
+        for pid in map(int, _read(entry).split()):
+            # after the name in brackets: state, parent, ..., start time (proc(5), fields 3 to 22)
+            fields = _read(Path(f"/proc/{pid}/stat")).rpartition(b")")[2].split()
+            command = _read(Path(f"/proc/{pid}/cmdline")).replace(b"\0", b" ").strip()
+            if not fields or fields[0] in (b"Z", b"X"):
+                continue
+            if not any(helper in command for helper in HELPERS_THAT_MAY_STAY):
+                found[pid, fields[19].decode()] = command.decode(errors="replace")
+    return found
+
+
+def end_process_tree(pid: int) -> None:
+    """Kill a process and its descendants."""
+    for entry in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in map(int, _read(entry).split()):
+            end_process_tree(child)
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""

@@ -1,4 +1,4 @@
-"""What the front door says and runs: steps with elapsed time, logs, one-line failures, stamps, the lock."""
+"""What the front door says and runs: steps with their time, logs, stamps, the lock."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,12 +37,15 @@ class SetupError(Exception):
 class Steps:
     """Prints one line per step on stderr, and runs commands with their output in a log file."""
 
-    def __init__(self, log: Path, lock_fd: int) -> None:
-        self.log = log
+    def __init__(self, lock_fd: int) -> None:
         self._lock_fd = lock_fd
         self._start = time.monotonic()
-        log.parent.mkdir(parents=True, exist_ok=True)
-        log.write_text("")
+        self.log = Path(os.devnull)
+
+    def log_to(self, path: Path) -> None:
+        """Start a new log file; the steps that follow write there."""
+        write_whole(path, "")
+        self.log = path
 
     @contextlib.contextmanager
     def step(self, title: str) -> Iterator[None]:
@@ -64,11 +68,9 @@ class Steps:
     ) -> None:
         """Run a command to its end, its output into the log; SetupError names the log if it fails.
 
-        The child keeps the set-up lock open, so a second set-up waits for it even when this process
-        was killed. It gets a session of its own, so that all of it can be ended when we are.
+        The child keeps the set-up lock open, so a second set-up waits for it even when this
+        process was killed. It gets a session of its own: all of it is ended when we are.
         """
-        import subprocess
-
         with self.log.open("ab") as log:
             log.write(f"\n$ {' '.join(map(str, command))}\n".encode())
             log.flush()
@@ -86,8 +88,7 @@ class Steps:
             try:
                 code = child.wait()
             except BaseException:
-                _end_session(child.pid)
-                child.wait()
+                _end_session(child)
                 raise
         if code != 0:
             raise SetupError(self._reason(what, before), exit_code=1)
@@ -97,7 +98,9 @@ class Steps:
             log.seek(since)
             text = log.read().decode(errors="replace")
         if any(sign in text for sign in NETWORK_SIGNS):
-            return f"{what} failed: the package registry is out of reach (network?); log: {self.log}"
+            return (
+                f"{what} failed: the package registry is out of reach (network?); log: {self.log}"
+            )
         errors = [line.strip() for line in text.splitlines() if "error" in line.lower()]
         hint = f": {errors[0][:160]}" if errors else ""
         return f"{what} failed{hint}; log: {self.log}"
@@ -109,21 +112,18 @@ def say(text: str, end: str = "\n") -> None:
     sys.stderr.flush()
 
 
-def _end_session(pid: int) -> None:
-    """End the child's process group: politely, then surely."""
-    for number, wait_s in ((signal.SIGTERM, 3.0), (signal.SIGKILL, 0.0)):
+def _end_session(child: subprocess.Popen[bytes]) -> None:
+    """End the child and all that it started: politely, then surely."""
+    for number, wait_s in ((signal.SIGTERM, 3.0), (signal.SIGKILL, None)):
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(pid, number)
-        deadline = time.monotonic() + wait_s
-        while time.monotonic() < deadline and os.path.exists(f"/proc/{pid}"):
-            if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
-                break
-            time.sleep(0.05)
+            os.killpg(child.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(wait_s)
 
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[int]:
-    """Hold the file lock `path` (its descriptor is given), waiting for another holder with a word."""
+    """Hold the file lock `path`, waiting for another holder with a word; gives its descriptor."""
     import fcntl
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,7 +142,7 @@ def locked(path: Path) -> Iterator[int]:
 def read_stamp(path: Path) -> dict[str, Any]:
     """The stamp's content; empty when there is none or it is not whole."""
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
@@ -152,7 +152,7 @@ def write_whole(path: Path, text: str) -> None:
     """Write a file so that it appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text)
+    temporary.write_text(text, encoding="utf-8")
     os.replace(temporary, path)
 
 

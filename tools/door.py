@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.util
 import os
+import shlex
 import signal
 import sys
 from pathlib import Path
+
+import environment
+import host as host_module
+import workspace
+from console import SetupError, Steps, locked, say, sweep, write_whole
 
 ROOT = Path(__file__).resolve().parent.parent
 PRIVATE = ROOT / ".dfm"
@@ -37,44 +44,44 @@ def usage(nodes: dict[str, str], tools: dict[str, str]) -> str:
         lines.append(f"{title}:")
         lines += [f"  {name:22}{text.removeprefix('node: ')}" for name, text in group.items()]
         lines.append("")
-    lines.append("The first call prepares everything inside this checkout (.dfm); Python 3.10 to 3.13")
+    lines.append(
+        "The first call prepares everything inside this checkout (.dfm); Python 3.10 to 3.13"
+    )
     lines.append("and a C++ compiler are needed. DFM_PYTHON names another Python than python3.")
     return "\n".join(lines)
 
 
 def prepare() -> tuple[Path, dict[str, str]]:
-    """Bring environment and build up to date; the environment's Python and the variables to run with."""
-    import environment
-    import host as host_module
-    import workspace
-
+    """Bring environment and build up to date; their folder, and the variables to run with."""
     host = host_module.find_host(os.environ, PRIVATE / "installation.json")
     folder = PRIVATE / host.tag
     if not environment.is_ready(ROOT, host, folder) or workspace.stale(ROOT, folder):
-        from console import Steps, locked, sweep, write_whole
-
+        if host.remark:
+            say(f"run: {host.remark}; the private environment is used")
         host_module.check(host)
         write_whole(PRIVATE / "COLCON_IGNORE", "")
         with locked(PRIVATE / "lock") as lock_fd:
             sweep(folder)
-            ready = environment.is_ready(ROOT, host, folder)
-            todo = workspace.stale(ROOT, folder)
-            if not ready:
-                steps = Steps(folder / "logs/environment.log", lock_fd)
+            steps = Steps(lock_fd)
+            if not environment.is_ready(ROOT, host, folder):
+                steps.log_to(folder / "logs/environment.log")
                 environment.build(ROOT, host, folder, steps, os.environ)
-            if not ready or todo:
-                steps = Steps(folder / "logs/build.log", lock_fd)
+            if workspace.stale(ROOT, folder):
+                steps.log_to(folder / "logs/build.log")
                 variables = workspace.variables(host, folder, os.environ)
-                workspace.build(ROOT, host, folder, steps, variables)
-    return folder / "env/bin/python", workspace.variables(host, folder, os.environ)
+                workspace.build(ROOT, folder, steps, variables)
+    variables = workspace.variables(host, folder, os.environ)
+    wanted, used = (v.get("RMW_IMPLEMENTATION") for v in (os.environ, variables))
+    if wanted and wanted != used:
+        say(
+            f"run: RMW_IMPLEMENTATION={wanted} is not in the private environment, {used} is used; "
+            f"source a ROS 2 installation to run with {wanted}"
+        )
+    return folder, variables
 
 
 def shell_command(arguments: list[str], folder: Path, variables: dict[str, str]) -> list[str]:
     """bash with the environment, kept even if the user's own start-up file changes it."""
-    import shlex
-
-    from console import write_whole
-
     bash = "/bin/bash" if os.path.exists("/bin/bash") else "/bin/sh"
     if arguments or not sys.stdin.isatty():
         return [bash, *arguments]
@@ -87,11 +94,9 @@ def shell_command(arguments: list[str], folder: Path, variables: dict[str, str])
     return [bash, "--rcfile", str(start_up), "-i"]
 
 
-def command_for(name: str, rest: list[str], python: Path, variables: dict[str, str]) -> list[str]:
+def command_for(name: str, rest: list[str], folder: Path, variables: dict[str, str]) -> list[str]:
     """The program to become for one of the known names."""
-    folder = python.parent.parent.parent
-    if name == "setup":
-        return ["true"]
+    python = str(folder / "env/bin/python")
     if name == "shell":
         return shell_command(rest, folder, variables)
     if name == "exec":
@@ -99,12 +104,12 @@ def command_for(name: str, rest: list[str], python: Path, variables: dict[str, s
     if name == "test":
         os.chdir(ROOT)
         variables["ROS_PYTHON_CHECK_FIELDS"] = "1"
-        return [str(python), *PYTEST, *rest]
+        return [python, *PYTEST, *rest]
     if name == "lint":
         os.chdir(ROOT)
-        return [str(python), str(ROOT / "tools/lint.py"), *rest]
-    safe_path = ["-P"] if python.with_name("python3.10").exists() is False else []
-    return [str(python), *safe_path, "-m", "dfm_stage", name, *rest]
+        return [python, str(ROOT / "tools/lint.py"), *rest]
+    current_folder_not_first = [] if folder.name.endswith("py3.10") else ["-P"]
+    return [python, *current_folder_not_first, "-m", "dfm_stage", name, *rest]
 
 
 def main(arguments: list[str]) -> int:
@@ -115,30 +120,34 @@ def main(arguments: list[str]) -> int:
         return 0
     name, rest = arguments[0], arguments[1:]
     names = [*nodes, *tools, *OWN_COMMANDS]
-    if name not in names or (name == "exec" and not rest):
-        import difflib
-
-        near = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
-        remedy = f"did you mean {near[0]}?" if near and name not in names else "./run lists the names"
-        wrong = "exec needs a command" if name == "exec" else f"there is no {name!r}"
-        print(f"run: {wrong}: {remedy}", file=sys.stderr)
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        remedy = f"did you mean {near[0]}?" if near else "./run lists the names"
+        say(f"run: there is no {name!r}: {remedy}")
         return 2
-    from console import SetupError
-
+    if name == "exec" and not rest:
+        say("run: exec needs a command: ./run exec CMD ...")
+        return 2
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
-        python, variables = prepare()
-        command = command_for(name, rest, python, variables)
+        folder, variables = prepare()
+        command = command_for(name, rest, folder, variables) if name != "setup" else []
     except SetupError as error:
-        print(f"run: {error}", file=sys.stderr)
+        say(f"run: {error}")
         return error.exit_code
     except KeyboardInterrupt:
-        print("run: stopped; the next call goes on with the set-up", file=sys.stderr)
+        say("\nrun: stopped; the next call goes on with the set-up")
         return 130
-    signal.signal(signal.SIGTERM, before)
+    return become(command, variables, before) if command else 0
+
+
+def become(command: list[str], variables: dict[str, str], on_sigterm: object) -> int:
+    """Replace this process by the command, with the signals as they came in."""
+    signal.signal(signal.SIGTERM, on_sigterm)  # type: ignore[arg-type]
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     sys.stdout.flush()
     try:
         os.execvpe(command[0], command, variables)
     except OSError as error:
-        print(f"run: {command[0]}: {error.strerror}", file=sys.stderr)
+        say(f"run: {command[0]}: {error.strerror}")
         return 127

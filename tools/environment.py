@@ -5,17 +5,26 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shlex
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from console import Steps, SetupError, read_stamp, remove_tree, write_stamp, write_whole
+from console import SetupError, Steps, read_stamp, remove_tree, write_stamp, write_whole
 from host import DISTRIBUTION, PRIVATE_MARK, Host
 
 REVISION = 1  # raise it when what this module does to an environment changes
 SOURCE_ONLY = "empy"  # no wheel exists; built with the pinned setuptools
-PIP_SETTINGS_OF_OTHERS = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_USER", "PIP_REQUIREMENT",
-                          "PIP_CONSTRAINT", "PIP_NO_BINARY", "PIP_REQUIRE_VIRTUALENV")
+PIP_SETTINGS_OF_OTHERS = (
+    "PIP_TARGET",
+    "PIP_PREFIX",
+    "PIP_ROOT",
+    "PIP_USER",
+    "PIP_REQUIREMENT",
+    "PIP_CONSTRAINT",
+    "PIP_NO_BINARY",
+    "PIP_REQUIRE_VIRTUALENV",
+)
 WHEEL_BUILDERS_PYTHON = re.compile(
     r"/opt/python/[^/;\"]+/(?P<headers>include/python3\.\d+t?)"
     r"|/opt/python/[^/;\"]+/lib/python3\.\d+t?/site-packages/(?P<numpy>numpy/_core/include)"
@@ -38,7 +47,9 @@ def key(root: Path, host: Host, folder: Path) -> str:
 def is_ready(root: Path, host: Host, folder: Path) -> bool:
     """Whether the stamp vouches for the environment and its interpreter still exists."""
     stamp = read_stamp(folder / "environment.json")
-    return stamp.get("key") == key(root, host, folder) and os.path.exists(folder / "env/bin/python")
+    return stamp.get("key") == key(root, host, folder) and os.path.exists(
+        folder / "env/bin/python"
+    )
 
 
 def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[str, str]) -> None:
@@ -47,8 +58,11 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
     stamp.unlink(missing_ok=True)
     remove_tree(folder / "env")
     env = folder / "env"
-    outside = {name: value for name, value in environ.items()
-               if name not in PIP_SETTINGS_OF_OTHERS and not name.startswith("PYTHON")}
+    outside = {
+        name: value
+        for name, value in environ.items()
+        if name not in PIP_SETTINGS_OF_OTHERS and not name.startswith("PYTHON")
+    }
     outside.update(PYTHONNOUSERSITE="1", _ROS_WHEELS_BOOTSTRAP_COMPLETE="1")
     if host.ros_prefix and "PYTHONPATH" in environ:
         outside["PYTHONPATH"] = environ["PYTHONPATH"]
@@ -57,13 +71,27 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
         site = ["--system-site-packages"] if host.ros_prefix else []
         steps.call([host.python, "-m", "venv", *site, env], outside, "python -m venv")
     python = env / "bin/python"
-    lines = [line for line in lock_file(root, host).read_text().splitlines() if line]
+    lines = [
+        line for line in lock_file(root, host).read_text(encoding="utf-8").splitlines() if line
+    ]
     if host.ros_prefix:
         lines = [line for line in lines if not _keeps_installed_numpy(line, python, outside)]
     wanted = folder / "requirements.txt"
     write_whole(wanted, "\n".join(lines) + "\n")
-    pip = [python, "-m", "pip", "install", "--no-deps", "--no-input", "--progress-bar", "off",
-           "--disable-pip-version-check", "--no-warn-script-location", "--only-binary", ":all:"]
+    pip = [
+        python,
+        "-m",
+        "pip",
+        "install",
+        "--no-deps",
+        "--no-input",
+        "--progress-bar",
+        "off",
+        "--disable-pip-version-check",
+        "--no-warn-script-location",
+        "--only-binary",
+        ":all:",
+    ]
     builder = next(line for line in lines if line.startswith("setuptools=="))
     sources = ["--no-binary", SOURCE_ONLY, "--no-build-isolation", "--use-pep517"]
     with steps.step(f"{len(lines)} pinned packages"):
@@ -77,34 +105,39 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
 
 
 def _keeps_installed_numpy(line: str, python: Path, environ: Mapping[str, str]) -> bool:
-    """Whether `line` pins numpy and the installation, compiled against its own numpy, brings one."""
+    """Whether `line` pins numpy and the installation, compiled against its own, brings one."""
     if not re.match(r"numpy\W", line):
         return False
-    found = subprocess.run([python, "-c", "import numpy"], env=dict(environ),
-                           capture_output=True, check=False)
+    found = subprocess.run(
+        [python, "-c", "import numpy"], env=dict(environ), capture_output=True, check=False
+    )
     return found.returncode == 0
 
 
 def repair_exports(env: Path, version: str) -> int:
-    """Point the wheels' CMake exports at this environment's Python and numpy; count of files changed.
+    """Point the wheels' CMake exports at this environment; the count of files changed.
 
     They name folders that exist only where the wheels were made. A second call changes nothing.
     """
     site = env / f"lib/python{version}/site-packages"
     code = "import sysconfig; print(sysconfig.get_path('include'))"
-    headers = subprocess.run([env / "bin/python", "-I", "-S", "-c", code],
-                             capture_output=True, check=True, text=True).stdout.strip()
+    headers = subprocess.run(
+        [env / "bin/python", "-I", "-S", "-c", code], capture_output=True, check=True, text=True
+    ).stdout.strip()
     numpy_headers = str(site / "numpy/_core/include")
     changed = 0
     for path in sorted(env.glob("share/*/cmake/*.cmake")):
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
         repaired = WHEEL_BUILDERS_PYTHON.sub(
-            lambda found: headers if found["headers"] else numpy_headers, text)
+            lambda found: headers if found["headers"] else numpy_headers, text
+        )
         if repaired != text:
             write_whole(path, repaired)
             changed += 1
         if "/opt/python/" in repaired:
-            raise SetupError(f"a path of the wheels' makers is left in {path}: tools/environment.py")
+            raise SetupError(
+                f"a path of the wheels' makers is left in {path}: tools/environment.py"
+            )
     return changed
 
 
@@ -114,7 +147,7 @@ def library_folders(env: Path, version: str) -> list[str]:
     return [str(env / "lib"), *map(str, bundled)]
 
 
-def settings(env: Path, version: str) -> dict[str, str]:
+def settings(env: Path) -> dict[str, str]:
     """Variables that a private environment always has."""
     return {
         "VIRTUAL_ENV": str(env),
@@ -137,10 +170,8 @@ def write_setup_files(env: Path) -> None:
         "CMAKE_PREFIX_PATH": [str(env)],
         "LD_LIBRARY_PATH": library_folders(env, version),
     }
-    import shlex
-
     lines = ["# written at set-up; sourced by install/setup.bash of a workspace built on this one"]
-    for name, value in settings(env, version).items():
+    for name, value in settings(env).items():
         lines.append(f"export {name}={shlex.quote(value)}")
     for name, folders in paths.items():
         for folder in reversed(folders):

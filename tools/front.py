@@ -1,4 +1,4 @@
-"""Entry of ./run: make sure that a Python 3.10 to 3.13 runs door.main (valid syntax on any Python 3)."""
+"""Entry of ./run: a Python 3.10 to 3.13 for door.main (this file is valid on any Python 3)."""
 
 import os
 import sys

@@ -24,6 +24,7 @@ class Host:
     python: str
     version: str  # "3.11"
     ros_prefix: str | None
+    remark: str = ""  # why an installation that is sourced is not used
 
     @property
     def tag(self) -> str:
@@ -44,6 +45,8 @@ def find_host(environ: Mapping[str, str], cache: Path) -> Host:
         python = _python_for(version, own_version)
         if python and _imports_rclpy(python, prefix, environ, cache):
             return Host(python, version, prefix)
+        remark = f"rclpy of {prefix} does not import with {python or 'python' + version}"
+        return Host(base_python(), own_version, None, remark)
     return Host(base_python(), own_version, None)
 
 
@@ -68,27 +71,41 @@ def _python_for(version: str, own_version: str) -> str | None:
 def _imports_rclpy(python: str, prefix: str, environ: Mapping[str, str], cache: Path) -> bool:
     import hashlib
 
-    seen = "\n".join([python, prefix, *(environ.get(name, "") for name in (
-        "AMENT_PREFIX_PATH", "PYTHONPATH", "LD_LIBRARY_PATH"))])
+    seen = "\n".join(
+        [
+            python,
+            prefix,
+            *(
+                environ.get(name, "")
+                for name in ("AMENT_PREFIX_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+            ),
+        ]
+    )
     key = hashlib.sha256(seen.encode()).hexdigest()
     known = read_stamp(cache)
     if known.get("key") == key:
         return bool(known["imports"])
     import subprocess
 
-    imports = subprocess.run(
-        [python, "-c", "import rclpy, rosidl_adapter"],
-        env=dict(environ), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, check=False,
-    ).returncode == 0
+    imports = (
+        subprocess.run(
+            [python, "-c", "import rclpy, rosidl_adapter"],
+            env=dict(environ),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            check=False,
+        ).returncode
+        == 0
+    )
     write_stamp(cache, {"key": key, "imports": imports})
     return imports
 
 
 def check(host: Host) -> None:
     """SetupError with the package to install unless everything to build with is there."""
-    if sys.platform != "linux":
-        raise SetupError(f"ROS 2 Jazzy runs on Linux here, not on {sys.platform}: use a Linux machine")
+    if not sys.platform.startswith("linux"):
+        raise SetupError(f"this needs Linux, not {sys.platform}: use a Linux machine")
     if not host.ros_prefix and platform.machine() != "x86_64":
         raise SetupError(
             f"the ROS wheels exist for x86_64, not for {platform.machine()}: "
@@ -98,16 +115,19 @@ def check(host: Host) -> None:
         ("C", "CC", ("cc", "gcc", "clang"), "gcc"),
         ("C++", "CXX", ("c++", "g++", "clang++"), "g++"),
     ):
-        wanted = os.environ.get(variable, "").split()
-        if not any(shutil.which(name) for name in (wanted[:1] or names)):
-            missing = f"{variable}={wanted[0]} is not there" if wanted else f"no {language} compiler"
-            raise SetupError(f"{missing}: install {package} (apt-get install g++)")
+        wanted = os.environ.get(variable, "").split()[:1]
+        if not any(shutil.which(name) for name in wanted or names):
+            looked_for = f"{variable}={wanted[0]}" if wanted else ", ".join(names)
+            raise SetupError(
+                f"no {language} compiler ({looked_for}): install {package} "
+                "(Debian, Ubuntu: apt-get install g++; Fedora: dnf install gcc-c++)"
+            )
     header, has_venv = _python_offers(host)
     package = _package_stem(host)
     if not os.path.exists(header):
         raise SetupError(
             f"Python's headers are missing ({header}): install {package}-dev "
-            f"(apt-get install {package}-dev)"
+            f"(Debian, Ubuntu: apt-get install {package}-dev; Fedora: dnf install python3-devel)"
         )
     if not has_venv:
         raise SetupError(
@@ -117,7 +137,9 @@ def check(host: Host) -> None:
 
 
 def _package_stem(host: Host) -> str:
-    return "python3" if host.python == "/usr/bin/python3" else f"python{host.version}"
+    """The distribution's name for this Python: python3 for its own, else python3.11 and so on."""
+    own = os.path.realpath("/usr/bin/python3") == os.path.realpath(host.python)
+    return "python3" if own else f"python{host.version}"
 
 
 def _python_offers(host: Host) -> tuple[str, bool]:

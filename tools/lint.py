@@ -11,7 +11,9 @@ def main() -> int:
     python = sys.executable
     checks = ([python, "-m", "ruff", "check", "."], [python, "-m", "mypy"])
     failed = [command[2] for command in checks if subprocess.run(command, check=False).returncode]
-    print(f"lint: {' and '.join(failed)} complained" if failed else "lint: ruff and mypy are content")
+    print(
+        f"lint: {' and '.join(failed)} complained" if failed else "lint: ruff and mypy are content"
+    )
     return 1 if failed else 0
 
 
