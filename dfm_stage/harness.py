@@ -38,7 +38,7 @@ from rclpy.action import ActionClient
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
-from dfm_stage.domain import DomainLock
+from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import make_executor, quiet_collector
 from dfm_stage.nodes.share import find_experiment
@@ -152,7 +152,7 @@ class StageGraph:
 
     def _bring_up(self) -> None:
         if self._domain_id is None:
-            self._domain_id = self._cleanup.enter_context(DomainLock()).domain_id
+            self._domain_id = self._cleanup.enter_context(claim_domain()).number
         folder = Path(self._cleanup.enter_context(
             tempfile.TemporaryDirectory(prefix="dfm_stage_")))
         self._folder = folder
@@ -420,6 +420,7 @@ class StageGraph:
                 try:
                     launched.process.wait(max(0.05, deadline - time.monotonic()))
                 except subprocess.TimeoutExpired:
+                    print("KILL", launched.full_name, self.last_words(launched)); os.system(f"py-spy dump -p {launched.process.pid}; gdb -p {launched.process.pid} -batch -ex 'thread apply all bt 12' 2>/dev/null | tail -60")
                     launched.process.kill()
                     launched.process.wait()
         self._launched.clear()

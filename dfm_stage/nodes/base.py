@@ -185,7 +185,7 @@ class LoopNode(Node):
             callback(decode(data))
 
         self.create_subscription(link.type, prefix + topic, decoded,
-                                 subscriber_qos(self.lockstep), raw=True)
+                                 subscriber_qos(link, self.lockstep), raw=True)
 
     def publish_config(self) -> None:
         """Publish the latched description of this node."""

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from dfm_stage.control import ANTI_WINDUP, PID_PARAMETERS, Pid, PidGains
+from dfm_stage.control import PID_PARAMETERS, Pid, PidGains
+from dfm_stage.control.gains import ANTI_WINDUP
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
 

@@ -14,7 +14,8 @@ from typing import Any
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from dfm_stage.model import Plant, load_model, model_text
+from dfm_stage.errors import DfmError
+from dfm_stage.model import Model, Plant, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher, run_node
 from dfm_stage.nodes.parameters import Setting
 
@@ -24,13 +25,14 @@ _GIVE_UP_SAMPLES = 100
 class _Axis:
     """The wires of one axis."""
 
-    def __init__(self, node: SimPlant, name: str, index: int, publish_current: bool) -> None:
+    def __init__(self, node: SimPlant, name: str, stage: Plant) -> None:
         prefix = f"{name}/" if name else ""
-        self.index = index
+        self.stage = stage
         self.topic = f"{prefix}sim/drive"
         self.counts: Publisher = node.link_publisher("sim/position_counts", prefix)
         self.plant: Publisher = node.link_publisher("plant", prefix)
-        self.current = node.link_publisher("sim/current", prefix) if publish_current else None
+        self.current = (node.link_publisher("sim/current", prefix)
+                        if _measures_current(stage.model) else None)
         self.input = 0.0
         self.answered = -1
         node.link_subscription("sim/drive", self._on_drive, prefix)
@@ -54,28 +56,37 @@ class SimPlant(LoopNode):
         Setting("model", "paper_stage", "model.yaml to simulate: a path or a name in "
                 "config/models"),
         Setting("axes", "", "axes to simulate, such as 'x y', each in its own sub-namespace; "
-                "empty: one axis, in the node's namespace"),
+                "empty: all axes of the model; one without a name stays in the node's namespace"),
         Setting("seed", 0, "fixes the noise", "", 0, 2**31),
     )
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._model = load_model(self.settings["model"])
-        names = self.settings["axes"].split() or [""]
-        self._stage = Plant(self._model, axes=names if names != [""] else None,
-                            seed=self.settings["seed"])
+        names = self.settings["axes"].split() or list(self._model.axis_names) or [""]
+        self._plants = self._make_plants(names)
         self._period_ns = round(self._model.sample_period * 1e9)
         self.seq = 0
         self._published = False
         self._clock_out = self.create_publisher(ClockMessage, "/clock", QoSProfile(depth=100))
-        self._axes = [_Axis(self, name, index, self._stage.has_current)
-                      for index, name in enumerate(names)]
+        self._axes = [_Axis(self, name, plant)
+                      for name, plant in zip(names, self._plants, strict=True)]
         self._next_ns: int | None = None
         if self.lockstep:
             self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
         else:
             self.create_timer(self._model.sample_period, self._tick, clock=self.steady)
         self.publish_config()
+
+    def _make_plants(self, names: list[str]) -> list[Plant]:
+        known = self._model.axis_names
+        for name in names:
+            if known and name not in known:
+                raise DfmError(f"model {self._model.name} has the axes {' '.join(known)}, "
+                               f"not {name!r}; set the parameter axes")
+        return [Plant(self._model, axis=name if known else None,
+                      seed=self.settings["seed"] + 1000 * index)
+                for index, name in enumerate(names)]
 
     def config(self) -> dict[str, Any]:
         """Return the model that is simulated."""
@@ -127,18 +138,20 @@ class SimPlant(LoopNode):
     # Both
 
     def _advance(self) -> None:
-        self._stage.advance([axis.input for axis in self._axes])
+        for axis in self._axes:
+            axis.stage.advance(axis.input)
         self.seq = (self.seq + 1) & 0xFFFFFFFF
 
     def _publish_samples(self, stamp_ns: int) -> None:
         self._published = True
         self.counters["samples"] = self.seq
-        for axis, sample in zip(self._axes, self._stage.sample(), strict=True):
-            axis.counts.send(stamp_ns, self.seq, sample.counts, self._stage.resolution)
+        for axis in self._axes:
+            sample = axis.stage.sample()
+            axis.counts.send(stamp_ns, self.seq, sample.counts, axis.stage.count_size_m)
             if axis.current is not None:
                 axis.current.send(stamp_ns, self.seq, sample.current)
-            axis.plant.send(stamp_ns, self.seq, sample.position, sample.velocity, sample.current,
-                            sample.force)
+            axis.plant.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
+                            sample.current, sample.force_n)
 
     def waiting_for(self) -> str | None:
         """Return the drive that has not come."""
@@ -146,6 +159,10 @@ class SimPlant(LoopNode):
             if self._published and axis.answered != self.seq:
                 return axis.topic
         return None
+
+
+def _measures_current(model: Model) -> bool:
+    return model.drive == "current" or "coil_resistance" in model.base
 
 
 def main(args: list[str] | None = None) -> int:
