@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
@@ -85,6 +84,7 @@ def sample_stage(base: Mapping[str, float], sample_period_s: float) -> Sampled:
 
 
 def _held(a: Array, b: Array, seconds: float) -> tuple[Array, Array]:
+    from scipy.linalg import expm
     n = b.size
     block = np.zeros((n + 1, n + 1))
     block[:n, :n], block[:n, n] = a, b

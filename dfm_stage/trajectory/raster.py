@@ -50,18 +50,26 @@ def raster(values: Values,
     on_line = (u == 0.0) & (index >= 0)
     if lead:
         head = slice(0, min(lead, timing.count))
-        start = _lead_in(np.arange(timing.count)[head] / lead, lead * dt, -0.5 * length, speed)
+        start = _lead_in(np.arange(timing.count, dtype=np.float64)[head] * dt, lead * dt,
+                         -0.5 * length, speed, turn_s)
         position[head] = center + start[0]
         velocity[head], acceleration[head] = start[1], start[2]
     return position, velocity, acceleration, on_line, period, lead
 
 
-def _lead_in(u: Array, duration: float, end: float, speed: float) -> tuple[Array, Array, Array]:
-    """Quintic from rest at 0 to `end` at `speed` without acceleration at either side."""
-    rise = end, speed * duration
-    a3 = 10.0 * rise[0] - 4.0 * rise[1]
-    a4 = -15.0 * rise[0] + 7.0 * rise[1]
-    a5 = 6.0 * rise[0] - 3.0 * rise[1]
-    return (u**3 * (a3 + u * (a4 + u * a5)),
-            u**2 * (3.0 * a3 + u * (4.0 * a4 + u * 5.0 * a5)) / duration,
-            u * (6.0 * a3 + u * (12.0 * a4 + u * 20.0 * a5)) / duration**2)
+def _lead_in(t: Array, duration: float, end: float, speed: float,
+             turn_s: float) -> tuple[Array, Array, Array]:
+    """Move from rest at 0 to rest before the line, then speed up to reach `end` at `speed`.
+
+    Speeding up takes 0.6875 of a turnaround (or half of a short lead-in), so that the movement
+    goes no further out than a turnaround does.
+    """
+    rush = min(0.6875 * turn_s, 0.5 * duration)
+    move = duration - rush
+    before = end - 0.5 * speed * rush
+    s, ds, dds = smooth_step(t / move)
+    u = np.maximum(t - move, 0.0) / rush
+    v, dv, _ = smooth_step(u)
+    return (before * s + speed * rush * u**4 * (2.5 + u * (u - 3.0)),
+            before * ds / move + speed * v,
+            before * dds / move**2 + speed * dv / rush)

@@ -92,6 +92,14 @@ def test_raster_without_lead_in_is_periodic_from_the_first_sample() -> None:
     assert np.array_equal(r.position[:1000], r.position[1000:2000])
 
 
+@pytest.mark.parametrize("lead_in_s", [0.04, 0.5, 3.0])
+def test_the_lead_in_goes_no_further_out_than_the_scan(lead_in_s: float) -> None:
+    r = made("raster", duration_s=6.0, dt=1e-3, lead_in_s=lead_in_s)
+    lead = slice(0, r.start_samples)
+    assert np.max(np.abs(r.position[lead])) <= np.max(np.abs(r.position[r.start_samples:])) + 1e-12
+    assert np.max(np.abs(np.diff(r.position, 2))) < 1e-6 * np.max(np.abs(r.acceleration)) * 1.01
+
+
 def test_a_lead_in_longer_than_the_run_is_cut() -> None:
     r = made("raster", duration_s=0.2, dt=1e-3)
     assert r.position.shape == (200,)

@@ -1,0 +1,50 @@
+"""The tables in docs/ name every parameter with the default in force, and the snippets run."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from dfm_stage.control import PID_PARAMETERS
+from dfm_stage.trajectory import EXCITATION_KINDS, REFERENCE_KINDS, load_experiment
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def test_every_pid_parameter_is_in_the_table() -> None:
+    text = (DOCS / "control.md").read_text(encoding="utf-8")
+    for p in PID_PARAMETERS:
+        assert f"| `{p.name}` | {p.default:g} | {p.unit} | {p.description} |" in text
+
+
+def test_every_setting_of_every_kind_is_in_the_tables() -> None:
+    text = (DOCS / "trajectories.md").read_text(encoding="utf-8")
+    parts = text.split("## Excitation kinds")
+    for part, kinds in zip(parts, (REFERENCE_KINDS, EXCITATION_KINDS), strict=True):
+        for kind in kinds.values():
+            section = part.split(f"`{kind.name}`: {kind.description}")[1].split("\n`")[0]
+            names = re.findall(r"^\| `(\w+)` \| ", section, re.MULTILINE)
+            assert names == [p.name for p in (*kind.parameters, *kind.options)]
+            for p in kind.parameters:
+                assert f"| `{p.name}` | {p.default:g} | {p.unit} |" in section
+
+
+@pytest.mark.parametrize("name", ["control.md", "trajectories.md"])
+def test_the_snippets_run(name: str, tmp_path: Path) -> None:
+    text = (DOCS / name).read_text(encoding="utf-8")
+    snippets = re.findall(r"```(python|yaml)\n(.*?)```", text, re.DOTALL)
+    assert snippets
+    for language, code in snippets:
+        if language == "yaml":
+            (tmp_path / "e.yaml").write_text(code, encoding="utf-8")
+            load_experiment(tmp_path / "e.yaml")
+            continue
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            exec(compile(code, name, "exec"), {})  # noqa: S102
+        for promised in re.findall(r"^# (.*)$", code, re.MULTILINE):
+            assert promised in out.getvalue()
