@@ -48,8 +48,8 @@ class Domain:
 def claim_domain(first: int | None = None) -> Domain:
     """Claim a domain that no other claimer holds and in which nobody is heard.
 
-    `first` is tried first (by default one that depends on the process id), then the others in turn.
-    Raises NoFreeDomainError.
+    `first` is tried first (by default one that depends on the process id), then the others in
+    turn. The domain is held as long as the returned object lives. Raises NoFreeDomainError.
     """
     start = (os.getpid() if first is None else first - DOMAINS.start) % len(DOMAINS)
     for step in range(len(DOMAINS)):

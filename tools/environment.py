@@ -78,7 +78,7 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
         lines = [line for line in lines if not _keeps_installed_numpy(line, python, outside)]
     wanted = folder / "requirements.txt"
     write_whole(wanted, "\n".join(lines) + "\n")
-    pip = [
+    pip: list[str | os.PathLike[str]] = [
         python,
         "-m",
         "pip",

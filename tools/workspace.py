@@ -78,7 +78,7 @@ def build(root: Path, folder: Path, steps: Steps, environ: Mapping[str, str]) ->
             remove_tree(folder / "install" / package)
     remove_tree(folder / "log")
     python = folder / "env/bin/python"
-    command = [
+    command: list[str | os.PathLike[str]] = [
         python,
         "-m",
         "colcon",

@@ -1,4 +1,4 @@
-"""The promises of conftest.py: a leaked process fails its test, two sessions never share a domain."""
+"""What conftest.py promises: a leaked process fails its test, no two sessions share a domain."""
 
 from __future__ import annotations
 
@@ -75,9 +75,8 @@ def test_shows():
 
 
 def test_a_domain_is_held_until_released() -> None:
-    with claim_domain() as held:
-        with claim_domain(held.number) as other:
-            assert other.number != held.number
+    with claim_domain() as held, claim_domain(held.number) as other:
+        assert other.number != held.number
     with claim_domain(held.number) as again:
         assert again.number == held.number
 

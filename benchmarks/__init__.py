@@ -1,0 +1,1 @@
+"""Measurements beside their peers; `./run bench` runs them, tests never do."""

@@ -1,0 +1,217 @@
+"""./run bench [NAME ...]: run the benchmarks, print their figures, write them as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import difflib
+import importlib
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dfm_stage.errors import DfmError
+
+ROOT = Path(__file__).resolve().parents[2]
+STDERR = 2
+COLUMNS = ("key", "value", "unit", "bar", "", "peer", "peer value", "ratio", "how")
+
+
+class BenchError(DfmError):
+    """A benchmark that cannot be run as asked."""
+
+
+def available(folder: Path) -> list[str]:
+    """Names of the benchmarks in a folder: the modules that define `figures`."""
+    return sorted(
+        path.stem for path in folder.glob("*.py") if "\ndef figures(" in path.read_text("utf-8")
+    )
+
+
+def machine() -> dict[str, Any]:
+    """What the figures depend on; nothing that names the machine or its folders."""
+    numpy = importlib.import_module("numpy")
+    return {
+        "cpu": _cpu_model(),
+        "cores": len(os.sched_getaffinity(0)),
+        "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        "kernel": platform.release(),
+        "python": platform.python_version(),
+        "numpy": str(numpy.__version__),
+        "load_1min": os.getloadavg()[0],
+    }
+
+
+def _cpu_model() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.machine()
+
+
+def run_one(name: str, folder: Path, quick: bool) -> list[dict[str, Any]]:
+    """Figures of one benchmark, run in a process of its own: nothing of another is measured.
+
+    Raises BenchError when it fails, however it fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="dfm_stage_bench_") as scratch:
+        answer = Path(scratch) / "figures.json"
+        command = [sys.executable, "-m", "dfm_stage.cli.bench", "--child", str(answer)]
+        command += ["--folder", str(folder), *(["--quick"] if quick else []), name]
+        with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=STDERR) as child:
+            try:
+                code = child.wait()
+            except BaseException:
+                child.send_signal(signal.SIGINT)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    child.wait(10)
+                child.kill()
+                raise
+        if code != 0:
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            raise BenchError(f"benchmark {name} failed ({how}): its own message is above")
+        figures: list[dict[str, Any]] = json.loads(answer.read_text("utf-8"))
+        return figures
+
+
+def _run_child(name: str, folder: Path, quick: bool, answer: Path) -> int:
+    sys.path.insert(0, str(folder.parent))
+    module = importlib.import_module(f"{folder.name}.{name}")
+    figures = [figure.to_dict() for figure in module.figures(quick=quick)]
+    answer.write_text(json.dumps(figures), "utf-8")
+    return 0
+
+
+def table(figures: Sequence[Mapping[str, Any]]) -> str:
+    """The figures as aligned text, one line each."""
+    rows = [COLUMNS, *(_row(figure) for figure in figures)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS) - 1)]
+    lines = []
+    for row in rows:
+        cells = [
+            cell.rjust(width) if title in {"value", "peer value", "ratio"} else cell.ljust(width)
+            for cell, width, title in zip(row, widths, COLUMNS, strict=False)
+        ]
+        lines.append("  ".join([*cells, row[-1]]).rstrip())
+    return "\n".join(lines)
+
+
+def _row(figure: Mapping[str, Any]) -> tuple[str, ...]:
+    bar = _number(figure["bar"])
+    if figure.get("bar_kind") == "between":
+        bar = f"{bar} to {_number(figure['bar_to'])}"
+    elif figure.get("bar_kind"):
+        bar = f"{'>=' if figure['bar_kind'] == 'at least' else '<='} {bar}"
+    verdict = {True: "met", False: "MISSED", None: ""}[figure.get("met")]
+    return (
+        str(figure["key"]),
+        _number(figure["value"]) or "nan",
+        str(figure["unit"]),
+        bar,
+        verdict,
+        str(figure["peer"] or ""),
+        _number(figure["peer_value"]),
+        _number(figure["ratio"]),
+        str(figure["how"]),
+    )
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}" if abs(value) < 1e5 else f"{value:.0f}"
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise BenchError(f"cannot write {path}: {error.strerror}: name another --json") from error
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bench",
+        description="Run the benchmarks; each figure stands beside its bar and its peer.",
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="which; all without a name")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write machine and figures")
+    parser.add_argument("--quick", action="store_true", help="shorter runs, rougher figures")
+    parser.add_argument("--list", action="store_true", help="print the names and stop")
+    parser.add_argument("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS)
+    parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
+    return parser
+
+
+def _chosen(asked: Sequence[str], folder: Path) -> list[str]:
+    names = available(folder)
+    if not names:
+        raise BenchError(f"no benchmarks in {folder}: run ./run bench in a checkout")
+    for name in asked:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+            raise BenchError(f"there is no benchmark {name!r}: {remedy}")
+    return list(dict.fromkeys(asked)) or names
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """0 when every benchmark ran, 1 when one failed, 2 for a name or file that cannot be used."""
+    options = _parser().parse_args(argv)
+    folder = options.folder.resolve()
+    if options.child:
+        return _run_child(options.names[0], folder, options.quick, options.child)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        names = _chosen(options.names, folder)
+        if options.list:
+            print("\n".join(names))
+            return 0
+        return _run_all(names, folder, options)
+    except BenchError as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _run_all(names: Sequence[str], folder: Path, options: argparse.Namespace) -> int:
+    report: dict[str, Any] = {"machine": machine(), "figures": [], "failed": []}
+    if options.json:
+        _write_json(options.json, report)
+    for index, name in enumerate(names, start=1):
+        print(f"[{index}/{len(names)}] {name} ...", file=sys.stderr, flush=True)
+        begin = time.monotonic()
+        try:
+            report["figures"] += run_one(name, folder, options.quick)
+        except BenchError as error:
+            report["failed"].append({"bench": name, "reason": str(error)})
+            print(f"bench: {error}", file=sys.stderr)
+        print(f"[{index}/{len(names)}] {name}: {time.monotonic() - begin:.1f} s", file=sys.stderr)
+        if options.json:
+            _write_json(options.json, report)
+    print(table(report["figures"]))
+    judged = [figure["met"] for figure in report["figures"] if figure["met"] is not None]
+    print(
+        f"\n{len(report['figures'])} figures, {sum(judged)} of {len(judged)} bars met, "
+        f"{len(report['failed'])} of {len(names)} benchmarks failed"
+    )
+    facts = report["machine"]
+    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_1min']:.2f} at the start")
+    return 1 if report["failed"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
