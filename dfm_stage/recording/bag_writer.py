@@ -2,9 +2,9 @@
 
 Two threads share the work. The caller's `write` only appends the message to the chunk in memory,
 about a microsecond. A thread of the writer takes the chunk when it is full, and at least every
-`FLUSH_PERIOD_S` whether messages come or not, compresses it and hands it to the operating system in
-one call: both leave the interpreter lock alone, so a control loop in the same process runs on. A
-process killed at any moment loses what came after the last such call.
+`FLUSH_PERIOD_S` whether messages come or not, compresses it and hands it to the operating system
+in one call: both leave the interpreter lock alone, so a control loop in the same process runs on.
+A process killed at any moment loses what came after the last such call.
 
 The `mcap` library's own `Writer` compresses and writes inside `add_message`, in the caller's
 thread, at several times the cost per message; its record classes serve everything else here.
@@ -31,6 +31,7 @@ from dfm_stage.recording.errors import BagWriteError, write_error
 from dfm_stage.recording.mcap_sink import Chunk, McapSink
 from dfm_stage.recording.message_definitions import full_name
 from dfm_stage.recording.rosbag2_metadata import (
+    DROPPED_KEY,
     BagInformation,
     QosProfile,
     TopicEntry,
@@ -41,7 +42,6 @@ FLUSH_PERIOD_S = 0.4
 MODEL_ATTACHMENT = "model.yaml"
 PARAMETERS_ATTACHMENT = "parameters.yaml"
 VERSIONS_ATTACHMENT = "versions.json"
-DROPPED_KEY = "messages_dropped"
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _MESSAGE_FIXED_BYTES = 22

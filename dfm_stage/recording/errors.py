@@ -20,6 +20,12 @@ class BagReadError(RecordingError):
     """A bag, or what was asked of it, cannot be read at all."""
 
 
+class NotInBagError(BagReadError, KeyError):
+    """A topic or field that was asked for is not in the bag."""
+
+    __str__ = Exception.__str__
+
+
 class DefinitionError(RecordingError):
     """The definition of a message type is missing or cannot be understood."""
 

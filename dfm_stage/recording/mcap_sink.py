@@ -50,9 +50,9 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 class Chunk:
     """Messages waiting to be written.
 
-    `records` holds whole MCAP message records; `indexes[channel_id]` holds for each of its messages
-    the log time (ns) and the offset in `records`, two little-endian uint64 each, as the MCAP message
-    index wants them.
+    `records` holds whole MCAP message records; `indexes[channel_id]` holds for each of its
+    messages the log time (ns) and the offset in `records`, two little-endian uint64 each, as the
+    MCAP message index wants them.
     """
 
     records: bytearray = field(default_factory=bytearray)
@@ -193,7 +193,7 @@ class McapSink:
         offset_start = start + summary.count
         for entry in offsets:
             entry.write(summary)
-        content = summary.end()
+        content = _content(summary)
         crc = zlib.crc32(content + struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start))
         footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
         self._append(data_end + content + _bytes_of(footer) + MAGIC)
@@ -230,7 +230,11 @@ def _compressor(compression: str) -> Callable[[bytearray], bytes | bytearray]:
 def _bytes_of(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return bytes(builder.end())
+    return _content(builder)
+
+
+def _content(builder: RecordBuilder) -> bytes:
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _time_range(indexes: Iterable[bytearray]) -> tuple[int, int]:

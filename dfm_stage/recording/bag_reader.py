@@ -1,0 +1,335 @@
+"""From a bag to arrays, in bulk: chunks are expanded and decoded by compiled loops, on all cores.
+
+The number of messages of every topic in every chunk is known before anything is decoded, from the
+message indexes, or from a first look into the chunks where there are none. So every chunk writes
+straight into its place in the arrays that are returned, and nothing else grows with the bag.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
+
+from dfm_stage.recording.bag import Bag, Topic
+from dfm_stage.recording.bag_files import BagFiles, find_files
+from dfm_stage.recording.chunk_data import DamagedError, expand, survey_chunk
+from dfm_stage.recording.decode_plan import Plan, compile_plan
+from dfm_stage.recording.errors import BagReadError, DefinitionError, NotInBagError
+from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
+from dfm_stage.recording.message_definitions import full_name, parse_schema
+from dfm_stage.recording.rosbag2_metadata import DROPPED_KEY
+
+if TYPE_CHECKING:
+    from dfm_stage.recording.topic_arrays import TopicArrays
+
+CHANNEL_IDS = 1 << 16
+
+
+def read_bag(path: str | os.PathLike[str], topics: Iterable[str] | None = None, *,
+             threads: int | None = None) -> Bag:
+    """Read a bag folder, or one .mcap file, whole or cut off, into arrays.
+
+    Parameters
+    ----------
+    topics : iterable of str, optional
+        Names, or patterns like `/stage/x/*`; all topics by default.
+    threads : int, optional
+        Default: one per core that this process may use.
+
+    Returns
+    -------
+    Bag
+        What could be read; `losses` says what could not.
+
+    Raises
+    ------
+    BagReadError
+        If this is not a bag, or a topic asked for is not in it.
+    """
+    where = Path(path)
+    files = find_files(where)
+    count = threads or len(os.sched_getaffinity(0))
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(count))
+        sources = []
+        for file in files.files:
+            handle = _open(file)
+            stack.callback(os.close, handle)
+            sources.append(_Source(handle, scan_file(handle, file)))
+        return _Reader(where, files, sources, pool).read(topics)
+
+
+def _open(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise BagReadError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+@dataclass
+class _Source:
+    """One open file; `slots` gives the topic number of each channel id, -1 for none."""
+
+    handle: int
+    scan: FileScan
+    slots: NDArray[np.int32] = field(
+        default_factory=lambda: np.full(CHANNEL_IDS, -1, np.int32))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One chunk, and the rows that each topic number gets from it: {slot: (first, count)}."""
+
+    source: _Source
+    chunk: ChunkPlace
+    rows: Mapping[int, tuple[int, int]]
+
+
+@dataclass
+class _Wanted:
+    """A topic to read, before its size is known."""
+
+    name: str
+    type_name: str
+    plan: Plan
+
+
+class _Reader:
+    def __init__(self, path: Path, files: BagFiles, sources: list[_Source],
+                 pool: ThreadPoolExecutor) -> None:
+        self.path = path
+        self.files = files
+        self.sources = sources
+        self.pool = pool
+        self.left_out: dict[str, str] = {}
+        self.damaged: set[int] = set()
+        self.chunk_losses: dict[tuple[str, int], Loss] = {}
+        self.miscounted: list[ChunkPlace] = []
+        self.wanted: list[_Wanted] = []
+        self.arrays: list[TopicArrays] = []
+
+    def read(self, topics: Iterable[str] | None) -> Bag:
+        self.survey()
+        self.choose(topics)
+        self.decode()
+        if self.miscounted:
+            for chunk in self.miscounted:
+                chunk.counts = None
+            self.miscounted.clear()
+            self.survey()
+            self.decode()
+        return self.result()
+
+    def survey(self) -> None:
+        """Look into the chunks whose content is not known from message indexes."""
+        unknown = [(source, chunk) for source in self.sources for chunk in source.scan.chunks
+                   if id(chunk) not in self.damaged
+                   and (chunk.counts is None or chunk.cut
+                        or any(channel not in source.scan.channels for channel in chunk.counts))]
+        list(self.pool.map(lambda item: self.look_into(*item), unknown))
+
+    def look_into(self, source: _Source, chunk: ChunkPlace) -> None:
+        try:
+            data = expand(source.handle, chunk)
+        except DamagedError as reason:
+            self.lose_chunk(source, chunk, str(reason))
+            return
+        found = survey_chunk(data)
+        self.note_rest(source, chunk, len(data) - found.whole_bytes, found.whole_bytes)
+        chunk.counts = found.counts
+        for opcode, body in found.definitions:
+            record = parse_record(opcode, body)
+            if isinstance(record, Schema):
+                source.scan.schemas.setdefault(record.id, record)
+            elif isinstance(record, Channel):
+                source.scan.channels.setdefault(record.id, record)
+
+    def lose_chunk(self, source: _Source, chunk: ChunkPlace, reason: str) -> None:
+        """Note that a whole chunk cannot be read."""
+        self.damaged.add(id(chunk))
+        count = sum((chunk.counts or {}).values())
+        seconds = max(chunk.end_ns - chunk.start_ns, 0) / 1e9
+        messages = f" with {count} messages" if count else ""
+        self.note(source, chunk, f"a chunk of {chunk.length} bytes{messages}, about {seconds:.3g} "
+                  f"s, {reason}", chunk.length, count, seconds)
+
+    def note_rest(self, source: _Source, chunk: ChunkPlace, rest: int, whole: int) -> None:
+        """Note what a chunk lacks behind its last whole record."""
+        missing = chunk.offset + chunk.length - source.scan.size
+        share = 1.0 - min(whole / max(chunk.uncompressed_size, 1), 1.0)
+        seconds = share * max(chunk.end_ns - chunk.start_ns, 0) / 1e9
+        if chunk.cut:
+            self.note(source, chunk, f"the last chunk was cut off, {missing} of its "
+                      f"{chunk.length} bytes are missing, about {seconds:.3g} s; the whole "
+                      f"messages before the cut were read, without a checksum", missing, 0,
+                      seconds)
+        elif rest:
+            self.note(source, chunk, f"a chunk ends in {rest} bytes that are no messages, about "
+                      f"{seconds:.3g} s", rest, 0, seconds)
+
+    def note(self, source: _Source, chunk: ChunkPlace, text: str, size: int, messages: int,
+             seconds: float) -> None:
+        name = source.scan.path.name
+        self.chunk_losses.setdefault((name, chunk.offset), Loss(
+            f"{name}, byte {chunk.offset}: {text}", size, messages, seconds))
+
+    def choose(self, topics: Iterable[str] | None) -> None:
+        """Give every topic that is asked for, and can be decoded, a number."""
+        patterns = None if topics is None else list(topics)
+        names = {channel.topic for source in self.sources
+                 for channel in source.scan.channels.values()}
+        for pattern in patterns or ():
+            if not fnmatch.filter(names, pattern):
+                raise NotInBagError(f"{self.path}: no topic {pattern}; there are "
+                                    f"{', '.join(sorted(names)) or 'none'}")
+        numbers: dict[str, int] = {}
+        for source in self.sources:
+            for channel in source.scan.channels.values():
+                name = channel.topic
+                if patterns is not None and not any(fnmatch.fnmatchcase(name, pattern)
+                                                    for pattern in patterns):
+                    continue
+                wanted = self.understand(source.scan, channel)
+                if wanted is None:
+                    continue
+                if name not in numbers:
+                    numbers[name] = len(self.wanted)
+                    self.wanted.append(wanted)
+                elif self.wanted[numbers[name]] != wanted:
+                    self.left_out[name] = "its later part has another message definition"
+                    continue
+                source.slots[channel.id] = numbers[name]
+
+    def understand(self, scan: FileScan, channel: Channel) -> _Wanted | None:
+        schema = scan.schemas.get(channel.schema_id)
+        reason = None
+        if schema is None:
+            reason = "its message definition is missing"
+        elif channel.message_encoding != "cdr":
+            reason = f"its messages are encoded as {channel.message_encoding}, not cdr"
+        elif schema.encoding != "ros2msg":
+            reason = f"its definition is written in {schema.encoding}, not ros2msg"
+        else:
+            try:
+                name = full_name(schema.name)
+                definitions = parse_schema(schema.data.decode("utf-8", "replace"), name)
+                return _Wanted(channel.topic, name, compile_plan(definitions, name))
+            except DefinitionError as error:
+                reason = f"its definition cannot be parsed: {error}"
+        self.left_out[channel.topic] = reason
+        return None
+
+    def decode(self) -> None:
+        from dfm_stage.recording.topic_arrays import TopicArrays
+
+        totals = [0] * len(self.wanted)
+        tasks = []
+        for source in self.sources:
+            for chunk in source.scan.chunks:
+                rows: dict[int, tuple[int, int]] = {}
+                for channel, count in (chunk.counts or {}).items():
+                    slot = int(source.slots[channel])
+                    if slot >= 0 and id(chunk) not in self.damaged:
+                        first, more = rows.get(slot, (totals[slot], 0))
+                        rows[slot] = (first, more + count)
+                for slot, (_, count) in rows.items():
+                    totals[slot] += count
+                if rows:
+                    tasks.append(_Task(source, chunk, rows))
+        self.arrays = [TopicArrays(wanted.name, wanted.type_name, wanted.plan, total)
+                       for wanted, total in zip(self.wanted, totals, strict=True)]
+        list(self.pool.map(self.decode_chunk, tasks))
+
+    def decode_chunk(self, task: _Task) -> None:
+        from dfm_stage.recording import kernels
+
+        try:
+            data = expand(task.source.handle, task.chunk)
+        except DamagedError as reason:
+            self.lose_chunk(task.source, task.chunk, str(reason))
+            for slot, (first, count) in task.rows.items():
+                self.arrays[slot].empty_rows.append((first, first + count))
+            return
+        n_slots = len(self.arrays)
+        counts = np.zeros(n_slots, np.int64)
+        for slot, (_, count) in task.rows.items():
+            counts[slot] = count
+        ends = np.cumsum(counts)
+        cursors = ends - counts
+        offsets = np.empty(int(counts.sum()), np.int64)
+        whole, surplus = kernels.locate(data, task.source.slots, cursors, ends, offsets)
+        if surplus or (cursors != ends).any():
+            self.miscounted.append(task.chunk)
+            return
+        self.note_rest(task.source, task.chunk, len(data) - whole, whole)
+        for slot, (first, count) in task.rows.items():
+            self.arrays[slot].decode(data, offsets[ends[slot] - count:ends[slot]], first)
+
+    def result(self) -> Bag:
+        losses = [*self.files.losses,
+                  *(loss for source in self.sources for loss in source.scan.losses),
+                  *(self.chunk_losses[key] for key in sorted(self.chunk_losses))]
+        topics = {}
+        for arrays in self.arrays:
+            topics[arrays.name] = arrays.finish()
+            if arrays.bad_rows:
+                count = len(arrays.bad_rows)
+                losses.append(Loss(f"{arrays.name}: {count} messages do not fit the definition of "
+                                   f"{arrays.type_name} and were left out", messages=count))
+        losses += missing_messages(topics, self.files,
+                                   [source.scan for source in self.sources])
+        scans = [source.scan for source in self.sources]
+        return Bag(self.path, topics,
+                   {item.name: item.data for scan in scans for item in scan.attachments},
+                   {item.name: item.metadata for scan in scans for item in scan.metadata},
+                   losses, self.left_out)
+
+
+def missing_messages(topics: Mapping[str, Topic], files: BagFiles,
+                     scans: Iterable[FileScan]) -> list[Loss]:
+    """Return what the bag promises and does not hold, topic by topic."""
+    losses = []
+    promised: dict[str, int] = {}
+    complete = True
+    for scan in scans:
+        if scan.statistics is None:
+            complete = False
+            continue
+        for channel, count in scan.statistics.channel_message_counts.items():
+            if channel in scan.channels:
+                name = scan.channels[channel].topic
+                promised[name] = promised.get(name, 0) + count
+    if not complete:
+        promised = files.expected
+    for name, count in promised.items():
+        read = topics[name].message_count if name in topics else count
+        if read < count:
+            losses.append(Loss(f"{name}: {count - read} of {count} messages are not readable",
+                               messages=count - read))
+    if files.end_ns is not None and not complete and topics:
+        last = max((int(topic.log_time_ns.max()) for topic in topics.values()
+                    if topic.message_count), default=files.end_ns)
+        if last < files.end_ns:
+            seconds = (files.end_ns - last) / 1e9
+            losses.append(Loss(f"the last {seconds:.3g} s are missing", seconds=seconds))
+    unknown = sum(count for scan in scans for chunk in scan.chunks
+                  for channel, count in (chunk.counts or {}).items()
+                  if channel not in scan.channels)
+    if unknown:
+        losses.append(Loss(f"{unknown} messages belong to topics whose description is missing",
+                           messages=unknown))
+    dropped = files.custom_data.get(DROPPED_KEY, "0")
+    if dropped != "0":
+        losses.append(Loss(f"the recorder itself lost {dropped} messages (disk full or too slow)",
+                           messages=int(dropped) if dropped.isdigit() else 0))
+    return losses

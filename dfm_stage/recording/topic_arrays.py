@@ -1,0 +1,137 @@
+"""The arrays of one topic while a bag is read: allocated once, filled chunk by chunk."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.recording import kernels
+from dfm_stage.recording.bag import Array, Ragged, Topic
+from dfm_stage.recording.decode_plan import Column, Plan
+
+_RECORD_COLUMNS = (Column("log_time_ns", "i8"), Column("publish_time_ns", "i8"),
+                   Column("sequence", "u4"))
+_ALIGNMENT = 64
+
+
+@dataclass
+class _RaggedPart:
+    """What one chunk adds to the ragged columns: bytes of each, and bytes used after each row."""
+
+    row: int
+    values: list[NDArray[np.uint8]]
+    ends: NDArray[np.int64]
+
+
+@dataclass
+class TopicArrays:
+    """Columns of `rows` messages in one block of memory; `decode` may be called by many threads,
+    each for rows of its own."""
+
+    name: str
+    type_name: str
+    plan: Plan
+    rows: int
+    bad_rows: list[int] = field(default_factory=list)
+    empty_rows: list[tuple[int, int]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        columns = [*_RECORD_COLUMNS, *self.plan.fixed]
+        sizes = [column.stored_dtype.itemsize * column.count * self.rows for column in columns]
+        places = np.cumsum([0] + [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes])
+        self._arena = np.empty(int(places[-1]), np.uint8)
+        self._bases = places[:-1].astype(np.int64)
+        self._program = self.plan.program
+        self._texts: dict[bytes, int] = {}
+        self._parts: list[_RaggedPart] = []
+        self._lock = threading.Lock()
+
+    def decode(self, data: kernels.Bytes, offsets: kernels.Ints, row: int) -> None:
+        """Decode the messages whose records stand at `offsets` in `data`, from `row` on."""
+        count = len(offsets)
+        n_ragged = len(self.plan.ragged)
+        ragged = np.empty((n_ragged, -(-len(data) // 8) * 8), np.uint8)
+        ends = np.empty((n_ragged, count), np.int64)
+        entries = np.empty((len(data) // 4 + 1, 2), np.int64)
+        bad = np.empty(count, np.int64)
+        n_bad, n_texts = kernels.decode(data, offsets, row, self._program, self._arena,
+                                        self._bases, ragged, ends, entries, bad)
+        if n_bad:
+            self.bad_rows += (row + bad[:n_bad]).tolist()
+        if n_texts:
+            self._translate(data, entries[:n_texts], row, count, ragged, ends)
+        if n_ragged:
+            values = [ragged[index, :ends[index, -1]].copy() for index in range(n_ragged)]
+            self._parts.append(_RaggedPart(row, values, ends))
+
+    def _translate(self, data: kernels.Bytes, entries: kernels.Ints, row: int, count: int,
+                   ragged: NDArray[np.uint8], ends: kernels.Ints) -> None:
+        """Replace the codes of this chunk's texts by those of the topic."""
+        with self._lock:
+            codes = [self._texts.setdefault(data[start:start + size].tobytes(), len(self._texts))
+                     for start, size in entries.tolist()]
+        mapping = np.array(codes, np.int32)
+        if (mapping == np.arange(len(codes))).all():
+            return
+        for column, base in zip(self.plan.fixed, self._bases[len(_RECORD_COLUMNS):], strict=True):
+            if not column.dtype:
+                part = self._view(column, int(base))[row:row + count]
+                part[...] = np.take(mapping, part, mode="clip")
+        for index, column in enumerate(self.plan.ragged):
+            if not column.dtype and count:
+                values = ragged[index, :ends[index, -1]].view(np.int32)
+                values[...] = mapping[values]
+
+    def _view(self, column: Column, base: int) -> Array:
+        dtype = column.stored_dtype
+        size = dtype.itemsize * column.count * self.rows
+        shape = (self.rows,) if column.count == 1 else (self.rows, column.count)
+        return self._arena[base:base + size].view(dtype).reshape(shape)
+
+    def finish(self) -> Topic:
+        """Return the topic; rows that could not be filled are taken out."""
+        keep = np.ones(self.rows, np.bool_)
+        keep[self.bad_rows] = False
+        for first, after in self.empty_rows:
+            keep[first:after] = False
+        whole = bool(keep.all())
+        columns: dict[str, Array | Ragged] = {}
+        for column, base in zip([*_RECORD_COLUMNS, *self.plan.fixed], self._bases, strict=True):
+            view = self._view(column, int(base))
+            columns[column.name] = view if whole else view[keep]
+        record = [columns.pop(column.name) for column in _RECORD_COLUMNS]
+        for index, column in enumerate(self.plan.ragged):
+            columns[column.name] = self._join(index, column, keep)
+        texts: Any = np.array([text.decode("utf-8", "replace") for text in self._texts] or [""],
+                              dtype=object)
+        return Topic(
+            self.name, self.type_name, record[0], record[1], record[2],  # type: ignore[arg-type]
+            columns, texts,
+            frozenset(column.name for column in (*self.plan.fixed, *self.plan.ragged)
+                      if not column.dtype),
+            list(self.plan.left_out))
+
+    def _join(self, index: int, column: Column, keep: NDArray[np.bool_]) -> Ragged:
+        dtype = column.stored_dtype
+        lengths = np.zeros(self.rows, np.int64)
+        parts = sorted(self._parts, key=lambda part: part.row)
+        total = sum(len(part.values[index]) for part in parts)
+        joined = np.empty(total, np.uint8)
+        at = 0
+        for part in parts:
+            ends = part.ends[index]
+            lengths[part.row:part.row + len(ends)] = np.diff(ends, prepend=0)
+            joined[at:at + len(part.values[index])] = part.values[index]
+            at += len(part.values[index])
+            part.values[index] = joined[:0]
+        values = joined.view(dtype)
+        if column.count > 1:
+            values = values.reshape(-1, column.count)
+        lengths //= dtype.itemsize * column.count
+        if not keep.all():
+            values, lengths = values[np.repeat(keep, lengths)], lengths[keep]
+        return Ragged(values, np.cumsum(lengths))
