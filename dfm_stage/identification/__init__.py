@@ -1,0 +1,1 @@
+"""Identification: frequency response, transfer function, output error, residual tests."""

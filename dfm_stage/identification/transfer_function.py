@@ -1,0 +1,245 @@
+"""Fitting the physical transfer function to a measured frequency response.
+
+Maximum likelihood for circular noise of known variance per line: the weighted squares of
+(H(omega; theta) - G) / sigma are minimised (Pintelon and Schoukens, System Identification, 2nd
+ed., ch. 9), H being the exact sampled response of modes behind hold, lag and delay.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from dfm_stage.identification.errors import IdentificationError
+from dfm_stage.identification.frequency_response import FrequencyResponse
+from dfm_stage.identification.least_squares import minimise
+from dfm_stage.identification.plant import LinearPlant, Mode
+from dfm_stage.identification.quantity import Quantity, propagate
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class TransferFunctionFit:
+    """A fitted plant: `values` (p,) named `names`, with `covariance` (p, p).
+
+    `misfit` is the reduced chi-square: 1 where the model explains the response to its noise.
+    """
+
+    plant: LinearPlant
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    covariance: Array
+    dof: float
+    misfit: float
+    status: str
+    message: str
+    unit: str
+    _build: Callable[[Array], LinearPlant]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the search converged."""
+        return self.status == "converged"
+
+    def quantity(self, name: str) -> Quantity:
+        """Return one coefficient with its interval."""
+        j = self.names.index(name)
+        return self._derived(lambda plant, x: float(x[j]), self.units[j])
+
+    def natural_frequency_hz(self, mode: int = 0) -> Quantity:
+        """Return the undamped natural frequency of a mode in Hz."""
+        return self._derived(lambda plant, x: plant.modes[mode].natural_frequency_hz, "Hz")
+
+    def damping_ratio(self, mode: int = 0) -> Quantity:
+        """Return the damping ratio of a mode."""
+        return self._derived(lambda plant, x: plant.modes[mode].damping_ratio, "")
+
+    def static_gain(self) -> Quantity:
+        """Return output per constant input; infinite for a free body."""
+        return self._derived(lambda plant, x: plant.static_gain, self.unit)
+
+    def numerator(self, mode: int = 0) -> Quantity:
+        """Return the numerator b of a mode (force constant over mass)."""
+        return self._derived(lambda plant, x: plant.modes[mode].numerator, f"{self.unit}/s^2")
+
+    def _derived(self, function: Callable[[LinearPlant, Array], float], unit: str) -> Quantity:
+        if not math.isfinite(function(self.plant, self.values)):
+            return Quantity(math.inf, unit, None)
+        return propagate(lambda x: function(self._build(x), x), self.values, self.covariance,
+                         unit, self.dof)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON keeps it."""
+        return {"parameters": {n: self.quantity(n).to_dict() for n in self.names},
+                "misfit": float(self.misfit), "status": self.status, "message": self.message}
+
+
+def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
+                          free_body: bool = False, lag: bool = True, delay: bool = True,
+                          max_iterations: int = 60) -> TransferFunctionFit:
+    """Fit `modes` modes, the first without a spring if `free_body`, behind `lag` and `delay`.
+
+    Raises
+    ------
+    IdentificationError
+        If there are fewer lines than the coefficients need.
+    """
+    shape = _Shape(modes, free_body, lag, delay, measured)
+    sigma = _sigma(measured)
+    if 2 * measured.omega.size < shape.count + 2:
+        raise IdentificationError(f"{measured.omega.size} lines are too few for {shape.count} "
+                                  "coefficients: excite more lines or fit fewer modes")
+
+    def residual(x: Array) -> Array:
+        error = (shape.plant(x).sampled_response(measured.omega, measured.sample_period)
+                 - measured.response) / sigma * math.sqrt(2.0)
+        return np.concatenate((error.real, error.imag))
+
+    start = shape.start(sigma)
+    scale = shape.scale(start)
+    low, high = shape.limits()
+
+    def jacobian(x: Array, _: Array) -> Array:
+        columns = []
+        for j in range(x.size):
+            step = 1e-5 * max(abs(x[j]), 1e-3 * scale[j])
+            up, down = x.copy(), x.copy()
+            up[j] = min(x[j] + step, high[j])
+            down[j] = max(x[j] - step, low[j])
+            columns.append((residual(up) - residual(down)) / (up[j] - down[j]))
+        return np.array(columns).T
+
+    solution = minimise(residual, jacobian, start, scale, low, high,
+                        max_iterations=max_iterations)
+    freedom = solution.residual.size - shape.count
+    misfit = solution.cost / max(freedom, 1)
+    excess = misfit if misfit > stats.chi2.ppf(0.999, freedom) / freedom else 1.0
+    norms = np.maximum(np.linalg.norm(solution.jacobian, axis=0), 1e-300)
+    scaled = solution.jacobian / norms
+    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12) / np.outer(norms, norms) * excess
+    status = "converged" if solution.converged else "not_converged"
+    message = solution.reason
+    if solution.converged and excess > 1.0:
+        message = (f"the model misses the response by {math.sqrt(misfit):.1f} times its noise: "
+                   "intervals are widened by that; a mode or a nonlinearity is missing")
+    return TransferFunctionFit(
+        shape.plant(solution.x), shape.names, shape.units, solution.x, covariance,
+        measured.dof * measured.omega.size, misfit, status, message, measured.unit, shape.plant)
+
+
+def _sigma(measured: FrequencyResponse) -> Array:
+    """Return the standard error per line, never below a millionth of the response."""
+    sigma = np.sqrt(measured.variance)
+    return np.asarray(np.maximum(sigma, 1e-6 * np.abs(measured.response)))
+
+
+class _Shape:
+    """How the vector of coefficients is laid out."""
+
+    def __init__(self, modes: int, free_body: bool, lag: bool, delay: bool,
+                 measured: FrequencyResponse) -> None:
+        self.modes, self.free_body, self.lag, self.delay = modes, free_body, lag, delay
+        self.measured = measured
+        names: list[str] = []
+        units: list[str] = []
+        for i in range(modes):
+            mark = "" if modes == 1 else f"_{i + 1}"
+            names += [f"numerator{mark}", f"damping{mark}"]
+            units += [f"{measured.unit}/s^2", "1/s"]
+            if not (free_body and i == 0):
+                names.append(f"stiffness{mark}")
+                units.append("1/s^2")
+        names += ["lag"] * lag + ["delay"] * delay
+        units += ["s"] * (lag + delay)
+        self.names, self.units = tuple(names), tuple(units)
+
+    @property
+    def count(self) -> int:
+        return len(self.names)
+
+    def plant(self, x: Array) -> LinearPlant:
+        modes, at = [], 0
+        for i in range(self.modes):
+            free = self.free_body and i == 0
+            modes.append(Mode(float(x[at]), float(x[at + 1]), 0.0 if free else float(x[at + 2])))
+            at += 2 if free else 3
+        lag = float(x[at]) if self.lag else 0.0
+        return LinearPlant(tuple(modes), max(lag, 0.0),
+                           max(float(x[-1]), 0.0) if self.delay else 0.0)
+
+    def vector(self, plant: LinearPlant) -> Array:
+        values: list[float] = []
+        for i, mode in enumerate(plant.modes):
+            values += [mode.numerator, mode.damping]
+            if not (self.free_body and i == 0):
+                values.append(mode.stiffness)
+        return np.array(values + [plant.lag] * self.lag + [plant.delay] * self.delay)
+
+    def scale(self, start: Array) -> Array:
+        period = self.measured.sample_period
+        minimum = [period if n in ("lag", "delay") else 1e-6 for n in self.names]
+        return np.maximum(np.abs(start), minimum)
+
+    def limits(self) -> tuple[Array, Array]:
+        low = np.array([-np.inf if n.startswith("numerator") else 0.0 for n in self.names])
+        high = np.full(self.count, np.inf)
+        for j, name in enumerate(self.names):
+            if name in ("lag", "delay"):
+                high[j] = 1000.0 * self.measured.sample_period
+        return low, high
+
+    def start(self, sigma: Array) -> Array:
+        """Search a grid of poles, one mode after the other; numerators follow linearly."""
+        omega, response = self.measured.omega, self.measured.response
+        period = self.measured.sample_period
+        weight = 1.0 / (sigma + 0.05 * np.abs(response))
+        s = 1j * omega
+        hold = -np.expm1(-s * period) / (s * period)
+        grid = np.geomspace(0.5 * omega[0], 1.2 * omega[-1], 120)
+        grid = np.unique(np.concatenate((grid, omega)))
+        ratios = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+        found: list[tuple[float, float]] = []
+        late = 0.0
+        for i in range(self.modes):
+            pairs = ([(c, 0.0) for c in np.concatenate(([0.0], grid / 10.0))]
+                     if self.free_body and i == 0
+                     else [(2.0 * z * w, w * w) for w in grid for z in ratios])
+            best = (math.inf, pairs[0], 0.0)
+            for lateness in (0.0, 0.5, 1.0, 2.0, 4.0) if self.lag or self.delay else (0.0,):
+                shift = hold * np.exp(-s * lateness * period)
+                fixed = [shift / (s * s + c * s + k) for c, k in found]
+                for pair in pairs:
+                    basis = [*fixed, shift / (s * s + pair[0] * s + pair[1])]
+                    cost, _ = _linear(basis, response, weight)
+                    if cost < best[0]:
+                        best = (cost, pair, lateness * period)
+            found.append(best[1])
+            late = best[2]
+        shift = hold * np.exp(-s * late)
+        _, numerators = _linear([shift / (s * s + c * s + k) for c, k in found], response, weight)
+        modes = tuple(Mode(float(b), float(c), float(k))
+                      for b, (c, k) in zip(numerators, found, strict=True))
+        both = self.lag and self.delay
+        return self.vector(LinearPlant(modes, 0.5 * late if both else late * self.lag,
+                                       0.5 * late if both else late * self.delay))
+
+
+def _linear(basis: list[Complex], response: Complex, weight: Array) -> tuple[float, Array]:
+    """Return the weighted cost and the real coefficients of the best sum of `basis`."""
+    columns = np.array(basis) * weight
+    target = response * weight
+    gram = (columns.conj() @ columns.T).real
+    right = (columns.conj() @ target).real
+    norm = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    solved = np.linalg.lstsq(gram / np.outer(norm, norm), right / norm, rcond=1e-12)[0] / norm
+    cost = float(np.sum(np.abs(target) ** 2) - 2.0 * solved @ right + solved @ gram @ solved)
+    return cost, solved
