@@ -33,6 +33,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 import rclpy
 from dfm_interfaces.action import RunExperiment
 from dfm_interfaces.srv import Ready
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.action import ActionClient
 from rclpy.parameter import Parameter as RosParameter
@@ -121,6 +122,7 @@ class StageGraph:
         self._domain_id = domain_id
         self._start_timeout_s = start_timeout_s
         self._launched: list[_Launched] = []
+        self._complaints: dict[str, str] = {}
         self._cleanup = contextlib.ExitStack()
 
     def _node_parameters(self, model: str, seed: int,
@@ -163,6 +165,8 @@ class StageGraph:
         self._client_node = rclpy.create_node(
             "harness", namespace="/stage", context=self._context, use_global_arguments=False,
             start_parameter_services=False, enable_rosout=False)
+        self._client_node.create_subscription(DiagnosticArray, "/diagnostics",
+                                              self._on_diagnostics, 50)
         self._executor.add_node(self._client_node)
         self._cleanup.callback(self._client_node.destroy_node)
         self._cleanup.callback(self._end_nodes)
@@ -204,8 +208,14 @@ class StageGraph:
         self._launched.append(launched)
 
     def _wait_ready(self) -> None:
-        names = [each.full_name for each in self._launched]
         deadline = time.monotonic() + self._start_timeout_s
+        self._wait_connected(deadline)
+        for axis, client in self._goals.items():
+            self.spin_until(client.server_is_ready, deadline - time.monotonic(),
+                            f"the action server of /stage/{axis}/trajectory_generator")
+
+    def _wait_connected(self, deadline: float) -> None:
+        names = [each.full_name for each in self._launched]
         for launched in self._launched:
             reason = "it does not answer"
             while True:
@@ -215,11 +225,11 @@ class StageGraph:
                     break
                 reason = answer.message if answer is not None else reason
                 if time.monotonic() > deadline:
-                    raise HarnessError(f"{launched.full_name} is not ready after "
-                                       f"{self._start_timeout_s:g} s: {reason}")
-        for axis, client in self._goals.items():
-            self.spin_until(client.server_is_ready, deadline - time.monotonic(),
-                            f"the action server of /stage/{axis}/trajectory_generator")
+                    raise HarnessError(f"{launched.full_name} is not ready: {reason}")
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self._complaints[status.name] = "" if status.level == b"\x00" else status.message
 
     # Spinning and calling
 
@@ -240,7 +250,9 @@ class StageGraph:
                 checked = now
                 self._check_alive()
                 if now > deadline:
-                    raise HarnessError(f"{what}: not there after {timeout_s:.3g} s")
+                    said = "".join(f"; {name} says: {text}"
+                                   for name, text in self._complaints.items() if text)
+                    raise HarnessError(f"{what}: not there after {timeout_s:.3g} s{said}")
 
     def spin(self, duration_s: float) -> None:
         """Let the graph run for a time (composed nodes only run while something spins)."""
@@ -302,7 +314,10 @@ class StageGraph:
         result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically",
                            request).result
         if not result.successful:
-            raise HarnessError(f"{node}: {result.reason}")
+            names = ", ".join(values)
+            if "undeclared" in result.reason:
+                raise HarnessError(f"{node} lacks one of the parameters {names}")
+            raise HarnessError(f"{node}: {result.reason} (setting {names})")
 
     # Running
 
@@ -376,6 +391,15 @@ class StageGraph:
         path = find_experiment(os.fspath(given)).resolve()
         return path, load_experiment(path)
 
+    def cpu_seconds(self) -> float:
+        """Return the processor time that the node processes have used so far, s."""
+        ticks = 0
+        for launched in self._launched:
+            if launched.process is not None:
+                stat = Path(f"/proc/{launched.process.pid}/stat").read_text()
+                ticks += sum(map(int, stat.rpartition(")")[2].split()[11:13]))
+        return ticks / os.sysconf("SC_CLK_TCK")
+
     # Going down
 
     def close(self) -> None:
@@ -388,7 +412,9 @@ class StageGraph:
         self.close()
 
     def stop_recording(self, timeout_s: float = 20.0) -> str:
-        """Close the bag when all that was sent is in it; return what the recorder says.
+        """Close the bag and return what the recorder says of it.
+
+        In lockstep everything that was published is in it.
 
         Raises
         ------
@@ -396,13 +422,12 @@ class StageGraph:
             If the bag is not complete or the recorder does not answer.
         """
         deadline = time.monotonic() + timeout_s
-        while True:
-            answer = self.call(Trigger, "/stage/recorder/stop", Trigger.Request())
-            if answer.success:
-                return str(answer.message)
-            if "arriving" not in answer.message or time.monotonic() > deadline:
-                raise HarnessError(f"recorder: {answer.message}")
-            self.spin(0.05)
+        if self.lockstep:
+            self._wait_connected(deadline)
+        answer = self.call(Trigger, "/stage/recorder/stop", Trigger.Request(), timeout_s)
+        if not answer.success:
+            raise HarnessError(f"recorder: {answer.message}")
+        return str(answer.message)
 
     def _end_nodes(self) -> None:
         if any(each.kind == "recorder" for each in self._launched):

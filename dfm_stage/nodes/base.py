@@ -3,7 +3,7 @@
 A node reports itself in three ways. `~/config` (latched) carries its parameters, its version and
 what it loaded, so that a bag is complete in itself. `/diagnostics` says once a second in words and
 numbers how it is doing. `~/ready` answers whether it is connected to the nodes that it is asked
-about, which is what the harness waits for.
+about, and in lockstep whether all it published has arrived there; the harness waits for that.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import rclpy
 from dfm_interfaces.srv import Ready
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
@@ -108,6 +109,10 @@ class Publisher:
         if not missing and self.ros.get_subscription_count() < len(here):
             missing = ["a subscriber that is still being matched"]
         return missing
+
+    def delivered(self) -> bool:
+        """Return whether every reliable subscriber has received everything."""
+        return bool(self.ros.wait_for_all_acked(Duration(nanoseconds=0)))
 
     def open(self) -> bool:
         """Return whether the first message may go out: everyone who must not miss it listens."""
@@ -217,6 +222,8 @@ class LoopNode(Node):
             missing = publisher.missing(wanted)
             if missing:
                 reasons.append(f"{publisher.ros.topic_name} has no {', '.join(missing)}")
+            elif self.lockstep and not publisher.delivered():
+                reasons.append(f"{publisher.ros.topic_name} is still being delivered")
         own = self.not_ready()
         if own:
             reasons.append(own)

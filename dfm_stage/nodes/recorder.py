@@ -40,8 +40,6 @@ from dfm_stage.recording import (
     definition_text,
 )
 
-_QUIET_S = 0.3
-
 
 class Recorder(LoopNode):
     """Records until it is stopped; `~/stop` closes the bag and answers when it is complete."""
@@ -67,7 +65,6 @@ class Recorder(LoopNode):
         self._configs: dict[str, Any] = {}
         self._model_attached = False
         self._open = True
-        self._last_arrival_s = time.monotonic()
         self.create_service(Trigger, "~/stop", self._on_stop)
         self._look_for_topics()
         self.create_timer(0.05, self._look_for_topics, clock=self.steady)
@@ -132,11 +129,7 @@ class Recorder(LoopNode):
             if is_config:
                 self._on_config(data)
 
-        def on_message_quietly(data: bytes) -> None:
-            self._last_arrival_s = time.monotonic()
-            on_message(data)
-
-        return on_message_quietly if lockstep else on_message
+        return on_message
 
     def _on_config(self, data: bytes) -> None:
         try:
@@ -172,15 +165,8 @@ class Recorder(LoopNode):
         return None
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self.lockstep and not self.quiet():
-            response.success, response.message = False, "messages are still arriving"
-        else:
-            response.success, response.message = self.finish()
+        response.success, response.message = self.finish()
         return response
-
-    def quiet(self) -> bool:
-        """Return whether nothing has come for a while (lockstep: all that was sent is here)."""
-        return time.monotonic() - self._last_arrival_s > _QUIET_S
 
     def finish(self) -> tuple[bool, str]:
         """Close the bag; return whether it is complete and what is in it."""

@@ -1,0 +1,89 @@
+"""The real-time loop in separate processes at 1 kHz, beside a bare pipeline of five processes.
+
+The bare pipeline does nothing but pass a message on, four times, in plain rclpy with the same
+executor: what the middleware alone costs on this machine in this minute.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import pipeline
+from benchmarks.executors import executor
+from benchmarks.figure import Figure
+from dfm_stage.harness import StageGraph
+from dfm_stage.recording import read_bag
+
+TOPICS = ("reference", "excitation", "measurement", "command", "amplifier", "plant",
+          "sim/position_counts", "sim/drive")
+SETTLING_S = 1.0
+
+
+def figures(quick: bool = False) -> list[Figure]:
+    """Measure for 60 s (quick: 10 s); the default executor does the same work for a third."""
+    duration_s = 10.0 if quick else 60.0
+    spike = pipeline.ages_ms(duration_s / 3)
+    ours = _measure(duration_s, "events")
+    default = _measure(duration_s / 3, "default")
+    seconds = f"{duration_s:g} s at 1 kHz, six processes, raster under PID"
+    p99 = float(np.percentile(spike, 99))
+    peer = "default executor, same nodes"
+    out = [
+        Figure("loop.answered_percent", ours["answered"], "%", 99.5, peer, default["answered"],
+               None, f"commands within 1 ms of their measurement, of all samples; {seconds}"),
+        Figure("loop.spike_age_p99_ms", p99, "ms", None, None, None, None,
+               f"bare five-process pipeline, median {np.median(spike):.3f}, "
+               f"p99.9 {np.percentile(spike, 99.9):.3f} ms"),
+    ]
+    for key, q in (("median", 50), ("p99", 99), ("p999", 99.9)):
+        value, other = (float(np.percentile(each["age"], q)) for each in (ours, default))
+        out.append(Figure(f"loop.age_{key}_ms", value, "ms", 1.0 if key == "p99" else None, peer,
+                          other, value / other, f"measurement stamp to amplifier stamp; {seconds}"))
+    out += [
+        Figure("loop.messages_lost", ours["lost"], "messages", 0.0, None, None, None,
+               f"gaps in the sequence numbers of {len(TOPICS)} topics in the bag"),
+        Figure("loop.cpu_percent", ours["cpu"], "% of a core", None, peer, default["cpu"],
+               ours["cpu"] / default["cpu"], "all six processes together"),
+        Figure("loop.deadlines_missed", ours["missed"], "samples", None, None, None, None,
+               "sample periods that the plant's steady clock woke up too late for"),
+    ]
+    return out
+
+
+def _measure(duration_s: float, name: str) -> dict:
+    experiment = {"name": "loop", "mode": "pid", "duration_s": duration_s + SETTLING_S,
+                  "axes": {"x": {"reference": {"kind": "raster"}}}}
+    with executor(name), tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        with StageGraph(bag=bag) as graph:
+            busy = graph.cpu_seconds()
+            result = graph.run(experiment)["x"]
+            cpu = 100.0 * (graph.cpu_seconds() - busy) / (duration_s + SETTLING_S)
+            graph.stop_recording()
+        return {"cpu": cpu, **_evaluate(bag, result.first_seq + int(SETTLING_S * 1000),
+                                        result.last_seq)}
+
+
+def _evaluate(bag: Path, first: int, last: int) -> dict:
+    topics = {name: read_bag(bag, [f"/stage/x/{name}"])[f"/stage/x/{name}"] for name in TOPICS}
+    lost = sum(int(np.sum(np.diff(np.sort(columns["seq"]).astype(np.int64)) - 1))
+               for columns in topics.values())
+    measured = dict(zip(topics["measurement"]["seq"].tolist(),
+                        topics["measurement"]["header.stamp"].tolist(), strict=True))
+    command, amplifier = topics["command"], topics["amplifier"]
+    late = (command["header.stamp"] - command["measurement_stamp"]) * 1e-6
+    inside = (command["measurement_seq"] >= first) & (command["measurement_seq"] <= last)
+    answered = 100.0 * int(np.sum(late[inside] <= 1.0)) / (last - first + 1)
+    ages = np.array([(stamp - measured[seq]) * 1e-6 for seq, stamp in zip(
+        amplifier["measurement_seq"].tolist(), amplifier["header.stamp"].tolist(), strict=True)
+        if first <= seq <= last and seq in measured])
+    plant = topics["plant"]
+    gaps = np.diff(plant["header.stamp"]) * 1e-6
+    return {"answered": answered, "age": ages, "lost": float(lost),
+            "missed": float(np.sum(gaps > 2.0))}
+
+
