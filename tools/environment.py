@@ -84,6 +84,7 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
         "pip",
         "install",
         "--no-deps",
+        "--no-compile",
         "--no-input",
         "--progress-bar",
         "off",

@@ -105,8 +105,13 @@ def build(root: Path, folder: Path, steps: Steps, environ: Mapping[str, str]) ->
         "-DBUILD_TESTING=OFF",
     ]
     with steps.step(f"colcon build {' '.join(todo)}"):
-        colcon_home = {"COLCON_HOME": str(folder / "colcon"), "COLCON_DEFAULTS_FILE": os.devnull}
-        steps.call(command, {**environ, **colcon_home}, "colcon build", cwd=root)
+        # nobody's colcon settings, and not colcon's load limit: it starves on a busy machine
+        own = {
+            "COLCON_HOME": str(folder / "colcon"),
+            "COLCON_DEFAULTS_FILE": os.devnull,
+            "MAKEFLAGS": f"-j{os.cpu_count() or 1}",
+        }
+        steps.call(command, {**environ, **own}, "colcon build", cwd=root)
     for package, wanted in todo.items():
         write_stamp(folder / f"{package}.json", wanted)
 
