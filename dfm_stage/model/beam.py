@@ -204,7 +204,7 @@ def _clamped_count(b: float) -> int:
     """Number of natural frequencies of a clamped-clamped blade below b, from cos b cosh b = 1."""
     if b < 4.0:
         return 0
-    index = max(1, math.floor(b / math.pi - 0.5))
+    index = max(1, round(b / math.pi - 0.5))
     near = (index + 0.5) * math.pi
     root = brentq(lambda x: math.cos(x) - 1.0 / math.cosh(min(x, 700.0)), near - 0.5, near + 0.5)
     return index if b > root else index - 1

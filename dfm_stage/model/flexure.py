@@ -138,7 +138,7 @@ class Parallelogram:
     def stiffness_n_m(self, axial_n: float = 0.0) -> float:
         """Return dF/dy under an axial force (tension positive): (24 + 6/5 p) E I / L^3, N/m."""
         p = axial_n / self.blade.force_unit_n
-        _within_buckling(p, 20.0)
+        _refuse_buckling(-p)
         return (24.0 + 1.2 * p) * self.blade.force_unit_n / self.blade.length_m
 
     def parasitic_m(self, deflection_m: float, axial_n: float = 0.0) -> float:
@@ -187,7 +187,7 @@ class DoubleParallelogram:
         one outweighs the stiffening of the other, whichever its sign.
         """
         p = axial_n / self.blade.force_unit_n
-        _within_buckling(abs(p), 20.0)
+        _refuse_buckling(abs(p))
         return (12.0 - 0.03 * p**2) * self.blade.force_unit_n / self.blade.length_m
 
     def force_n(self, deflection_m: float, axial_n: float = 0.0) -> float:
@@ -269,7 +269,9 @@ def _axial_compliance(blade: Blade, d: float) -> float:
     return blade.slenderness**2 / 12.0 + d**2 / 700.0
 
 
-def _within_buckling(p: float, limit: float) -> None:
-    if not -limit < p < limit * 5.0:
-        raise FlexureError(f"an axial force of {p:.3g} E I / L^2 buckles the blades (limit "
-                           f"{limit:g}); lower it")
+def _refuse_buckling(push: float) -> None:
+    """A pair of blades buckles under 2 pi^2 E I / L^2."""
+    limit = 2.0 * math.pi**2
+    if not push < limit:
+        raise FlexureError(f"an axial force of {push:.3g} E I / L^2 buckles the blades, which "
+                           f"bear {limit:.3g}; lower it")
