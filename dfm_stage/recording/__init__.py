@@ -2,12 +2,8 @@
 
 from dfm_stage.recording.bag import Bag, Ragged, Topic
 from dfm_stage.recording.bag_reader import read_bag
-from dfm_stage.recording.bag_writer import (
-    MODEL_ATTACHMENT,
-    PARAMETERS_ATTACHMENT,
-    VERSIONS_ATTACHMENT,
-    BagWriter,
-)
+from dfm_stage.recording.bag_writer import BagWriter
+from dfm_stage.recording.csv_file import write_csv
 from dfm_stage.recording.errors import (
     BagReadError,
     BagWriteError,
@@ -18,12 +14,20 @@ from dfm_stage.recording.errors import (
 )
 from dfm_stage.recording.mcap_scan import Loss
 from dfm_stage.recording.message_definitions import definition_text
+from dfm_stage.recording.names import (
+    MODEL_ATTACHMENT,
+    PARAMETERS_ATTACHMENT,
+    VERSIONS_ATTACHMENT,
+)
+from dfm_stage.recording.read_record import read_record
+from dfm_stage.recording.record import AxisRecord, Provenance, Record
 from dfm_stage.recording.rosbag2_metadata import QosProfile
 
 __all__ = [
     "MODEL_ATTACHMENT",
     "PARAMETERS_ATTACHMENT",
     "VERSIONS_ATTACHMENT",
+    "AxisRecord",
     "Bag",
     "BagReadError",
     "BagWriteError",
@@ -31,11 +35,15 @@ __all__ = [
     "DefinitionError",
     "Loss",
     "NotInBagError",
+    "Provenance",
     "QosProfile",
     "Ragged",
+    "Record",
     "RecordError",
     "RecordingError",
     "Topic",
     "definition_text",
     "read_bag",
+    "read_record",
+    "write_csv",
 ]

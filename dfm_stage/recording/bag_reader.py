@@ -27,7 +27,7 @@ from dfm_stage.recording.decode_plan import Plan, compile_plan
 from dfm_stage.recording.errors import BagReadError, DefinitionError, NotInBagError
 from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
 from dfm_stage.recording.message_definitions import full_name, parse_schema
-from dfm_stage.recording.rosbag2_metadata import DROPPED_KEY
+from dfm_stage.recording.names import DROPPED_KEY
 
 if TYPE_CHECKING:
     from dfm_stage.recording.topic_arrays import TopicArrays
@@ -42,7 +42,7 @@ def read_bag(path: str | os.PathLike[str], topics: Iterable[str] | None = None, 
     Parameters
     ----------
     topics : iterable of str, optional
-        Names, or patterns like `/stage/x/*`; all topics by default.
+        Names, which must be there, or patterns like `/stage/x/*`; all topics by default.
     threads : int, optional
         Default: one per core that this process may use.
 
@@ -189,7 +189,7 @@ class _Reader:
         names = {channel.topic for source in self.sources
                  for channel in source.scan.channels.values()}
         for pattern in patterns or ():
-            if not fnmatch.filter(names, pattern):
+            if pattern not in names and not set("*?[") & set(pattern):
                 raise NotInBagError(f"{self.path}: no topic {pattern}; there are "
                                     f"{', '.join(sorted(names)) or 'none'}")
         numbers: dict[str, int] = {}

@@ -16,7 +16,6 @@ import atexit
 import os
 import shutil
 import struct
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -28,10 +27,11 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
 from dfm_stage.recording.errors import BagWriteError, write_error
+from dfm_stage.recording.files import write_atomically
 from dfm_stage.recording.mcap_sink import Chunk, McapSink
 from dfm_stage.recording.message_definitions import full_name
+from dfm_stage.recording.names import DROPPED_KEY
 from dfm_stage.recording.rosbag2_metadata import (
-    DROPPED_KEY,
     BagInformation,
     QosProfile,
     TopicEntry,
@@ -39,9 +39,6 @@ from dfm_stage.recording.rosbag2_metadata import (
 )
 
 FLUSH_PERIOD_S = 0.4
-MODEL_ATTACHMENT = "model.yaml"
-PARAMETERS_ATTACHMENT = "parameters.yaml"
-VERSIONS_ATTACHMENT = "versions.json"
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _MESSAGE_FIXED_BYTES = 22
@@ -369,16 +366,3 @@ class BagWriter:
             write_atomically(path, text.encode())
         except OSError as error:
             raise write_error(path, error) from error
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file that appears whole or not at all; raises OSError."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise

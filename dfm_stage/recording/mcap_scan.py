@@ -194,7 +194,8 @@ class _Walk:
         self.chunk = ChunkPlace(offset, size, compression, uncompressed, crc, start_ns, end_ns,
                                 cut)
         self.scan.chunks.append(self.chunk)
-        return min(offset + size, self.scan.size)
+        end: int = min(offset + size, self.scan.size)
+        return end
 
     def take_index(self, head: bytes, length: int) -> bool:
         if length < 6:

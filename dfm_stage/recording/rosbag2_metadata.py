@@ -10,7 +10,6 @@ from typing import TypeAlias
 
 INFINITE_NS = 2**63 - 1
 VERSION = 9
-DROPPED_KEY = "messages_dropped"     # custom data: messages the recorder lost
 
 Yaml: TypeAlias = 'bool | int | str | Sequence["Yaml"] | Mapping[str, "Yaml"] | None'
 _YAML_WORDS = frozenset({"yes", "no", "on", "off", "null", "true", "false"})

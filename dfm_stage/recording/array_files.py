@@ -1,0 +1,123 @@
+"""Arrays that other programs saved: NumPy .npz and MATLAB .mat files as tables."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dfm_stage.recording.errors import RecordError
+from dfm_stage.recording.record import FloatArray
+
+_PERIODS = ("sample_period", "sample_time", "ts", "dt")
+_RATES = ("sample_rate", "sampling_rate", "fs")
+
+
+class ArrayTable:
+    """Named arrays of equal length; a matrix gives one column for each of its shorter side.
+
+    A scalar named `fs`, `Ts`, `dt`, `sample_rate` or `sample_period` is the sample rate or period.
+    """
+
+    def __init__(self, path: Path, kind: str, arrays: Mapping[str, Any]) -> None:
+        self.path = path
+        self.kind = kind
+        self.warnings: list[str] = []
+        self.sample_period = _sample_period(arrays)
+        self._columns = dict(_columns(arrays))
+        self.names: Sequence[str] = list(self._columns)
+        if not self._columns:
+            raise RecordError(f"{path}: holds no arrays of numbers")
+
+    def where(self, row: int) -> str:
+        """Return the index of a row, counted from 0."""
+        return f"index {row}"
+
+    def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Return columns as floats; raises RecordError if they differ in length."""
+        chosen = {name: self._columns[name] for name in names}
+        lengths = {name: len(values) for name, values in chosen.items()}
+        if len(set(lengths.values())) > 1:
+            raise RecordError(f"{self.path}: the arrays differ in length: " + ", ".join(
+                f"{name} {length}" for name, length in lengths.items()))
+        return {name: values.astype(np.float64) for name, values in chosen.items()}
+
+
+def load_npz(path: Path) -> ArrayTable:
+    """Open an .npz file; raises RecordError if it is none."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return ArrayTable(path, "npz", {name: file[name] for name in file.files})
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise RecordError(f"{path}: cannot be read as .npz ({_line(error)})") from error
+
+
+def load_mat(path: Path) -> ArrayTable:
+    """Open a .mat file of MATLAB up to version 7.2; raises RecordError if it is none.
+
+    Structures give dotted names; the X and Y signals of a dSPACE export their own names.
+    """
+    import scipy.io
+    from scipy.io.matlab import MatReadError
+
+    try:
+        content = scipy.io.loadmat(path, simplify_cells=True)
+    except NotImplementedError as error:
+        raise RecordError(f"{path}: is a MATLAB 7.3 file; save it with "
+                          f"save(..., '-v7')") from error
+    except (OSError, ValueError, TypeError, KeyError, IndexError, MatReadError) as error:
+        raise RecordError(f"{path}: cannot be read as .mat ({_line(error)})") from error
+    return ArrayTable(path, "mat", dict(_flat({name: value for name, value in content.items()
+                                               if not name.startswith("__")})))
+
+
+def _line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:120]
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, Mapping) and {"X", "Y"} <= set(value):
+            yield from _dspace(value)
+        elif isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def _dspace(capture: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """A dSPACE capture: X holds the time, Y a signal or a list of them."""
+    for key in ("X", "Y"):
+        signals = capture[key]
+        for signal in signals if isinstance(signals, (list, np.ndarray)) else [signals]:
+            if isinstance(signal, Mapping) and "Data" in signal:
+                name = str(signal.get("Name") or "signal").split("/")[-1].strip('"')
+                yield "time_s" if key == "X" else name, signal["Data"]
+
+
+def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+    for name, value in arrays.items():
+        array = np.asarray(value)
+        if array.dtype.kind not in "biuf" or array.size < 2 or array.ndim > 2:
+            continue
+        array = array.squeeze()
+        if array.ndim == 1:
+            yield name, array
+        elif array.ndim == 2:
+            table = array if array.shape[0] >= array.shape[1] else array.T
+            yield from ((f"{name}[{k}]", table[:, k]) for k in range(table.shape[1]))
+
+
+def _sample_period(arrays: Mapping[str, Any]) -> float | None:
+    for name, value in arrays.items():
+        array = np.asarray(value)
+        if array.size == 1 and array.dtype.kind in "iuf":
+            number = float(array.reshape(-1)[0])
+            if name.lower() in _PERIODS and number > 0:
+                return number
+            if name.lower() in _RATES and number > 0:
+                return 1.0 / number
+    return None

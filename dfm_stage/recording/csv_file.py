@@ -1,0 +1,156 @@
+"""CSV files in and out."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dfm_stage.recording.errors import RecordError, write_error
+from dfm_stage.recording.files import write_atomically
+from dfm_stage.recording.record import FloatArray, Record
+
+_DELIMITERS = ",;\t"
+_COMMENTS = ("#", "%")
+
+
+class CsvTable:
+    """A CSV file: the first line that is not a comment names the columns.
+
+    Comma, semicolon or tab between cells; with the latter two a decimal comma is understood.
+    Empty cells and `nan` are missing values.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be read or has no header.
+    """
+
+    kind = "csv"
+    sample_period: float | None = None
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.warnings: list[str] = []
+        lines = _text(path).splitlines()
+        kept = [number for number, line in enumerate(lines)
+                if line.strip() and not line.lstrip().startswith(_COMMENTS)]
+        if not kept:
+            raise RecordError(f"{path}: is empty; the first line must name the columns, like "
+                              f"time_s,input_v,position_m")
+        header = lines[kept[0]]
+        self.delimiter = max(_DELIMITERS, key=header.count)
+        if header.count(self.delimiter) == 0:
+            raise RecordError(f"{path}: line {kept[0] + 1} has one column only; separate columns "
+                              f"by commas, semicolons or tabs")
+        self.names: Sequence[str] = [cell.strip() for cell in
+                                     next(csv.reader([header], delimiter=self.delimiter))]
+        self._check_names(kept[0] + 1)
+        self._lines = np.array(kept[1:], np.int64) + 1
+        self._rows = [lines[number] for number in kept[1:]]
+        if self._rows and self._rows[-1].count(self.delimiter) < header.count(self.delimiter):
+            self.warnings.append(f"line {self._lines[-1]}, the last one, was cut off and left out")
+            self._rows.pop()
+
+    def _check_names(self, line: int) -> None:
+        if all(_is_number(name) for name in self.names if name):
+            raise RecordError(f"{self.path}: line {line} holds numbers; the first line must name "
+                              f"the columns, like time_s,input_v,position_m")
+        twice = {name for name in self.names if name and self.names.count(name) > 1}
+        if twice:
+            raise RecordError(f"{self.path}: line {line} names the column {min(twice)} twice; "
+                              f"rename one")
+
+    def where(self, row: int) -> str:
+        """Return the line a row stands in, counted from 1."""
+        return f"line {self._lines[row]}"
+
+    def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Return columns as floats; raises RecordError with the line of a cell that is none."""
+        if not self._rows:
+            raise RecordError(f"{self.path}: has a header and no rows")
+        places = [self.names.index(name) for name in names]
+        try:
+            values = np.loadtxt(self._rows, delimiter=self.delimiter, usecols=places, ndmin=2,
+                                comments=None, quotechar='"', dtype=np.float64)
+        except ValueError:
+            values = np.array([self._cells(row, places) for row in range(len(self._rows))])
+        return {name: values[:, k].copy() for k, name in enumerate(names)}
+
+    def _cells(self, row: int, places: Sequence[int]) -> list[float]:
+        cells = next(csv.reader([self._rows[row]], delimiter=self.delimiter), [])
+        numbers = []
+        for place in places:
+            if place >= len(cells):
+                raise RecordError(f"{self.path}: {self.where(row)} has {len(cells)} cells and "
+                                  f"the header {len(self.names)}; complete or remove it")
+            cell = cells[place].strip()
+            if self.delimiter != "," and cell.count(",") == 1 and "." not in cell:
+                cell = cell.replace(",", ".")
+            if not cell:
+                numbers.append(np.nan)
+            elif _is_number(cell):
+                numbers.append(float(cell))
+            else:
+                raise RecordError(f"{self.path}: {self.where(row)}, column {self.names[place]}: "
+                                  f"{cell[:40]!r} is not a number")
+        return numbers
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def _text(path: Path) -> str:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+    if b"\0" in data[:4096]:
+        raise RecordError(f"{path}: is not a text file; give a CSV file, a bag, .npz or .mat")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def write_csv(record: Record, path: str | os.PathLike[str]) -> None:
+    """Write a record as CSV that `read_record` reads back, whole or not at all.
+
+    Columns: `time_s`, and for each axis `input_v`, `position_m`, `current_a`, `reference_m` as far
+    as there are, prefixed by the axis name where there are several axes.
+
+    Raises
+    ------
+    BagWriteError
+        If the file cannot be written.
+    """
+    where = Path(path)
+    columns: dict[str, FloatArray] = {"time_s": record.time}
+    for name, axis in record.axes.items():
+        prefix = f"{name}_" if len(record.axes) > 1 else ""
+        position_unit = axis.position_unit.lower()
+        columns[f"{prefix}input_{axis.input_unit.lower()}"] = axis.input
+        columns[f"{prefix}position_{position_unit}"] = axis.position
+        if axis.current is not None:
+            columns[f"{prefix}current_a"] = axis.current
+        if axis.reference is not None:
+            columns[f"{prefix}reference_{position_unit}"] = axis.reference
+    lines = [",".join(columns)]
+    lines += [",".join(map(_cell, row)) for row in zip(*(array.tolist() for array in
+                                                         columns.values()), strict=True)]
+    try:
+        write_atomically(where, ("\n".join(lines) + "\n").encode())
+    except OSError as error:
+        raise write_error(where, error) from error
+
+
+def _cell(value: float) -> str:
+    return "" if value != value else repr(value)

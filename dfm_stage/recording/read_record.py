@@ -1,0 +1,93 @@
+"""One door for every kind of file that can become a record."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from dfm_stage.recording.array_files import load_mat, load_npz
+from dfm_stage.recording.bag_reader import read_bag
+from dfm_stage.recording.bag_record import bag_record, topics_of
+from dfm_stage.recording.csv_file import CsvTable
+from dfm_stage.recording.errors import RecordError
+from dfm_stage.recording.files import fingerprint
+from dfm_stage.recording.mcap_scan import MAGIC
+from dfm_stage.recording.record import Record
+from dfm_stage.recording.table import Options, Table, table_record
+
+GAPS = ("longest", "mask")
+
+
+def read_record(
+    path: str | os.PathLike[str], *, axis: str | None = None, time: str | None = None,
+    input: str | None = None, output: str | None = None,  # noqa: A002 named as the option is
+    time_unit: str | None = None, input_unit: str | None = None, output_unit: str | None = None,
+    sample_period: float | None = None, gaps: str = "longest",
+) -> Record:
+    """Read a record from a bag folder, an .mcap file (cut off or not), CSV, .npz or .mat.
+
+    Parameters
+    ----------
+    axis : str, optional
+        Only this axis. With `input` and `output` given: the name of the axis they make.
+    time, input, output : str, optional
+        Names of columns that are not named as in `time_s,input_v,position_m`.
+    time_unit, input_unit, output_unit : str, optional
+        Their units, where the names do not say; lengths, times, volts and amperes become SI,
+        others are carried.
+    sample_period : float, optional
+        s; takes the place of the time column, or of the period that a bag's stamps show.
+    gaps : str
+        What becomes of a record with samples missing: `longest` keeps the longest stretch without
+        a gap, `mask` keeps all and puts NaN where nothing is known.
+
+    Returns
+    -------
+    Record
+        `warnings` says everything that was found and done.
+
+    Raises
+    ------
+    RecordingError
+        If there is no usable record in it; the message is one line and names the place.
+    """
+    where = Path(path)
+    if gaps not in GAPS:
+        raise RecordError(f"gaps={gaps!r}: choose one of {', '.join(GAPS)}")
+    kind = _kind(where)
+    options = Options(axis, time, input, output, time_unit, input_unit, output_unit,
+                      sample_period, gaps)
+    if kind == "bag":
+        if options != Options(axis=axis, sample_period=sample_period, gaps=gaps):
+            raise RecordError(f"{where}: is a bag, whose topics say what they are; columns and "
+                              f"units (--time, --input, --output) are for tables")
+        record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
+        files = sorted(where.glob("*.mcap")) if where.is_dir() else [where]
+        return replace(record, provenance=replace(record.provenance,
+                                                  fingerprint=fingerprint(files[0])))
+    table: Table
+    if kind == "npz":
+        table = load_npz(where)
+    elif kind == "mat":
+        table = load_mat(where)
+    else:
+        table = CsvTable(where)
+    return table_record(table, options, fingerprint(where))
+
+
+def _kind(path: Path) -> str:
+    if path.is_dir():
+        return "bag"
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+    if path.suffix == ".mcap" or start.startswith(MAGIC):
+        return "bag"
+    if path.suffix == ".npz" or start.startswith(b"PK\x03\x04"):
+        return "npz"
+    if path.suffix == ".mat" or start.startswith(b"MATLAB "):
+        return "mat"
+    return "csv"

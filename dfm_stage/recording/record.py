@@ -1,0 +1,128 @@
+"""The record: what an experiment says about one or several axes, on one even time base.
+
+Convention: `position[k]` is sampled at `time[k]`, before `input[k]` acts; `input[k]` is held until
+`time[k + 1]`. Position k + 1 depends on inputs up to k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.recording.errors import RecordError
+
+FloatArray: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AxisRecord:
+    """One axis; every array has shape (N,).
+
+    Attributes
+    ----------
+    input : volts as applied (A with a current drive), in `input_unit`
+    position : in `position_unit`; metres unless the source measures something else
+    current : A, or None if it was not measured
+    reference : wanted position in `position_unit`, or None
+    extra : whatever else the source holds for this axis, for instance `excitation` (V), `command`
+        (V) and `plant_position` (m) from a bag
+    """
+
+    input: FloatArray
+    position: FloatArray
+    input_unit: str = "V"
+    position_unit: str = "m"
+    current: FloatArray | None = None
+    reference: FloatArray | None = None
+    extra: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Return every array there is, by the name of its attribute or of the extra."""
+        named = {"input": self.input, "position": self.position, "current": self.current,
+                 "reference": self.reference}
+        return {name: array for name, array in named.items() if array is not None} | {
+            **self.extra}
+
+    def slice(self, part: slice) -> AxisRecord:
+        """Return the samples in `part`."""
+        return replace(
+            self, input=self.input[part], position=self.position[part],
+            current=None if self.current is None else self.current[part],
+            reference=None if self.reference is None else self.reference[part],
+            extra={name: array[part] for name, array in self.extra.items()})
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a record comes from.
+
+    Attributes
+    ----------
+    source : the file or folder, as it was given
+    kind : bag, csv, npz or mat
+    fingerprint : `sha256:...` of the content; of large files `sha256-ends:...` of size and ends
+    start_ns : time of the first sample, ns since the epoch; None if unknown
+    model : text of the model.yaml inside a bag, or None
+    parameters, versions : what the bag says of its run; empty if nothing
+    """
+
+    source: str
+    kind: str
+    fingerprint: str = ""
+    start_ns: int | None = None
+    model: str | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples of one or several axes on an even time base.
+
+    Attributes
+    ----------
+    time : (N,) s, `time[0] + k * sample_period`
+    sample_period : s
+    axes : by name
+    warnings : what a reader should know about the data, in words; nothing is changed silently
+    """
+
+    time: FloatArray
+    sample_period: float
+    axes: Mapping[str, AxisRecord]
+    provenance: Provenance
+    warnings: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first sample to the end of the last one."""
+        return len(self.time) * self.sample_period
+
+    def axis(self, name: str | None = None) -> AxisRecord:
+        """Return one axis; the name may be left out where there is only one.
+
+        Raises
+        ------
+        RecordError
+            If there is no such axis, or several and no name.
+        """
+        if name is None and len(self.axes) == 1:
+            return next(iter(self.axes.values()))
+        if name is None or name not in self.axes:
+            said = "has several axes" if name is None else f"has no axis {name}"
+            raise RecordError(f"{self.provenance.source}: {said}; choose one of "
+                              f"{', '.join(self.axes)}")
+        return self.axes[name]
+
+    def slice(self, start: int, stop: int | None = None) -> Record:
+        """Return the samples from `start` up to, not including, `stop`."""
+        part = slice(start, stop)
+        return replace(self, time=self.time[part],
+                       axes={name: axis.slice(part) for name, axis in self.axes.items()})

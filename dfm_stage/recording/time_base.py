@@ -1,0 +1,222 @@
+"""From the time stamps of a table to an even time base, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.recording.errors import RecordError
+from dfm_stage.recording.record import FloatArray
+
+GAP_STEPS = 1.5             # a step longer than this many periods is a gap
+EVEN_SHARE = 1e-3           # deviations below this share of a period do not count
+SCATTER_SHARE = 0.1         # with more gaps than this share of the rows there is no sample period
+MAX_JITTER_SHARE = 0.5
+_MANY = 5
+
+Where = Callable[[int], str]
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """An even time base: rows `rows` of the table are samples `index` on it.
+
+    `jitter` (s) holds how much later each row was taken than its sample, None where the stamps
+    are even or merely rounded.
+    """
+
+    start: float
+    period: float
+    rows: NDArray[np.int64]
+    index: NDArray[np.int64]
+    jitter: FloatArray | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def length(self) -> int:
+        """Samples from the first to the last."""
+        return int(self.index[-1]) + 1
+
+    @property
+    def time(self) -> FloatArray:
+        """The samples' times (length,), s."""
+        return np.asarray(self.start + self.period * np.arange(self.length), np.float64)
+
+
+def find_time_base(time: FloatArray, rows: NDArray[np.int64], where: Where,
+                   gaps: str = "longest") -> TimeBase:
+    """Return the even time base of the usable rows of a table.
+
+    Parameters
+    ----------
+    time : (n,) float
+        Their time stamps in s, finite.
+    rows : (n,) int
+        Their numbers in the table, ascending.
+    where : callable
+        Says where a row stands ("line 17").
+    gaps : str
+        `longest`: keep the longest stretch without a gap. `mask`: keep all, `index` has holes.
+
+    Raises
+    ------
+    RecordError
+        If there are too few rows, time runs backwards or stands still, or no period can be seen.
+    """
+    if len(time) < 3:
+        raise RecordError(f"only {len(time)} usable rows; a record needs at least 3")
+    time, rows, notes = _without_repeats(time, rows, where)
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    after = np.flatnonzero(steps > GAP_STEPS * period)
+    if len(after) > SCATTER_SHARE * len(steps):
+        raise RecordError(
+            f"time advances in steps from {steps.min():.3g} to {steps.max():.3g} s, so there is "
+            f"no sample period; resample the data evenly, or give the sample period if the time "
+            f"column is wrong")
+    if len(after):
+        notes.append(_gap_note(time, steps, rows, after, period, where))
+    if len(after) and gaps == "longest":
+        first, last = longest_stretch(len(time), after)
+        notes.append(f"the longest stretch without a gap was kept: {last - first} of {len(time)} "
+                     f"samples, {where(int(rows[first]))} to {where(int(rows[last - 1]))}")
+        time, rows = time[first:last], rows[first:last]
+        if len(time) < 3:
+            raise RecordError("no stretch without a gap has 3 samples or more")
+    return _fit(time, rows, notes)
+
+
+def longest_stretch(count: int, after: NDArray[np.int64]) -> tuple[int, int]:
+    """Return (first, one past the last) of the longest stretch when it breaks behind `after`."""
+    edges = np.concatenate(([0], after + 1, [count]))
+    best = int(np.argmax(np.diff(edges)))
+    return int(edges[best]), int(edges[best + 1])
+
+
+def _without_repeats(time: FloatArray, rows: NDArray[np.int64],
+                     where: Where) -> tuple[FloatArray, NDArray[np.int64], list[str]]:
+    steps = np.diff(time)
+    back = np.flatnonzero(steps < 0)
+    if len(back):
+        k = int(back[0])
+        raise RecordError(
+            f"{where(int(rows[k + 1]))}: time goes back from {time[k]:.9g} to {time[k + 1]:.9g} s"
+            f"{_others(len(back))}; sort the rows, or cut the file where a new run starts")
+    same = np.flatnonzero(steps == 0)
+    if not len(same):
+        return time, rows, []
+    if len(same) > SCATTER_SHARE * len(steps):
+        raise RecordError(
+            f"{where(int(rows[same[0] + 1]))}: time stands still in {len(same)} rows; write the "
+            f"time with more digits, or give the sample period instead")
+    keep = np.concatenate(([True], steps != 0))
+    note = (f"{where(int(rows[same[0] + 1]))}: repeats the time {time[same[0]]:.9g} s"
+            f"{_others(len(same))}; repeated rows were left out")
+    return time[keep], rows[keep], [note]
+
+
+def _others(count: int) -> str:
+    return f" (and {count - 1} more)" if count > 1 else ""
+
+
+def _gap_note(time: FloatArray, steps: FloatArray, rows: NDArray[np.int64],
+              after: NDArray[np.int64], period: float, where: Where) -> str:
+    missing = int(np.sum(np.round(steps[after] / period) - 1))
+    places = [f"{where(int(rows[k + 1]))} ({steps[k]:.4g} s at {time[k]:.6g} s)"
+              for k in after[:_MANY]]
+    more = f" and {len(after) - _MANY} more" if len(after) > _MANY else ""
+    return f"{missing} samples are missing before {', '.join(places)}{more}"
+
+
+def _fit(time: FloatArray, rows: NDArray[np.int64], notes: list[str]) -> TimeBase:
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    index = np.concatenate(([0], np.cumsum(np.maximum(np.round(steps / period), 1))))
+    index = index.astype(np.int64)
+    slope, start = np.polyfit(index, time - time[0], 1)
+    deviation = time - time[0] - (start + slope * index)
+    worst = float(np.abs(deviation).max())
+    base = TimeBase(float(time[0] + start), float(slope), rows, index, None, notes)
+    resolution = _resolution(time)
+    if worst <= EVEN_SHARE * slope or worst <= 0.51 * resolution:
+        if worst > 0.01 * slope:
+            notes.append(f"time is rounded to {resolution:.3g} s; the samples were taken as even, "
+                         f"{slope:.9g} s apart")
+        return TimeBase(round_off(base.start, slope), round_off(base.period, slope / len(time)),
+                        rows, index, None, notes)
+    rms = float(np.sqrt(np.mean(deviation**2)))
+    if worst > MAX_JITTER_SHARE * slope:
+        notes.append(f"some time stamps are off by more than half a period ({worst:.3g} s)")
+    notes.append(f"time stamps jitter by {rms:.3g} s rms, {worst:.3g} s at most, around a period "
+                 f"of {slope:.9g} s")
+    return TimeBase(base.start, base.period, rows, index, deviation, notes)
+
+
+def round_off(value: float, scale: float) -> float:
+    """Drop the digits of `value` that are below 1e-9 of `scale`: the dust of floating point."""
+    digits = int(np.ceil(9 - np.log10(abs(scale)))) if scale else 12
+    return round(value, digits)
+
+
+def _resolution(time: FloatArray) -> float:
+    """Return the decimal step that all stamps are multiples of, 0 if there is none."""
+    for digits in range(13):
+        scaled = time * 10.0**digits
+        if np.abs(scaled - np.round(scaled)).max() < 1e-3 + 4e-16 * np.abs(scaled).max():
+            return float(10.0**-digits)
+    return 0.0
+
+
+def resample(values: FloatArray, base: TimeBase) -> tuple[FloatArray, float]:
+    """Move smooth samples from where they were taken to the even time base.
+
+    Through each four neighbours goes a cubic. Its error is judged by what two more neighbours
+    would change (the quintic through six).
+
+    Returns
+    -------
+    (values (n,), RMS of the estimated error in the unit of the values)
+    """
+    if base.jitter is None or len(values) < 6:
+        return values, 0.0
+    nodes = base.index + base.jitter / base.period
+    targets = base.index.astype(np.float64)
+    cubic = _interpolate(nodes, values, targets, 4)
+    quintic = _interpolate(nodes, values, targets, 6)
+    return cubic, float(np.sqrt(np.mean((cubic - quintic)**2)))
+
+
+def _interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,
+                 count: int) -> FloatArray:
+    """Lagrange interpolation through the `count` nodes around each target."""
+    first = np.clip(np.searchsorted(nodes, targets) - count // 2, 0, len(nodes) - count)
+    around = first[:, None] + np.arange(count)
+    x, y = nodes[around] - targets[:, None], values[around]
+    result = np.zeros(len(targets))
+    for i in range(count):
+        weight = np.ones(len(targets))
+        for j in range(count):
+            if j != i:
+                weight *= -x[:, j] / (x[:, i] - x[:, j])
+        result += weight * y[:, i]
+    return result
+
+
+def average_held(values: FloatArray, base: TimeBase) -> FloatArray:
+    """Average an input that is held from one stamp to the next over each even period.
+
+    The integral of the input, its impulse on the stage, stays what it was.
+    """
+    if base.jitter is None:
+        return values
+    edges = base.start + base.period * base.index + base.jitter
+    impulse = np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(edges))))
+    even = base.start + base.period * np.arange(base.length + 1)
+    total = np.interp(even, edges, impulse)
+    before, after = even < edges[0], even > edges[-1]
+    total[before] = (even[before] - edges[0]) * values[0]
+    total[after] = impulse[-1] + (even[after] - edges[-1]) * values[-1]
+    return np.asarray(np.diff(total)[base.index] / base.period, np.float64)
