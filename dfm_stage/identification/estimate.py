@@ -120,7 +120,7 @@ class Estimate:
                 limits: tuple[float, float] = (-np.inf, np.inf)) -> Quantity:
         """Return a function of the unknowns (p,) with the interval the delta method gives."""
         found = propagate(function, self.values, self.covariance, unit, self.dof)
-        if found.ci95 is None:
+        if found.ci95 is None or not np.all(np.isfinite(found.ci95)):
             return found
         low, high = found.ci95
         return Quantity(found.value, unit, (max(low, limits[0]), min(high, limits[1])))

@@ -192,7 +192,7 @@ def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
     variance = noise / used / np.abs(mean_u[lines]) ** 2
     distortion = _distortion(lines, mean_u, mean_y, outputs, response)
     return FrequencyResponse(
-        2.0 * math.pi * lines / (size * sample_period), response, variance,
+        np.asarray(2.0 * math.pi * lines / (size * sample_period)), response, variance,
         2.0 * (used - 1) * (2 * neighbours + 1), sample_period, lines, used, found.count,
         input_unit, output_unit, "periods", distortion, tuple(warnings))
 

@@ -56,7 +56,8 @@ def judge(names: Sequence[str], values: Array, units: Sequence[str], scale: Arra
     if count == 0:
         return Identifiability((), "nothing was estimated")
     both = np.hstack([nuisance / column_norms(nuisance, np.ones(nuisance.shape[1])), jacobian])
-    upper = np.linalg.qr(both, mode="r")[nuisance.shape[1]:, nuisance.shape[1]:]
+    triangle = np.asarray(np.linalg.qr(both, mode="r"))
+    upper = triangle[nuisance.shape[1]:, nuisance.shape[1]:]
     reference = np.where(values != 0.0, np.abs(values), scale)
     relative = upper * reference
     norms = column_norms(relative, np.ones(count))
@@ -65,8 +66,8 @@ def judge(names: Sequence[str], values: Array, units: Sequence[str], scale: Arra
     directions: list[BlindDirection] = []
     if np.any(lost):
         basis = right[lost] / norms
-        for vector in _sparse_basis(basis):
-            directions.append(_describe(vector, math.inf, names, reference, units))
+        directions += [_describe(vector, math.inf, names, reference, units)
+                       for vector in _sparse_basis(basis)]
     _, singular, right = np.linalg.svd(relative)
     alive = singular > RANK_TOLERANCE * singular[0]
     for strength, vector in zip(singular[alive], right[alive], strict=True):
@@ -96,7 +97,7 @@ def _sparse_basis(basis: Array) -> list[Array]:
 
 def _describe(vector: Array, std: float, names: Sequence[str], reference: Array,
               units: Sequence[str]) -> BlindDirection:
-    chosen = np.flatnonzero(np.abs(vector) >= 0.2 * np.max(np.abs(vector)))
+    chosen = [int(i) for i in np.flatnonzero(np.abs(vector) >= 0.2 * np.max(np.abs(vector)))]
     members = tuple(names[i] for i in chosen)
     change = vector[chosen] * np.sign(vector[chosen[0]])
     raw = change * reference[chosen]

@@ -76,7 +76,7 @@ def local_polynomial(input_: Array, output: Array, sample_period: float, *,
     gain = np.sum(np.abs(inverse[:, 0, :]) ** 2, axis=1) / scale[:, 0, 0] ** 2
     variance = noise * gain / np.abs(estimates[1]) ** 2
     omega = 2.0 * math.pi * centres / (samples * sample_period)
-    return LocalEstimate(omega, response, variance, 2.0 * free)
+    return LocalEstimate(np.asarray(omega), response, variance, 2.0 * free)
 
 
 def _centres(amplitude: Array, half_width: int, points: int) -> NDArray[np.int64]:

@@ -22,6 +22,9 @@ Start = Literal["free", "rest", "periodic"]
 DYNAMIC = ("damping", "stiffness", "force_constant", "amplifier_time_constant", "delay")
 """Base parameters that are free unless something else is asked for, where the model has them."""
 
+SMALL = 1_000_000
+"""Fewer samples than this (rows times length) are simulated on one core: threads cost more."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -164,7 +167,7 @@ class _Builder:
         self.model, self.names = model, names
         self.runs = _named_apart(runs)
         self.simulator = Simulator(_ready(model, names))
-        given = {**{n: 0.0 for n in names}, **model.parameters()}
+        given = {**dict.fromkeys(names, 0.0), **model.parameters()}
         if "force_constant" not in model.base:
             given["force_constant"] = 1.0
         self.values = given
@@ -270,8 +273,9 @@ class _Builder:
         driven = run.input[: run.period] if periodic else run.input
         past = 0.0 if run.start == "rest" else float(run.input[0])
         try:
+            small = driven.size * rows.shape[0] < SMALL
             found = self.simulator.run_many(driven, columns, table[valid], past_input=past,
-                                            steady_state=periodic)
+                                            steady_state=periodic, threads=1 if small else None)
         except SimulationError:
             return out
         if periodic:

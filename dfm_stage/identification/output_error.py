@@ -250,7 +250,7 @@ class _Criterion:
         self.steps = np.clip(wanted, 1e-7 * self.scale, 1e-2 * self.scale)
 
     def minimise(self, start: Array, max_iterations: int) -> Solution:
-        trends, noises, total = self.layout()
+        _, noises, total = self.layout()
         scale = np.full(total, self.output_scale)
         scale[: self.count] = self.scale
         low, high = np.full(total, -np.inf), np.full(total, np.inf)
@@ -262,7 +262,6 @@ class _Criterion:
 
     def renew_noise(self, x: Array, max_order: int | None) -> bool:
         """Fit a noise model to each residual; return whether the fit has to be repeated."""
-        _, noises, _ = self.layout()
         changed = False
         for i in range(len(self.problem.segments)):
             model = fit_noise(self.gap(i, x), max_order)
@@ -324,7 +323,7 @@ def _assemble(criterion: _Criterion, solution: Solution, held: dict[str, float],
     covariance = _sandwich(solution.jacobian, middle, scale)
     names, units = _labels(problem, trends)
     shown = trends[-1].stop if trends else criterion.count
-    verdict = _verdict(criterion, solution, shown)
+    verdict = _verdict(criterion, solution)
     at_bound = tuple(problem.unknowns[j].name
                      for j in np.flatnonzero(solution.at_bound[: criterion.count]))
     status, message = _status(solution, verdict, at_bound)
@@ -351,7 +350,7 @@ def _sandwich(jacobian: Array, middle: Array, scale: Array) -> Array:
     return np.asarray(covariance)
 
 
-def _verdict(criterion: _Criterion, solution: Solution, shown: int) -> Identifiability:
+def _verdict(criterion: _Criterion, solution: Solution) -> Identifiability:
     common = [j for j, u in enumerate(criterion.problem.unknowns) if u.segment is None]
     rest = [j for j in range(solution.x.size) if j not in common]
     names = [criterion.problem.unknowns[j].name for j in common]

@@ -53,28 +53,29 @@ class TransferFunctionFit:
     def quantity(self, name: str) -> Quantity:
         """Return one coefficient with its interval."""
         j = self.names.index(name)
-        return self._derived(lambda plant, x: float(x[j]), self.units[j])
+        return propagate(lambda x: float(x[j]), self.values, self.covariance, self.units[j],
+                         self.dof)
 
     def natural_frequency_hz(self, mode: int = 0) -> Quantity:
         """Return the undamped natural frequency of a mode in Hz."""
-        return self._derived(lambda plant, x: plant.modes[mode].natural_frequency_hz, "Hz")
+        return self._derived(lambda plant: plant.modes[mode].natural_frequency_hz, "Hz")
 
     def damping_ratio(self, mode: int = 0) -> Quantity:
         """Return the damping ratio of a mode."""
-        return self._derived(lambda plant, x: plant.modes[mode].damping_ratio, "")
+        return self._derived(lambda plant: plant.modes[mode].damping_ratio, "")
 
     def static_gain(self) -> Quantity:
         """Return output per constant input; infinite for a free body."""
-        return self._derived(lambda plant, x: plant.static_gain, self.unit)
+        return self._derived(lambda plant: plant.static_gain, self.unit)
 
     def numerator(self, mode: int = 0) -> Quantity:
         """Return the numerator b of a mode (force constant over mass)."""
-        return self._derived(lambda plant, x: plant.modes[mode].numerator, f"{self.unit}/s^2")
+        return self._derived(lambda plant: plant.modes[mode].numerator, f"{self.unit}/s^2")
 
-    def _derived(self, function: Callable[[LinearPlant, Array], float], unit: str) -> Quantity:
-        if not math.isfinite(function(self.plant, self.values)):
+    def _derived(self, function: Callable[[LinearPlant], float], unit: str) -> Quantity:
+        if not math.isfinite(function(self.plant)):
             return Quantity(math.inf, unit, None)
-        return propagate(lambda x: function(self._build(x), x), self.values, self.covariance,
+        return propagate(lambda x: function(self._build(x)), self.values, self.covariance,
                          unit, self.dof)
 
     def to_dict(self) -> dict[str, Any]:
@@ -100,9 +101,9 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
                                   "coefficients: excite more lines or fit fewer modes")
 
     def residual(x: Array) -> Array:
-        error = (shape.plant(x).sampled_response(measured.omega, measured.sample_period)
+        error: Complex = (shape.plant(x).sampled_response(measured.omega, measured.sample_period)
                  - measured.response) / sigma * math.sqrt(2.0)
-        return np.concatenate((error.real, error.imag))
+        return np.asarray(np.concatenate((error.real, error.imag)))
 
     start = shape.start(sigma)
     scale = shape.scale(start)
@@ -115,8 +116,8 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
             up, down = x.copy(), x.copy()
             up[j] = min(x[j] + step, high[j])
             down[j] = max(x[j] - step, low[j])
-            columns.append((residual(up) - residual(down)) / (up[j] - down[j]))
-        return np.array(columns).T
+            columns.append(np.asarray((residual(up) - residual(down)) / (up[j] - down[j])))
+        return np.asarray(np.array(columns).T)
 
     solution = minimise(residual, jacobian, start, scale, low, high,
                         max_iterations=max_iterations)

@@ -1,0 +1,275 @@
+"""identify: model, natural frequency, damping and gain with 95 % intervals from recorded runs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dfm_stage.cli.progress import Progress
+from dfm_stage.errors import DfmError
+
+if TYPE_CHECKING:
+    from dfm_stage.identification.identify import Identification, Source
+    from dfm_stage.model import Model
+
+EPILOG = """\
+examples:
+  ./run identify runs/multisine
+  ./run identify train.csv --holdout scan.csv --model config/models/paper_stage.yaml --out found
+  ./run identify log.csv --time t --input iq --output theta --input-unit A --output-unit rad
+"""
+STEPS = ("reading", "frequency response", "model", "residuals", "hold-out", "report")
+SUMMARY = ("natural_frequency_hz", "damping_ratio", "gain")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Identify from bags or CSV files; 0 done, 1 no model found, 2 unusable input."""
+    options = _parser().parse_args(argv)
+    try:
+        return _identify(options)
+    except DfmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="identify", description=__doc__, epilog=EPILOG,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bags", nargs="*", metavar="BAG",
+                        help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together")
+    parser.add_argument("--record", action="append", default=[], metavar="BAG",
+                        help="one more record to fit, as BAG")
+    parser.add_argument("--holdout", action="append", default=[], metavar="BAG",
+                        help="a record to predict and not to fit; without one, the last quarter "
+                        "of the first record")
+    parser.add_argument("--out", default="identified", metavar="DIR",
+                        help="folder for identify.json, model.yaml and report.html "
+                        "(default: %(default)s)")
+    parser.add_argument("--axis", metavar="NAME", help="axis, where a record has several")
+    parser.add_argument("--model", metavar="FILE",
+                        help="model.yaml to start from, a path or a name in config/models "
+                        "(default: second order behind amplifier lag and delay)")
+    parser.add_argument("--free", action="append", default=[], metavar="NAME[,NAME]",
+                        help="estimate these as well: a parameter (mass, cubic_stiffness.k3) or "
+                        "an effect")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME[,NAME]",
+                        help="estimate these and nothing else")
+    parser.add_argument("--fix", action="append", default=[], metavar="NAME[=VALUE]",
+                        help="hold a parameter, at VALUE if given")
+    parser.add_argument("--noise", choices=("auto", "white"), default="auto",
+                        help="noise model: an autoregression of fitting order, or white")
+    parser.add_argument("--skip", type=float, default=0.0, metavar="SECONDS",
+                        help="leave out the start of each record")
+    table = parser.add_argument_group("CSV files with other column names")
+    table.add_argument("--time", metavar="COLUMN")
+    table.add_argument("--input", metavar="COLUMN")
+    table.add_argument("--output", metavar="COLUMN")
+    table.add_argument("--time-unit", metavar="UNIT")
+    table.add_argument("--input-unit", metavar="UNIT")
+    table.add_argument("--output-unit", metavar="UNIT")
+    table.add_argument("--sample-period", type=float, metavar="SECONDS")
+    parser.add_argument("--json", action="store_true", help="print identify.json, nothing else")
+    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
+    return parser
+
+
+def _identify(options: argparse.Namespace) -> int:
+    paths = [*options.bags, *options.record]
+    if not paths:
+        raise DfmError("no record given: name a bag or a CSV file (identify --help)")
+    fixed = dict(_fixed(item) for item in options.fix)
+    out = _folder(options.out)
+    with _steps() as step:
+        step("reading")
+        from dfm_stage.identification.identify import identify
+        from dfm_stage.model import load_model, save_model
+
+        model = load_model(options.model).axis(options.axis) if options.model else None
+        sources = [_source(path, options) for path in paths]
+        holdout = [_source(path, options) for path in options.holdout]
+        free = _free(options, model)
+        found = identify(sources, model=model, free=free, fixed=fixed, holdout=holdout,
+                         noise=options.noise, step=step)
+        step("report")
+        result = _result(found, [*paths, *options.holdout])
+        _write(out / "identify.json", json.dumps(result, indent=1, allow_nan=False) + "\n")
+        save_model(_signed(found, paths), out / "model.yaml")
+        if not options.no_report:
+            from dfm_stage.cli.identify_report import write_report
+
+            write_report(found, out / "report.html", [*paths, *options.holdout])
+    if options.json:
+        print(json.dumps(result, indent=1, allow_nan=False))
+    else:
+        _print(found, out, not options.no_report)
+    if not found.estimate.ok:
+        print(f"error: {found.estimate.message}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _source(path: str, options: argparse.Namespace) -> Source:
+    from dfm_stage.identification.identify import Source
+    from dfm_stage.recording import read_record
+
+    record = read_record(path, axis=options.axis, time=options.time, input=options.input,
+                         output=options.output, time_unit=options.time_unit,
+                         input_unit=options.input_unit, output_unit=options.output_unit,
+                         sample_period=options.sample_period)
+    skip = round(options.skip / record.sample_period)
+    if skip < 0 or len(record) - skip < 100:
+        raise DfmError(f"{path}: --skip {options.skip:g} leaves {len(record) - skip} of "
+                       f"{len(record)} samples: skip between 0 and "
+                       f"{max(len(record) - 100, 0) * record.sample_period:g} s")
+    record = record.slice(skip) if skip else record
+    name = Path(path).name or str(path)
+    return Source(name, record.axis(options.axis), record.sample_period, tuple(record.warnings))
+
+
+def _free(options: argparse.Namespace, model: Model | None) -> list[str] | None:
+    only, more = _names(options.only), _names(options.free)
+    if only:
+        return [*only, *more]
+    if not more:
+        return None
+    from dfm_stage.identification.model_fit import DYNAMIC, default_free
+
+    return [*(default_free(model) if model is not None else DYNAMIC), *more]
+
+
+def _names(items: Sequence[str]) -> list[str]:
+    return [name.strip() for item in items for name in item.split(",") if name.strip()]
+
+
+def _fixed(item: str) -> tuple[str, float | None]:
+    name, equals, text = item.partition("=")
+    if not equals:
+        return name.strip(), None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise DfmError(f"--fix {item}: {text!r} is not a number; write --fix mass=1.082")
+    return name.strip(), value
+
+
+def _folder(path: str) -> Path:
+    out = Path(path)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DfmError(f"{out}: cannot be made a folder ({error.strerror}); choose another "
+                       "with --out") from None
+    return out
+
+
+def _result(found: Identification, paths: Sequence[str]) -> dict[str, Any]:
+    return {**_finite(found.to_dict()), "records": list(paths)}
+
+
+def _finite(value: Any) -> Any:
+    """Return plain data in which numbers that are not finite have become None."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _signed(found: Identification, paths: Sequence[str]) -> Model:
+    """Return the model with where it comes from and how well its parameters are known."""
+    from dataclasses import replace
+
+    intervals = {name: [_finite(float(x)) for x in q.ci95]
+                 for name, q in found.estimate.quantities().items() if q.ci95 is not None}
+    return replace(found.model, origin={
+        "identified_from": [Path(p).name for p in paths], "ci95": intervals})
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise DfmError(f"{path}: cannot be written ({error.strerror}); choose another folder "
+                       "with --out") from None
+
+
+def _print(found: Identification, out: Path, report: bool) -> None:
+    from dfm_stage.reporting import format_number, format_quantity
+
+    rows = [("natural frequency", found.natural_frequency_hz),
+            ("damping ratio", found.damping_ratio),
+            ("gain", found.gain), *found.estimate.quantities().items()]
+    wide = max(len(name) for name, _ in rows)
+    for name, q in rows:
+        if math.isfinite(q.value):
+            print(f"  {name:<{wide}}  {format_quantity(q.value, q.unit, q.ci95)}")
+    for name, value in found.estimate.held.items():
+        unit = found.model.parameter(name).unit
+        print(f"  {name:<{wide}}  {format_quantity(value, unit)} (held)")
+    for evaluation in (*found.evaluations, *found.held_out):
+        what = "held out" if evaluation in found.held_out else "fit"
+        unit = found.sources[0].axis.position_unit
+        print(f"  {what}: {evaluation.source}: {evaluation.fit.fit_percent:.2f} %, RMS "
+              f"{format_quantity(evaluation.fit.rms, unit)}, noise floor "
+              f"{format_quantity(evaluation.floor.rms, unit)} "
+              f"(from {evaluation.floor.known_from})")
+    if found.paper:
+        print("  beside the paper's G(s) = 1/(s^2 + 1.705 s + 600.7):")
+        for row in found.paper:
+            ours = format_quantity(row.ours.value, row.ours.unit, row.ours.ci95)
+            print(f"    {row.symbol:<4} {ours}, paper {row.paper:g}, "
+                  f"{format_number(row.deviation_percent)} %")
+    for test in found.tests:
+        print(f"  residual {test.name.replace('_', ' ')}: {test.text} (p = {test.p_value:.2g})")
+    for warning in found.warnings:
+        print(f"  note: {warning}")
+    pages = "identify.json, model.yaml" + (", report.html" if report else "")
+    print(f"  {pages} in {out}")
+
+
+@contextmanager
+def _steps() -> Iterator[Any]:
+    """Yield a function that takes the name of the step begun; the line keeps moving meanwhile."""
+    state = {"done": 0.0}
+    finished = threading.Event()
+    with Progress("identify") as progress:
+
+        def tick() -> None:
+            while not finished.wait(0.5):
+                progress(state["done"])
+
+        thread = threading.Thread(target=tick, daemon=True)
+        thread.start()
+        try:
+            yield lambda name: state.update(done=STEPS.index(name) / len(STEPS))
+        finally:
+            finished.set()
+            thread.join()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

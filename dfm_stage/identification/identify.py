@@ -1,0 +1,425 @@
+"""The whole way from records to a model with intervals: what the `identify` command does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.identification.errors import IdentificationError
+from dfm_stage.identification.estimate import Estimate, SegmentFit
+from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
+from dfm_stage.identification.model_fit import (
+    ModelFit,
+    Run,
+    default_free,
+    evaluate,
+    expand_names,
+    fit_model,
+    linear_plant,
+)
+from dfm_stage.identification.paper import PaperRow, compare_with_paper
+from dfm_stage.identification.periods import find_period
+from dfm_stage.identification.plant import LinearPlant
+from dfm_stage.identification.quantity import Quantity
+from dfm_stage.identification.residuals import (
+    LineResidual,
+    ResidualTest,
+    input_correlation,
+    line_residuals,
+    noise_floor_from_periods,
+    whiteness,
+)
+from dfm_stage.identification.transfer_function import (
+    TransferFunctionFit,
+    fit_transfer_function,
+)
+from dfm_stage.model import Model
+from dfm_stage.recording import AxisRecord
+
+Array = NDArray[np.float64]
+
+PAPER_MASS = 1.082
+"""Moving mass (kg) assumed where no model gives one: 650 N/m over (24.51 rad/s)^2."""
+
+LEAD_IN = 200
+"""Samples simulated but not compared where a record is cut: the delay and the lag fill up."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One axis of one record, ready for identification."""
+
+    name: str
+    axis: AxisRecord
+    sample_period: float
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def driver(self) -> Array | None:
+        """The signal that excites a closed loop, None where there is none but the input."""
+        for signal in (self.axis.extra.get("excitation"), self.axis.reference):
+            if signal is not None and np.all(np.isfinite(signal)) and np.ptp(signal) > 0.0:
+                return signal
+        return None
+
+    def run(self) -> Run:
+        """Return what output-error estimation takes."""
+        return Run(self.name, self.axis.input, self.axis.position, self.sample_period)
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """RMS that no model can explain, and where that is known from: periods or innovations."""
+
+    rms: float
+    known_from: str
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How well a model explains one record: `source` says which samples, `fitted` whether the
+    model had seen them."""
+
+    source: str
+    fit: SegmentFit
+    floor: NoiseFloor
+
+    def to_dict(self, unit: str) -> dict[str, Any]:
+        """As JSON keeps it."""
+        return {"source": self.source, "rms": self.fit.rms, "noise_floor": self.floor.rms,
+                "noise_floor_from": self.floor.known_from, "unit": unit,
+                "fit_percent": self.fit.fit_percent}
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything that was found; see the attributes of its parts."""
+
+    fit: ModelFit
+    sources: tuple[Source, ...]
+    responses: tuple[FrequencyResponse, ...]
+    transfer_function: TransferFunctionFit | None
+    evaluations: tuple[Evaluation, ...]
+    held_out: tuple[Evaluation, ...]
+    tests: tuple[ResidualTest, ...]
+    line_residuals: LineResidual | None
+    natural_frequency_hz: Quantity
+    damping_ratio: Quantity
+    gain: Quantity
+    paper: tuple[PaperRow, ...]
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def model(self) -> Model:
+        """The model with the identified values."""
+        return self.fit.model
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate behind the model."""
+        return self.fit.estimate
+
+    def to_dict(self) -> dict[str, Any]:
+        """As identify.json keeps it."""
+        unit = self.sources[0].axis.position_unit
+        estimate = self.estimate.to_dict()
+        parameters = dict(estimate.pop("parameters"))
+        for name, value in estimate.pop("held").items():
+            parameters[name] = {**Quantity(value, self.model.parameter(name).unit).to_dict(),
+                                "held": True}
+        first = self.evaluations[0].to_dict(unit)
+        return {
+            "schema": 1, "parameters": parameters,
+            "natural_frequency_hz": self.natural_frequency_hz.to_dict(),
+            "damping_ratio": self.damping_ratio.to_dict(), "gain": self.gain.to_dict(),
+            "fit": first, "fits": [e.to_dict(unit) for e in self.evaluations],
+            "held_out": self.held_out[0].to_dict(unit) if self.held_out else None,
+            "held_outs": [e.to_dict(unit) for e in self.held_out],
+            "residual_tests": [t.to_dict() for t in self.tests], **estimate,
+            "transfer_function": (self.transfer_function.to_dict()
+                                  if self.transfer_function else None),
+            "frequency_response": [_response_dict(r) for r in self.responses],
+            "paper": [row.to_dict() for row in self.paper], "warnings": list(self.warnings),
+        }
+
+
+Step = Callable[[str], None]
+
+
+def identify(sources: Sequence[Source], *, model: Model | None = None,
+             free: Sequence[str] | None = None, fixed: Mapping[str, float | None] | None = None,
+             holdout: Sequence[Source] = (), noise: str = "auto",
+             step: Step = lambda _: None) -> Identification:
+    """Identify a stage from one or several records of one axis.
+
+    Without `model` a second-order stage behind amplifier lag and delay is identified, its mass
+    held at the paper's. `free` lists the addresses to estimate (default: see `default_free`);
+    `fixed` holds some of them, at a value where one is given. Without a `holdout` record the last
+    quarter of the first record is predicted by a model fitted to the rest. `step` is told what
+    is being done.
+
+    Raises
+    ------
+    IdentificationError, ModelError
+        If the records cannot be used or do not suit the model.
+    """
+    if not sources:
+        raise IdentificationError("no record to identify from: give at least one")
+    _check_alike([*sources, *holdout])
+    fixed = dict(fixed or {})
+    warnings = [f"{s.name}: {w}" for s in sources for w in s.warnings]
+    step("frequency response")
+    shape = _shape_of(model)
+    responses, transfer = _respond(sources, shape, warnings)
+    start, names, others = _starting_model(sources[0], model, transfer, free, fixed)
+    step("model")
+    fit = fit_model(start, [s.run() for s in sources], names, noise=noise, starts=others)
+    if fit.estimate.status == "failed":
+        raise IdentificationError(f"{sources[0].name}: {fit.estimate.message}")
+    warnings += _remarks(fit.estimate)
+    step("residuals")
+    period = _period_of(responses[0]) if responses and responses[0] is not None else None
+    evaluations = tuple(_evaluation(s.name, part, period)
+                        for s, part in zip(sources, fit.fits, strict=True))
+    tests, lines = _test(sources[0], fit.fits[0], responses[0], period)
+    step("hold-out")
+    held_out = _hold_out(sources, holdout, fit, names, noise, period)
+    frequency, ratio, gain = summary(fit)
+    paper = _paper_rows(fit) if _like_the_paper(sources[0]) else ()
+    return Identification(fit, tuple(sources), tuple(r for r in responses if r is not None),
+                          transfer, evaluations, held_out, tests, lines, frequency, ratio, gain,
+                          paper, tuple(warnings))
+
+
+def summary(fit: ModelFit) -> tuple[Quantity, Quantity, Quantity]:
+    """Return natural frequency (Hz), damping ratio and static gain of the first mode.
+
+    Of a body without a spring, frequency and damping ratio do not exist (NaN) and the gain is the
+    numerator of its transfer function.
+    """
+    sprung = linear_plant(fit.model).modes[0].stiffness > 0.0
+    unit = f"{fit.model.position_unit}/{fit.model.input_unit}"
+    if not sprung:
+        nothing = Quantity(math.nan, "", None)
+        return (replace(nothing, unit="Hz"), nothing,
+                plant_quantity(fit, lambda p: p.modes[0].numerator, f"{unit}/s^2"))
+    return (plant_quantity(fit, lambda p: p.modes[0].natural_frequency_hz, "Hz"),
+            plant_quantity(fit, lambda p: p.modes[0].damping_ratio, ""),
+            plant_quantity(fit, lambda p: p.static_gain, unit))
+
+
+def plant_quantity(fit: ModelFit, function: Callable[[LinearPlant], float],
+                   unit: str) -> Quantity:
+    """Return a function of the fitted model's linear part with its interval."""
+    estimate, model = fit.estimate, fit.model
+    names = [n for n in estimate.names if "[" not in n]
+    limits = {n: model.parameter(n) for n in names}
+
+    def value(x: Array) -> float:
+        inside = {n: float(np.clip(v, limits[n].low, limits[n].high))
+                  for n, v in zip(names, x[: len(names)], strict=True)}
+        return function(linear_plant(model.with_parameters(inside)))
+
+    return estimate.derived(value, unit)
+
+
+def _check_alike(sources: Sequence[Source]) -> None:
+    first = sources[0]
+    for source in sources[1:]:
+        units = (source.axis.input_unit, source.axis.position_unit)
+        if units != (first.axis.input_unit, first.axis.position_unit):
+            raise IdentificationError(f"{source.name} is in {' and '.join(units)}, {first.name} "
+                                      f"in {first.axis.input_unit} and "
+                                      f"{first.axis.position_unit}: use records in the same units")
+        if abs(source.sample_period / first.sample_period - 1.0) > 1e-6:
+            raise IdentificationError(f"{source.name} is sampled every {source.sample_period:g} "
+                                      f"s, {first.name} every {first.sample_period:g} s: resample "
+                                      "one of them")
+
+
+def _shape_of(model: Model | None) -> tuple[int, bool, bool, bool]:
+    """Return modes, free body, lag, delay of the transfer function to fit."""
+    if model is None:
+        return 1, False, True, True
+    plant = linear_plant(model)
+    return (len(plant.modes), plant.modes[0].stiffness <= 0.0,
+            "amplifier_time_constant" in model.base
+            or model.effect("amplifier_bandwidth") is not None,
+            "delay" in model.base or model.effect("transport_delay") is not None)
+
+
+def _respond(sources: Sequence[Source], shape: tuple[int, bool, bool, bool],
+             warnings: list[str]) -> tuple[list[FrequencyResponse | None],
+                                           TransferFunctionFit | None]:
+    """Measure the responses; fit the first, with its free motion taken out once it is known."""
+    responses: list[FrequencyResponse | None] = []
+    transfer = None
+    for source in sources:
+        try:
+            measured, fitted = measure_response(source, shape)
+        except IdentificationError as error:
+            warnings.append(f"{source.name}: no frequency response: {error}")
+            responses.append(None)
+            continue
+        responses.append(measured)
+        warnings += [f"{source.name}: {w}" for w in measured.warnings]
+        transfer = transfer or fitted
+    return responses, transfer
+
+
+def measure_response(source: Source, shape: tuple[int, bool, bool, bool] = (1, False, True, True)
+                     ) -> tuple[FrequencyResponse, TransferFunctionFit | None]:
+    """Return the frequency response of a record and the transfer function fitted to it.
+
+    `shape` is (modes, first without a spring, lag, delay).
+    """
+    modes, free_body, lag, delay = shape
+    poles: tuple[complex, ...] = ()
+    fitted = None
+    for _ in range(3):
+        measured = frequency_response(
+            source.axis.input, source.axis.position, source.sample_period,
+            reference=source.driver, poles=poles, input_unit=source.axis.input_unit,
+            output_unit=source.axis.position_unit)
+        try:
+            fitted = fit_transfer_function(measured, modes=modes, free_body=free_body, lag=lag,
+                                           delay=delay)
+        except IdentificationError:
+            return measured, None
+        if measured.method != "periods":
+            break
+        poles = tuple(p for m in fitted.plant.modes for p in m.poles)
+    return measured, fitted
+
+
+def _starting_model(source: Source, model: Model | None, transfer: TransferFunctionFit | None,
+                    free: Sequence[str] | None, fixed: Mapping[str, float | None]
+                    ) -> tuple[Model, tuple[str, ...], list[dict[str, float]]]:
+    """Return the model to start from, what is free in it, and other values to start from."""
+    given = {n: v for n, v in fixed.items() if v is not None}
+    if model is None:
+        if transfer is None:
+            raise IdentificationError(f"{source.name}: nothing to start from: excite the stage "
+                                      "with a multisine, or give a model")
+        mass = given.get("mass", PAPER_MASS)
+        values = base_values(transfer.plant, mass)
+        current = source.axis.input_unit == "A"
+        start = Model("identified", source.sample_period, base={"mass": mass, **values},
+                      drive="current" if current else "voltage",
+                      position_unit=source.axis.position_unit)
+        others = []
+    else:
+        start = model
+        others = [_allowed(model, base_values(transfer.plant, model.base["mass"]))] \
+            if transfer is not None and len(transfer.plant.modes) == 1 else []
+    start = start.with_parameters(given) if given else start
+    names = default_free(start) if free is None else expand_names(start, free)
+    names = tuple(n for n in names if n not in expand_names(start, fixed))
+    others = [{n: v for n, v in other.items() if n in names} for other in others]
+    return start, names, [o for o in others if o]
+
+
+def base_values(plant: LinearPlant, mass: float) -> dict[str, float]:
+    """Return the base parameters of a one-mode plant at a given moving mass."""
+    mode = plant.modes[0]
+    return {"damping": mode.damping * mass, "stiffness": mode.stiffness * mass,
+            "force_constant": mode.numerator * mass, "amplifier_time_constant": plant.lag,
+            "delay": plant.delay}
+
+
+def _allowed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    return {n: v for n, v in values.items() if n in model.base or n == "force_constant"}
+
+
+def _remarks(estimate: Estimate) -> list[str]:
+    remarks = [] if estimate.status == "converged" else [estimate.message]
+    if not estimate.identifiability.complete and estimate.status != "not_identifiable":
+        remarks.append(estimate.identifiability.text)
+    return remarks
+
+
+def _period_of(response: FrequencyResponse) -> int | None:
+    if response.method != "periods" or not response.lines.size:
+        return None
+    base = response.omega[0] / response.lines[0]
+    return round(2.0 * math.pi / (base * response.sample_period))
+
+
+def _period_in(source: Source) -> int | None:
+    for signal in (source.driver, source.axis.input):
+        found = find_period(signal) if signal is not None else None
+        if found is not None:
+            return found.period
+    return None
+
+
+def _evaluation(name: str, fit: SegmentFit, period: int | None) -> Evaluation:
+    floor = noise_floor_from_periods(fit.residual, period) if period else None
+    if floor is not None:
+        return Evaluation(name, fit, NoiseFloor(floor, "periods"))
+    rms = float(np.sqrt(np.mean(fit.innovations**2)))
+    return Evaluation(name, fit, NoiseFloor(rms, "innovations"))
+
+
+def _test(source: Source, fit: SegmentFit, response: FrequencyResponse | None,
+          period: int | None) -> tuple[tuple[ResidualTest, ...], LineResidual | None]:
+    lost = fit.skip + fit.noise.order
+    tests = (whiteness(fit.innovations, fitted=fit.noise.order),
+             input_correlation(fit.innovations, source.axis.input[lost:]))
+    if response is None or period is None:
+        return tests, None
+    return tests, line_residuals(fit.residual, period, response.lines, source.sample_period)
+
+
+def _hold_out(sources: Sequence[Source], holdout: Sequence[Source], fit: ModelFit,
+              names: Sequence[str], noise: str, period: int | None) -> tuple[Evaluation, ...]:
+    if holdout:
+        return tuple(_evaluation(s.name, evaluate(fit.model, s.run(), noise=noise),
+                                 _period_in(s)) for s in holdout)
+    whole = sources[0].run()
+    cut = 3 * whole.input.size // 4
+    if whole.input.size - cut < 100:
+        return ()
+    early = replace(whole, input=whole.input[:cut], output=whole.output[:cut])
+    before = min(cut, LEAD_IN)
+    late = replace(whole, input=whole.input[cut - before:], output=whole.output[cut - before:],
+                   skip=before)
+    runs = [early, *(s.run() for s in sources[1:])]
+    part = fit_model(fit.model, runs, names, noise=noise)
+    if not part.estimate.ok:
+        return ()
+    return (_evaluation(f"{whole.name}, last quarter, fitted without it",
+                        evaluate(part.model, late, noise=noise), period),)
+
+
+def _like_the_paper(source: Source) -> bool:
+    return source.axis.input_unit == "V" and source.axis.position_unit == "m"
+
+
+def _paper_rows(fit: ModelFit) -> tuple[PaperRow, ...]:
+    return compare_with_paper(
+        plant_quantity(fit, lambda p: p.modes[0].numerator, "m/(V s^2)"),
+        plant_quantity(fit, lambda p: p.modes[0].damping, "1/s"),
+        plant_quantity(fit, lambda p: p.modes[0].stiffness, "1/s^2"))
+
+
+def _response_dict(response: FrequencyResponse) -> dict[str, Any]:
+    finite = np.where(np.isfinite(response.variance), response.variance, -1.0)
+    distortion = response.distortion
+    return {
+        "method": response.method, "unit": response.unit,
+        "periods_used": response.periods_used, "periods_total": response.periods_total,
+        "frequency_hz": [float(f) for f in response.frequency_hz],
+        "real": [float(x) for x in response.response.real],
+        "imag": [float(x) for x in response.response.imag],
+        "std": [math.sqrt(v) if v >= 0.0 else None for v in finite],
+        "lines": [int(k) for k in response.lines],
+        "distortion": None if distortion is None else {
+            "excited": distortion.excited, "noise": distortion.noise, "odd": distortion.odd,
+            "even": distortion.even, "unit": response.output_unit},
+    }
