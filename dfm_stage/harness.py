@@ -41,7 +41,7 @@ from std_srvs.srv import Trigger
 
 from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.base import make_executor, quiet_collector
+from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
 from dfm_stage.nodes.share import find_experiment
 from dfm_stage.trajectory import Experiment, load_experiment
 
@@ -123,6 +123,7 @@ class StageGraph:
         self._start_timeout_s = start_timeout_s
         self._launched: list[_Launched] = []
         self._complaints: dict[str, str] = {}
+        self._closing = False
         self._cleanup = contextlib.ExitStack()
 
     def _node_parameters(self, model: str, seed: int,
@@ -243,16 +244,21 @@ class StageGraph:
         """
         deadline = time.monotonic() + timeout_s
         checked = 0.0
-        while not condition():
-            self._executor.spin_once(timeout_sec=0.01)
-            now = time.monotonic()
-            if now - checked > 0.1:
-                checked = now
-                self._check_alive()
-                if now > deadline:
-                    said = "".join(f"; {name} says: {text}"
-                                   for name, text in self._complaints.items() if text)
-                    raise HarnessError(f"{what}: not there after {timeout_s:.3g} s{said}")
+        with StopRequest() as interrupted:
+            while not condition():
+                self._executor.spin_once(timeout_sec=0.01)
+                now = time.monotonic()
+                if now - checked > 0.1:
+                    checked = now
+                    if interrupted:
+                        break
+                    self._check_alive()
+                    if now > deadline:
+                        said = "".join(f"; {name} says: {text}"
+                                       for name, text in self._complaints.items() if text)
+                        raise HarnessError(f"{what}: not there after {timeout_s:.3g} s{said}")
+        if interrupted and not self._closing:
+            raise KeyboardInterrupt
 
     def spin(self, duration_s: float) -> None:
         """Let the graph run for a time (composed nodes only run while something spins)."""
@@ -405,7 +411,9 @@ class StageGraph:
     def close(self) -> None:
         """Close the bag, end every node and give everything back. Safe to call twice."""
         atexit.unregister(self.close)
-        self._cleanup.close()
+        with StopRequest():
+            self._closing = True
+            self._cleanup.close()
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
                  traceback: TracebackType | None) -> None:
@@ -445,7 +453,6 @@ class StageGraph:
                 try:
                     launched.process.wait(max(0.05, deadline - time.monotonic()))
                 except subprocess.TimeoutExpired:
-                    print("KILL", launched.full_name, self.last_words(launched)); os.system(f"py-spy dump -p {launched.process.pid}; gdb -p {launched.process.pid} -batch -ex 'thread apply all bt 12' 2>/dev/null | tail -60")
                     launched.process.kill()
                     launched.process.wait()
         self._launched.clear()

@@ -14,8 +14,10 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
+from types import TracebackType
 from typing import Any
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -25,10 +27,11 @@ from dfm_interfaces.srv import Ready
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 import dfm_stage
@@ -273,8 +276,33 @@ def quiet_collector() -> None:
     gc.set_threshold(50_000, 20, 100)
 
 
-def _raise_interrupt(number: int, _frame: Any) -> None:
-    raise KeyboardInterrupt
+class StopRequest:
+    """SIGINT and SIGTERM as a flag instead of an exception.
+
+    An exception could be raised in the middle of anything, a C++ destructor or the closing of a
+    bag included; where it was, the process aborted. A context manager; True once asked to stop.
+    """
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._before: dict[int, Any] = {}
+
+    def __bool__(self) -> bool:
+        return self._asked
+
+    def _ask(self, _number: int, _frame: Any) -> None:
+        self._asked = True
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._ask)
+                            for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
+                 traceback: TracebackType | None) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
 
 def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
@@ -282,31 +310,30 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
 
     A parameter or file that cannot be used is one line on stderr and exit code 2.
     """
-    try:
-        rclpy.init(args=list(args) if args is not None else None)
-    except Exception as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        return 2
-    signal.signal(signal.SIGTERM, _raise_interrupt)
-    node: Node | None = None
-    try:
-        node = make()
-        executor = make_executor(node.context)
-        executor.add_node(node)
-        quiet_collector()
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=0.1)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except (DfmError, InvalidParameterTypeException, ParameterUninitializedException) as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        return 2
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        if node is not None:
-            with contextlib.suppress(Exception):
+    with StopRequest() as stop:
+        try:
+            rclpy.init(args=list(args) if args is not None else None,
+                       signal_handler_options=SignalHandlerOptions.NO)
+        except Exception as error:
+            print(f"error: {_one_line(error)}", file=sys.stderr)
+            return 2
+        node: Node | None = None
+        try:
+            node = make()
+            executor = make_executor(node.context)
+            executor.add_node(node)
+            quiet_collector()
+            while not stop and rclpy.ok():
+                executor.spin_once(timeout_sec=0.1)
+        except ExternalShutdownException:
+            pass
+        except (DfmError, InvalidParameterTypeException) as error:
+            print(f"error: {_one_line(error)}", file=sys.stderr)
+            return 2
+        finally:
+            if node is not None:
                 node.destroy_node()
-        rclpy.try_shutdown()
+            rclpy.try_shutdown()
     return 0
 
 

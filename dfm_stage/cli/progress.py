@@ -1,0 +1,55 @@
+"""A progress line on a terminal, or a line every few seconds where there is none."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import TextIO
+
+_BAR = 24
+_FIRST_AFTER_S = 2.0
+_EVERY_S = (0.1, 10.0)
+
+
+class Progress:
+    """Say on stderr what is being done and how far it is.
+
+    >>> with Progress("scan") as progress:
+    ...     progress(0.5)
+
+    On a terminal the line is rewritten in place; elsewhere nothing is written before two seconds
+    have passed, and then a line every ten.
+    """
+
+    def __init__(self, what: str, stream: TextIO | None = None) -> None:
+        self._what = what
+        self._stream = stream or sys.stderr
+        self._terminal = self._stream.isatty()
+        self._start = self._last = time.monotonic()
+        self._said = False
+
+    def __call__(self, fraction: float) -> None:
+        """Show that `fraction` (0 to 1) is done."""
+        now = time.monotonic()
+        pause = _EVERY_S[0] if self._terminal else (
+            _EVERY_S[1] if self._said else _FIRST_AFTER_S)
+        if now - self._last < pause:
+            return
+        self._last, self._said = now, True
+        elapsed = now - self._start
+        left = f", {elapsed * (1.0 - fraction) / fraction:.0f} s left" if fraction > 0.02 else ""
+        filled = round(_BAR * min(1.0, fraction))
+        bar = "#" * filled + "." * (_BAR - filled)
+        text = f"{self._what} [{bar}] {100 * fraction:3.0f} %{left}"
+        self._stream.write(f"\r{text:<79}" if self._terminal else f"{text}\n")
+        self._stream.flush()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
+                 traceback: TracebackType | None) -> None:
+        if self._terminal and self._said:
+            self._stream.write("\r" + " " * 79 + "\r")
+            self._stream.flush()
