@@ -280,7 +280,9 @@ class StopRequest:
     """SIGINT and SIGTERM as a flag instead of an exception.
 
     An exception could be raised in the middle of anything, a C++ destructor or the closing of a
-    bag included; where it was, the process aborted. A context manager; True once asked to stop.
+    bag included; where it was, the process aborted. True once asked to stop. As a context manager
+    it puts the handlers back at the end; a process that is to end anyway calls `install`, so that
+    a second signal finds no moment to strike in.
     """
 
     def __init__(self) -> None:
@@ -293,10 +295,14 @@ class StopRequest:
     def _ask(self, _number: int, _frame: Any) -> None:
         self._asked = True
 
-    def __enter__(self) -> StopRequest:
+    def install(self) -> None:
+        """Take the signals; only the main thread can."""
         if threading.current_thread() is threading.main_thread():
             self._before = {number: signal.signal(number, self._ask)
                             for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def __enter__(self) -> StopRequest:
+        self.install()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
@@ -310,30 +316,31 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
 
     A parameter or file that cannot be used is one line on stderr and exit code 2.
     """
-    with StopRequest() as stop:
-        try:
-            rclpy.init(args=list(args) if args is not None else None,
-                       signal_handler_options=SignalHandlerOptions.NO)
-        except Exception as error:
-            print(f"error: {_one_line(error)}", file=sys.stderr)
-            return 2
-        node: Node | None = None
-        try:
-            node = make()
-            executor = make_executor(node.context)
-            executor.add_node(node)
-            quiet_collector()
-            while not stop and rclpy.ok():
-                executor.spin_once(timeout_sec=0.1)
-        except ExternalShutdownException:
-            pass
-        except (DfmError, InvalidParameterTypeException) as error:
-            print(f"error: {_one_line(error)}", file=sys.stderr)
-            return 2
-        finally:
-            if node is not None:
-                node.destroy_node()
-            rclpy.try_shutdown()
+    stop = StopRequest()
+    stop.install()
+    try:
+        rclpy.init(args=list(args) if args is not None else None,
+                   signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    node: Node | None = None
+    try:
+        node = make()
+        executor = make_executor(node.context)
+        executor.add_node(node)
+        quiet_collector()
+        while not stop and rclpy.ok():
+            executor.spin_once(timeout_sec=0.1)
+    except ExternalShutdownException:
+        pass
+    except (DfmError, InvalidParameterTypeException) as error:
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
     return 0
 
 
