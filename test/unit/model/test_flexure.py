@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -149,3 +150,16 @@ def test_what_the_closed_forms_do_not_cover_is_refused(make: object, part: str) 
         make()  # type: ignore[operator]
     assert part in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_numbers_in_the_documentation_are_these() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "flexure.md").read_text(encoding="utf-8")
+    promised = [
+        f"{DFM.blade.thickness_m * 1e3:.3f} mm",
+        f"{DFM.stress_pa(7.7e-3) / 1e6:.0f} MPa",
+        f"{DFM.fatigue_safety(7.7e-3):.1f} times",
+        f"±{DFM.stroke_m() * 1e3:.0f} mm",
+        f"{DFM.axial_stiffness_n_m(7.67e-3) / 1e3:.0f} kN/m",
+        f"{DFM.stiffness_n_m(20.0):.1f} N/m",
+    ]
+    assert [each for each in promised if each not in " ".join(text.split())] == []
