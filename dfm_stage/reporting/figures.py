@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _TABLE_ROWS = 20
 _PLOT_POINTS = 1500
+_DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)))     # lines that lie on one another stay visible
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,12 @@ def bode_figure(responses: Sequence[Response], *, unit: str = "m/V",
     factor, shown = display_unit((largest,), unit)
     figure, (top, bottom) = new_figure(2, height_in, sharex=True, height_ratios=(3, 2))
     with page_style():
+        lines = iter(_DASHES)
         for colour, r in zip(_colours(len(responses)), responses, strict=True):
             magnitude, phase = np.abs(r.response) * factor, _phase_deg(r.response)
             marks: dict[str, Any] = ({"linestyle": "", "marker": "o", "markersize": 2.6,
-                                      "alpha": 0.75} if r.measured else {"linewidth": 1.5})
+                                      "alpha": 0.75} if r.measured
+                                     else {"linewidth": 1.5, "linestyle": next(lines, "-")})
             top.loglog(r.frequency_hz, magnitude, color=colour, label=r.label, **marks)
             bottom.semilogx(r.frequency_hz, phase, color=colour, **marks)
             if r.std is not None:
@@ -96,10 +99,13 @@ def time_figure(time_s: Array, panels: Sequence[tuple[str, str, Mapping[str, Arr
         for axis, (title, unit, signals) in zip(axes[:, 0], panels, strict=True):
             peak = max((float(np.nanmax(np.abs(s))) for s in signals.values()), default=0.0)
             factor, shown = display_unit((peak,), unit)
+            under = {"linewidth": 2.4, "alpha": 0.55}
             for colour, (label, signal) in zip(_colours(len(signals)), signals.items(),
                                                strict=True):
                 t, y = _thinned(np.asarray(time_s), np.asarray(signal) * factor)
-                axis.plot(t, y, color=colour, label=label, linewidth=1.1)
+                first = len(signals) > 1 and not axis.lines
+                axis.plot(t, y, color=colour, label=label,
+                          **(under if first else {"linewidth": 1.1}))
                 rows.append([f"{title}: {label}" if label != title else title,
                              *_statistics(np.asarray(signal) * factor), shown])
             axis.set_ylabel(f"{title} ({shown})" if shown else title)

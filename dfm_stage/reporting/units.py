@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -10,8 +11,7 @@ import numpy as np
 
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _SCALABLE = ("m", "s", "V", "A", "N", "Hz", "W", "H", "F", "m/s", "m/V", "m/N", "N/V", "N/A")
-_PRETTY = {"ohm": "Ω", "deg": "°", "m/s^2": "m/s²", "m/s^3": "m/s³", "N/m^2": "N/m²",
-           "N/m^3": "N/m³", "N s/m": "N·s/m", "V s/m": "V·s/m", "V/(m s)": "V/(m·s)"}
+_SYMBOLS = {"ohm": "Ω", "deg": "°"}
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def display_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
     """
     finite = [abs(float(v)) for v in values if math.isfinite(v) and v != 0.0]
     if unit not in _SCALABLE or not finite:
-        return 1.0, _PRETTY.get(unit, unit)
+        return 1.0, _typeset(unit)
     largest = max(finite) * 1.02
     usable = [each for each in _PREFIXES if unit != "s" or each[0] <= 1.0]
     if unit in ("m", "m/s", "m/V", "m/N"):
@@ -88,6 +88,12 @@ def superscript_power(value: float) -> str:
     if value > 0.0 and np.isclose(value, 10.0**exponent) and not -3 <= exponent <= 4:
         return f"10{_superscript(exponent)}"
     return f"{value:g}".replace("-", "−")
+
+
+def _typeset(unit: str) -> str:
+    """Return "m/(V s^2)" as "m/(V·s²)"."""
+    raised = re.sub(r"\^(-?\d+)", lambda power: _superscript(int(power.group(1))), unit)
+    return _SYMBOLS.get(unit, raised.replace(" ", "·"))
 
 
 def _bare(text: str) -> str:

@@ -15,7 +15,8 @@ from dfm_stage.reporting import Quantity, display_unit, format_number, format_qu
     ([2e-3, 1e-6], "m", "mm"), ([50e-9], "m", "nm"), ([12e-6], "m", "µm"), ([1500.0], "m", "m"),
     ([0.08], "V", "mV"), ([0.999], "V", "V"), ([1e-3], "s", "ms"), ([4000.0], "s", "s"),
     ([2500.0], "Hz", "kHz"), ([1.66e-3], "m/V", "mm/V"), ([3.0], "rad/s", "rad/s"),
-    ([1.845], "N s/m", "N·s/m"), ([8.0], "ohm", "Ω"), ([1e-12], "m", "nm"), ([0.0], "m", "m"),
+    ([1.845], "N s/m", "N·s/m"), ([1.0], "m/(V s^2)", "m/(V·s²)"), ([2.0], "N/m^3", "N/m³"),
+    ([8.0], "ohm", "Ω"), ([1e-12], "m", "nm"), ([0.0], "m", "m"),
     ([math.nan], "m", "m"), ([], "V", "V"),
 ])
 def test_a_prefix_that_fits(values: list[float], unit: str, shown: str) -> None:
