@@ -286,7 +286,9 @@ class _Reader:
                 count = len(arrays.bad_rows)
                 losses.append(Loss(f"{arrays.name}: {count} messages do not fit the definition of "
                                    f"{arrays.type_name} and were left out", messages=count))
-        losses += missing_messages(topics, self.files,
+        present = {arrays.name: topics[arrays.name].message_count + len(arrays.bad_rows)
+                   for arrays in self.arrays}
+        losses += missing_messages(present, topics.values(), self.files,
                                    [source.scan for source in self.sources])
         scans = [source.scan for source in self.sources]
         return Bag(self.path, topics,
@@ -295,7 +297,7 @@ class _Reader:
                    losses, self.left_out)
 
 
-def missing_messages(topics: Mapping[str, Topic], files: BagFiles,
+def missing_messages(present: Mapping[str, int], topics: Iterable[Topic], files: BagFiles,
                      scans: Iterable[FileScan]) -> list[Loss]:
     """Return what the bag promises and does not hold, topic by topic."""
     losses = []
@@ -312,13 +314,13 @@ def missing_messages(topics: Mapping[str, Topic], files: BagFiles,
     if not complete:
         promised = files.expected
     for name, count in promised.items():
-        read = topics[name].message_count if name in topics else count
-        if read < count:
-            losses.append(Loss(f"{name}: {count - read} of {count} messages are not readable",
-                               messages=count - read))
-    if files.end_ns is not None and not complete and topics:
-        last = max((int(topic.log_time_ns.max()) for topic in topics.values()
-                    if topic.message_count), default=files.end_ns)
+        missing = count - present.get(name, count)
+        if missing > 0:
+            losses.append(Loss(f"{name}: {missing} of {count} messages are not readable",
+                               messages=missing))
+    if files.end_ns is not None and not complete:
+        last = max((int(topic.log_time_ns.max()) for topic in topics if topic.message_count),
+                   default=files.end_ns)
         if last < files.end_ns:
             seconds = (files.end_ns - last) / 1e9
             losses.append(Loss(f"the last {seconds:.3g} s are missing", seconds=seconds))

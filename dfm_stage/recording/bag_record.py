@@ -223,8 +223,9 @@ def _together(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
         offset = float(np.median(even)) * 1e-9 / period
         shifts.append(round(offset))
         if abs(offset - round(offset)) > 0.1:
-            warnings.append(f"axis {axis.name} is sampled {(offset - round(offset)) * period:.3g} s"
-                            f" away from axis {axes[0].name}; both are put on the same samples")
+            apart = (offset - round(offset)) * period
+            warnings.append(f"axis {axis.name} is sampled {apart:.3g} s away from axis "
+                            f"{axes[0].name}; both are put on the same samples")
     start = max(shifts)
     stop = min(shift + axis.grid.count for shift, axis in zip(shifts, axes, strict=True))
     if stop - start < 3:

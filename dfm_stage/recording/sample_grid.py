@@ -122,7 +122,7 @@ def _period(index: Ints, stamps: Ints, nominal_s: float | None, given_s: float |
 
 def jitter_note(grid: SampleGrid, position: FloatArray, unit: str, name: str) -> str | None:
     """Say how unevenly the samples were taken and what that is worth, None if it is little."""
-    deviation = grid.stamps_ns * 1e-9 - grid.stamps_ns[0] * 1e-9
+    deviation = (grid.stamps_ns - grid.stamps_ns[0]) * 1e-9
     deviation -= grid.period_s * np.arange(grid.count)
     deviation -= np.median(deviation)
     deviation = deviation[grid.rows >= 0]
