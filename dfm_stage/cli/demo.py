@@ -1,4 +1,4 @@
-"""demo: the whole way in a minute: node graph, scan, excitation, bags, identification, figures."""
+"""demo: the whole way in a minute: node graph, scan, excitation, bags, model, better scan."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from dfm_stage.cli.progress import Progress
 from dfm_stage.errors import DfmError
 
 LOOP_NODES = "sim_plant encoder_driver controller amplifier_driver trajectory_generator recorder"
+BANDWIDTH_HZ = 10.0
+SETTLED_S = 1.5
 EPILOG = "example: ./run demo --out my_demo"
 
 
@@ -43,62 +46,92 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
     from dfm_stage.cli import identify
-    from dfm_stage.recording import read_record
+    from dfm_stage.nodes.share import find_experiment
+    from dfm_stage.trajectory import load_experiment
 
     if out.exists() and any(out.iterdir()):
         raise DfmError(f"{out} is not empty; choose another folder with --out")
     where = "in this process" if composed else "in a process each"
+    scan = load_experiment(find_experiment("scan"))
     print(f"1. ROS 2 nodes {where}, in lockstep: {LOOP_NODES.replace(' ', ', ')}")
-    scan = _record("scan", out / "scan", model, seed, composed)
+    before = _record("scan", out / "scan", model, seed, composed)
     shake = _record("multisine", out / "multisine", model, seed, composed)
-    print("2. Scan under PID: raster, 5 mm at 12.5 mm/s, 0.1 s turnarounds")
-    _show_scan(read_record(scan), out / "scan.png")
-    print("3. Identification from the open-loop multisine bag")
+    print("2. Identification from the open-loop multisine bag")
     code = identify.main([str(shake), "--out", str(out / "identify")])
-    print(f"\nPictures: {out / 'identify' / 'report.html'} and {out / 'scan.png'}")
-    print(f"Bags (ros2 bag info, Foxglove, PlotJuggler read them): {scan} and {shake}")
-    return code
+    if code:
+        return code
+    print("3. The same scan with gains and feedforward from the identified model")
+    gains = _gains(out / "identify" / "model.yaml")
+    after = _record({"name": "scan_tuned", "mode": "pid", "duration_s": scan.duration_s,
+                     "axes": {"x": {"reference": dict(scan.axes["x"].reference or {})}},
+                     "controller": gains}, out / "scan_tuned", model, seed, composed)
+    picture = out / "scan.png"
+    _show_scans({"default gains": before, "from the model": after}, picture)
+    print(f"\nPictures: {out / 'identify' / 'report.html'} and {picture}")
+    print(f"Bags, for ros2 bag, Foxglove, PlotJuggler: {before}, {shake}, {after}")
+    return 0
 
 
-def _record(experiment: str, bag: Path, model: str, seed: int, composed: bool) -> Path:
+def _record(experiment: str | dict[str, Any], bag: Path, model: str, seed: int,
+            composed: bool) -> Path:
     from dfm_stage.harness import StageGraph
 
+    name = experiment if isinstance(experiment, str) else experiment["name"]
     start = time.monotonic()
     with StageGraph(model=model, seed=seed, lockstep=True, composed=composed, bag=bag) as graph:
-        with Progress(f"   {experiment}") as progress:
+        with Progress(f"   {name}") as progress:
             result = graph.run(experiment, progress=progress)["x"]
         summary = graph.stop_recording()
     samples = result.last_seq - result.first_seq + 1
     speed = samples * 1e-3 / (time.monotonic() - start)
-    print(f"   {experiment}: {samples} samples, {speed:.1f} times real time; {summary}")
+    print(f"   {name}: {samples} samples, {speed:.1f} times real time; {summary}")
     return bag
 
 
-def _show_scan(record: object, picture: Path) -> None:
+def _gains(model: Path) -> dict[str, float | str]:
+    from dfm_stage.control.placement import pid_for
+    from dfm_stage.model import load_model
+
+    identified = load_model(model)
+    design = pid_for(identified.base, BANDWIDTH_HZ, sample_period_s=identified.sample_period)
+    print(f"   {design.reason}")
+    return design.gains.to_dict()
+
+
+def _show_scans(bags: dict[str, Path], picture: Path) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    axis = record.axes["x"]  # type: ignore[attr-defined]
-    time_s, error = record.time, axis.position - axis.reference  # type: ignore[attr-defined]
-    speed = np.gradient(axis.reference, time_s)
-    settled = time_s > 1.5
-    line = settled & (np.abs(np.gradient(speed, time_s)) < 1e-3 * np.max(np.abs(speed)))
-    turn = settled & ~line
-    for name, part in (("line", line), ("turnaround", turn)):
-        rms, peak = np.sqrt(np.mean(error[part] ** 2)), np.max(np.abs(error[part]))
-        print(f"   error on the {name:10} {rms * 1e6:7.2f} um RMS {peak * 1e6:7.2f} um peak")
-    figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(8, 4.5), dpi=120,
-                                          constrained_layout=True)
-    above.plot(time_s, axis.reference * 1e3, label="reference", color="0.6", linewidth=3)
-    above.plot(time_s, axis.position * 1e3, label="measured", color="tab:blue", linewidth=1)
-    above.set_ylabel("position / mm")
-    above.legend(loc="upper right")
-    below.plot(time_s, error * 1e6, color="tab:red", linewidth=0.8)
-    below.set_ylabel("error / um")
-    below.set_xlabel("time / s")
-    for each in (above, below):
+    from dfm_stage.recording import read_record
+
+    figure, axes = plt.subplots(1 + len(bags), 1, sharex=True, figsize=(8, 6), dpi=120,
+                                constrained_layout=True)
+    print(f"   {'tracking error':24} {'line RMS':>12} {'line peak':>12} {'turn peak':>12}   um")
+    for index, (label, bag) in enumerate(bags.items()):
+        record = read_record(bag)
+        axis = record.axes["x"]
+        if axis.reference is None:
+            raise DfmError(f"{bag}: no reference was recorded")
+        time_s, error = record.time, axis.position - axis.reference
+        speed = np.gradient(axis.reference, time_s)
+        settled = time_s > SETTLED_S
+        line = settled & (np.abs(np.gradient(speed, time_s)) < 1e-3 * np.max(np.abs(speed)))
+        turn = settled & ~line
+        figures = (np.sqrt(np.mean(error[line] ** 2)), np.max(np.abs(error[line])),
+                   np.max(np.abs(error[turn])))
+        print(f"   {label:24} " + " ".join(f"{value * 1e6:12.2f}" for value in figures))
+        if index == 0:
+            axes[0].plot(time_s, axis.reference * 1e3, color="0.6", linewidth=3,
+                         label="reference")
+        axes[0].plot(time_s, axis.position * 1e3, linewidth=1, label=label)
+        axes[1 + index].plot(time_s, error * 1e6, color=f"C{index}", linewidth=0.8)
+        axes[1 + index].set_ylabel(f"error / um\n{label}")
+    axes[0].set_ylabel("position / mm")
+    axes[0].legend(loc="upper right")
+    axes[-1].set_xlabel("time / s")
+    for each in axes:
         each.grid(alpha=0.3)
     figure.savefig(picture)
     plt.close(figure)

@@ -101,9 +101,9 @@ class AmplifierDriver(LoopNode):
         response.success, response.message = True, "disarmed, output at zero"
         return response
 
-    def waiting_for(self) -> str | None:
+    def waiting_for(self) -> tuple[str, int] | None:
         """Without a command there is nothing to drive."""
-        return None if self._seq else "command"
+        return None if self._seq else ("command", 0)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -167,8 +167,8 @@ class LoopNode(Node):
         """Return what the bag should know about this node besides its parameters."""
         return {}
 
-    def waiting_for(self) -> str | None:
-        """Return which topic a lockstep sample has been waiting for, or None."""
+    def waiting_for(self) -> tuple[str, int] | None:
+        """Return which topic a lockstep sample is waiting for and its number, or None."""
         return None
 
     def not_ready(self) -> str | None:
@@ -234,7 +234,7 @@ class LoopNode(Node):
         response.message = "; ".join(reasons)
         return response
 
-    _waiting_since: tuple[str, float] | None = None
+    _waiting_since: tuple[tuple[str, int], float] | None = None
 
     def _every_second(self) -> None:
         waiting = self.waiting_for() if self.lockstep else None
@@ -245,8 +245,8 @@ class LoopNode(Node):
             self._waiting_since = (waiting, time.monotonic())
         elif time.monotonic() - self._waiting_since[1] >= LOCKSTEP_PATIENCE_S:
             if "waiting" not in self.warnings_active:
-                self.get_logger().warning(f"lockstep: waiting for {waiting}")
-            self.warnings_active["waiting"] = f"waiting for {waiting}"
+                self.get_logger().warning(f"lockstep: waiting for {waiting[0]}")
+            self.warnings_active["waiting"] = f"waiting for {waiting[0]}"
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK,
             name=self.get_fully_qualified_name(), hardware_id=self.axis,

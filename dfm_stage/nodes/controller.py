@@ -151,16 +151,16 @@ class Controller(LoopNode):
         self._out.send(stamp, self._seq, measurement.seq, measurement.stamp_ns, voltage,
                        saturated)
 
-    def waiting_for(self) -> str | None:
+    def waiting_for(self) -> tuple[str, int] | None:
         """Return which part of the answer is missing."""
         measurement = self._measurement
         if measurement is None:
-            return "measurement"
+            return "measurement", 0
         if self._last_seq == measurement.seq:
             return None
         for name, part in (("reference", self._reference), ("excitation", self._excitation)):
             if part is None or part.seq != measurement.seq:
-                return f"{name} (or for an experiment to start)"
+                return f"{name} (or for an experiment to start)", measurement.seq
         return None
 
 

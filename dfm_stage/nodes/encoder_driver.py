@@ -61,9 +61,9 @@ class EncoderDriver(LoopNode):
         self._out.send(sample.stamp_ns, sample.seq, position, counts, flags)
         self.count("samples")
 
-    def waiting_for(self) -> str | None:
+    def waiting_for(self) -> tuple[str, int] | None:
         """Without a first sample there is nothing to answer."""
-        return None if self._last is not None else "sim/position_counts"
+        return None if self._last is not None else ("sim/position_counts", 0)
 
     def not_ready(self) -> str | None:
         """The scale must be there."""

@@ -153,11 +153,11 @@ class SimPlant(LoopNode):
             axis.plant.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
                             sample.current, sample.force_n)
 
-    def waiting_for(self) -> str | None:
+    def waiting_for(self) -> tuple[str, int] | None:
         """Return the drive that has not come."""
         for axis in self._axes:
             if self._published and axis.answered != self.seq:
-                return axis.topic
+                return axis.topic, self.seq
         return None
 
 

@@ -84,7 +84,7 @@ def test_between_experiments_the_loop_waits_for_a_reference(tmp_path):
     with StageGraph(lockstep=True, composed=True) as graph:
         controller = next(each.node for each in graph._launched if each.kind == "controller")
         graph.spin_until(lambda: controller._measurement is not None, 5.0, "a measurement")
-        assert "reference" in controller.waiting_for()
+        assert "reference" in controller.waiting_for()[0]
 
 
 def test_pid_follows_and_settles(tmp_path):
