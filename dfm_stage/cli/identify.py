@@ -18,7 +18,7 @@ from dfm_stage.cli.progress import Progress
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
-    from dfm_stage.identification.identify import Identification, Source
+    from dfm_stage.identification import Identification, Source
     from dfm_stage.model import Model
 
 EPILOG = """\
@@ -93,7 +93,7 @@ def _identify(options: argparse.Namespace) -> int:
     out = _folder(options.out)
     with _steps() as step:
         step("reading")
-        from dfm_stage.identification.identify import identify
+        from dfm_stage.identification import identify
         from dfm_stage.model import load_model, save_model
 
         model = load_model(options.model).axis(options.axis) if options.model else None
@@ -121,7 +121,7 @@ def _identify(options: argparse.Namespace) -> int:
 
 
 def _source(path: str, options: argparse.Namespace) -> Source:
-    from dfm_stage.identification.identify import Source
+    from dfm_stage.identification import Source
     from dfm_stage.recording import read_record
 
     record = read_record(path, axis=options.axis, time=options.time, input=options.input,

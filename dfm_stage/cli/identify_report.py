@@ -30,8 +30,8 @@ from dfm_stage.reporting import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from dfm_stage.identification.identify import Identification
     from dfm_stage.identification.residuals import LineResidual, ResidualTest
+    from dfm_stage.identification.workflow import Identification
     from dfm_stage.reporting.table import Cell
 
 Array = NDArray[np.float64]
@@ -217,6 +217,9 @@ def _line_figure(lines: LineResidual) -> Drawing:
         axis.semilogx(lines.frequency_hz, lines.ratio, "o", color="C0", markersize=3.0)
         axis.axhline(lines.band, color="C1", linewidth=1.0)
         axis.set_yscale("log")
+        for each in (axis.xaxis, axis.yaxis):
+            each.set_major_formatter(lambda value, _: f"{value:g}")
+            each.set_minor_formatter("")
         axis.set_ylabel("power ratio")
         axis.set_xlabel("frequency (Hz)")
     worst = int(np.argmax(lines.ratio))

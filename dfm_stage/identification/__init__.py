@@ -1,14 +1,12 @@
 """Identification: frequency response, transfer function, output error, residual tests."""
 
 from dfm_stage.identification.errors import IdentificationError
-from dfm_stage.identification.estimate import Estimate, SegmentFit
 from dfm_stage.identification.frequency_response import (
     Distortion,
     FrequencyResponse,
     frequency_response,
 )
 from dfm_stage.identification.identifiability import BlindDirection, Identifiability
-from dfm_stage.identification.identify import Identification, Source, identify
 from dfm_stage.identification.model_fit import (
     ModelFit,
     Run,
@@ -27,10 +25,13 @@ from dfm_stage.identification.residuals import (
     line_residuals,
     whiteness,
 )
+from dfm_stage.identification.result import Estimate, SegmentFit
+from dfm_stage.identification.source import Source
 from dfm_stage.identification.transfer_function import (
     TransferFunctionFit,
     fit_transfer_function,
 )
+from dfm_stage.identification.workflow import Identification, identify
 
 __all__ = [
     "BlindDirection", "Distortion", "Estimate", "FrequencyResponse", "Identifiability",

@@ -138,42 +138,49 @@ def frequency_response(input_: Array, output: Array, sample_period: float, *,
                                   "interpolate them first")
     if np.ptp(u) == 0.0:
         raise IdentificationError("the input never moves: excite the stage")
-    found = _periodicity(u, reference, period)
-    if found is not None and len(poles):
-        y = without_transient(y, found, poles, sample_period)
+    exciting, found = _periodicity(u, reference, period)
     if found is None:
         return _aperiodic(u, y, sample_period, reference, input_unit, output_unit)
+    if len(poles):
+        y = without_transient(y, found, poles, sample_period)
+    if lines is None:
+        lines = _lines_of(exciting, found)
     return _periodic(u, y, sample_period, found, lines, drop, input_unit, output_unit)
 
 
-def _periodicity(u: Array, reference: Array | None, period: int | None) -> Periodicity | None:
+def _periodicity(u: Array, reference: Array | None,
+                 period: int | None) -> tuple[Array, Periodicity | None]:
+    """Return the signal that repeats and how; the input without one."""
     if period is not None:
         if not 2 <= period <= u.size // 2:
             raise IdentificationError(f"a period of {period} samples does not fit twice into "
                                       f"{u.size}: record at least two periods")
         count = u.size // period
-        return Periodicity(period, u.size - count * period, count)
+        return u, Periodicity(period, u.size - count * period, count)
     for signal in (reference, u):
         if signal is not None and np.ptp(signal) > 0.0:
             found = find_period(np.asarray(signal, dtype=float))
             if found is not None:
-                return found
-    return None
+                return signal, found
+    return u, None
+
+
+def _lines_of(exciting: Array, found: Periodicity) -> NDArray[np.int64]:
+    late = np.fft.rfft(found.fold(exciting)[found.count // 2:], axis=1) / found.period
+    spread = late.std(axis=0, ddof=1) / math.sqrt(len(late)) if len(late) > 1 else None
+    lines = excited_lines(np.abs(late.mean(axis=0)), spread)
+    if not lines.size:
+        raise IdentificationError("no line of the input stands out of its noise: excite more")
+    return lines
 
 
 def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
-              lines: NDArray[np.int64] | None, drop: int | None, input_unit: str,
+              lines: NDArray[np.int64], drop: int | None, input_unit: str,
               output_unit: str) -> FrequencyResponse:
     warnings: list[str] = []
     size = found.period
     inputs = np.fft.rfft(found.fold(u), axis=1) / size
     outputs = np.fft.rfft(found.fold(y), axis=1) / size
-    if lines is None:
-        late = inputs[found.count // 2:]
-        spread = late.std(axis=0, ddof=1) / math.sqrt(late.shape[0]) if len(late) > 1 else None
-        lines = excited_lines(np.abs(late.mean(axis=0)), spread)
-    if not lines.size:
-        raise IdentificationError("no line of the input stands out of its noise: excite more")
     transient = settled_from(outputs[:, lines]) if drop is None else drop
     used = found.count - transient
     if used < 2:

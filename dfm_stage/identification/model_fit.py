@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.identification.errors import IdentificationError
-from dfm_stage.identification.estimate import Estimate, SegmentFit
 from dfm_stage.identification.output_error import Problem, Segment, Unknown, estimate
 from dfm_stage.identification.plant import LinearPlant, Mode
+from dfm_stage.identification.result import Estimate, SegmentFit
 from dfm_stage.model import EFFECTS, Model, Reparametrisation, SimulationError, Simulator
 
 Array = NDArray[np.float64]

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.identification.errors import IdentificationError
-from dfm_stage.identification.estimate import Estimate, SegmentFit
 from dfm_stage.identification.identifiability import Identifiability, judge
 from dfm_stage.identification.least_squares import (
     RANK_TOLERANCE,
@@ -28,6 +27,7 @@ from dfm_stage.identification.least_squares import (
     spectral,
 )
 from dfm_stage.identification.noise import NoiseModel, fit_noise, score_covariance, whiten
+from dfm_stage.identification.result import Estimate, SegmentFit
 
 Array = NDArray[np.float64]
 

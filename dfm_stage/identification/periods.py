@@ -91,13 +91,13 @@ def _repeating_run(x: Array, period: int, tolerance: float) -> tuple[int, int]:
     if blocks == 0:
         return 0, 0
     stop = squared.size
-    edges = stop - window * np.arange(blocks, -1, -1)
-    means = (sums[edges[1:]] - sums[edges[:-1]]) / window
+    edges = np.unique(np.append(stop - window * np.arange(blocks, -1, -1), 0))
+    means = (sums[edges[1:]] - sums[edges[:-1]]) / np.diff(edges)
     good = means <= 20.0 * tolerance
     best_length, best = 0, (0, 0)
     begin = None
-    for i in range(blocks + 1):
-        if i < blocks and good[i]:
+    for i in range(good.size + 1):
+        if i < good.size and good[i]:
             begin = i if begin is None else begin
         elif begin is not None:
             if i - begin > best_length:

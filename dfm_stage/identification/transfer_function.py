@@ -25,6 +25,10 @@ from dfm_stage.identification.quantity import Quantity, propagate
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+DAMPING_RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+LATENESS = (0.0, 1.0, 3.0)
+"""Damping ratios and delays (samples) from which the search for a mode starts."""
+
 
 @dataclass(frozen=True)
 class TransferFunctionFit:
@@ -205,42 +209,49 @@ class _Shape:
         weight = 1.0 / (sigma + 0.05 * np.abs(response))
         s = 1j * omega
         hold = -np.expm1(-s * period) / (s * period)
-        grid = np.geomspace(0.5 * omega[0], 1.2 * omega[-1], 120)
-        grid = np.unique(np.concatenate((grid, omega)))
-        ratios = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+        grid = np.unique(np.concatenate((np.geomspace(0.5 * omega[0], 1.2 * omega[-1], 120),
+                                         omega)))
+        sprung = np.array([(2.0 * z * w, w * w) for w in grid for z in DAMPING_RATIOS])
+        free = np.array([(c, 0.0) for c in (0.0, *grid / 10.0)])
+        late_by = LATENESS if self.lag or self.delay else (0.0,)
         found: list[tuple[float, float]] = []
         late = 0.0
         for i in range(self.modes):
-            pairs = ([(c, 0.0) for c in np.concatenate(([0.0], grid / 10.0))]
-                     if self.free_body and i == 0
-                     else [(2.0 * z * w, w * w) for w in grid for z in ratios])
-            best = (math.inf, pairs[0], 0.0)
-            for lateness in (0.0, 0.5, 1.0, 2.0, 4.0) if self.lag or self.delay else (0.0,):
-                shift = hold * np.exp(-s * lateness * period)
-                fixed = [shift / (s * s + c * s + k) for c, k in found]
-                for pair in pairs:
-                    basis = [*fixed, shift / (s * s + pair[0] * s + pair[1])]
-                    cost, _ = _linear(basis, response, weight)
-                    if cost < best[0]:
-                        best = (cost, pair, lateness * period)
-            found.append(best[1])
-            late = best[2]
+            pairs = free if self.free_body and i == 0 else sprung
+            best = math.inf
+            for lateness in late_by:
+                shift = hold * np.exp(-s * lateness * period) * weight
+                fixed = np.array([shift / (s * s + c * s + k) for c, k in found])
+                trial = shift / (s * s + pairs[:, :1] * s + pairs[:, 1:])
+                costs = _costs(fixed.reshape(-1, s.size), trial, response * weight)
+                at = int(np.argmin(costs))
+                if costs[at] < best:
+                    best, late = float(costs[at]), lateness * period
+                    pair = (float(pairs[at, 0]), float(pairs[at, 1]))
+            found.append(pair)
         shift = hold * np.exp(-s * late)
-        _, numerators = _linear([shift / (s * s + c * s + k) for c, k in found], response, weight)
-        modes = tuple(Mode(float(b), float(c), float(k))
+        basis = np.array([shift * weight / (s * s + c * s + k) for c, k in found], dtype=complex)
+        numerators = _solve(basis[None], response * weight)[0]
+        modes = tuple(Mode(float(b), c, k)
                       for b, (c, k) in zip(numerators, found, strict=True))
         both = self.lag and self.delay
         return self.vector(LinearPlant(modes, 0.5 * late if both else late * self.lag,
                                        0.5 * late if both else late * self.delay))
 
 
-def _linear(basis: list[Complex], response: Complex, weight: Array) -> tuple[float, Array]:
-    """Return the weighted cost and the real coefficients of the best sum of `basis`."""
-    columns = np.array(basis) * weight
-    target = response * weight
-    gram = (columns.conj() @ columns.T).real
-    right = (columns.conj() @ target).real
-    norm = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    solved = np.linalg.lstsq(gram / np.outer(norm, norm), right / norm, rcond=1e-12)[0] / norm
-    cost = float(np.sum(np.abs(target) ** 2) - 2.0 * solved @ right + solved @ gram @ solved)
-    return cost, solved
+def _costs(fixed: Complex, trial: Complex, target: Complex) -> Array:
+    """Return the cost (G,) of the best real sum of `fixed` (m, F) and each row of `trial` (G, F).
+    """
+    basis = np.concatenate((np.broadcast_to(fixed, (len(trial), *fixed.shape)),
+                            trial[:, None, :]), axis=1)
+    sums = np.einsum("gm,gmf->gf", _solve(basis, target), basis)
+    return np.asarray(np.sum(np.abs(target - sums) ** 2, axis=1))
+
+
+def _solve(basis: Complex, target: Complex) -> Array:
+    """Return the real coefficients (G, m) of the least-squares sum of `basis` (G, m, F)."""
+    gram = np.einsum("gif,gjf->gij", basis.conj(), basis).real
+    right = np.einsum("gif,f->gi", basis.conj(), target).real
+    norm = np.sqrt(np.maximum(np.einsum("gii->gi", gram), 1e-300))
+    scaled = gram / (norm[:, :, None] * norm[:, None, :]) + 1e-9 * np.eye(gram.shape[1])
+    return np.asarray(np.linalg.solve(scaled, (right / norm)[:, :, None])[:, :, 0] / norm)

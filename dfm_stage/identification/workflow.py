@@ -11,89 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.identification.errors import IdentificationError
-from dfm_stage.identification.estimate import Estimate, SegmentFit
+from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
 from dfm_stage.identification.model_fit import (
     ModelFit,
-    Run,
     default_free,
-    evaluate,
     expand_names,
     fit_model,
     linear_plant,
 )
 from dfm_stage.identification.paper import PaperRow, compare_with_paper
-from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.plant import LinearPlant
 from dfm_stage.identification.quantity import Quantity
-from dfm_stage.identification.residuals import (
-    LineResidual,
-    ResidualTest,
-    input_correlation,
-    line_residuals,
-    noise_floor_from_periods,
-    whiteness,
-)
+from dfm_stage.identification.residuals import LineResidual, ResidualTest
+from dfm_stage.identification.result import Estimate
+from dfm_stage.identification.source import Source
 from dfm_stage.identification.transfer_function import (
     TransferFunctionFit,
     fit_transfer_function,
 )
 from dfm_stage.model import Model
-from dfm_stage.recording import AxisRecord
 
 Array = NDArray[np.float64]
 
 PAPER_MASS = 1.082
 """Moving mass (kg) assumed where no model gives one: 650 N/m over (24.51 rad/s)^2."""
-
-LEAD_IN = 200
-"""Samples simulated but not compared where a record is cut: the delay and the lag fill up."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """One axis of one record, ready for identification."""
-
-    name: str
-    axis: AxisRecord
-    sample_period: float
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def driver(self) -> Array | None:
-        """The signal that excites a closed loop, None where there is none but the input."""
-        for signal in (self.axis.extra.get("excitation"), self.axis.reference):
-            if signal is not None and np.all(np.isfinite(signal)) and np.ptp(signal) > 0.0:
-                return signal
-        return None
-
-    def run(self) -> Run:
-        """Return what output-error estimation takes."""
-        return Run(self.name, self.axis.input, self.axis.position, self.sample_period)
-
-
-@dataclass(frozen=True)
-class NoiseFloor:
-    """RMS that no model can explain, and where that is known from: periods or innovations."""
-
-    rms: float
-    known_from: str
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """How well a model explains one record: `source` says which samples, `fitted` whether the
-    model had seen them."""
-
-    source: str
-    fit: SegmentFit
-    floor: NoiseFloor
-
-    def to_dict(self, unit: str) -> dict[str, Any]:
-        """As JSON keeps it."""
-        return {"source": self.source, "rms": self.fit.rms, "noise_floor": self.floor.rms,
-                "noise_floor_from": self.floor.known_from, "unit": unit,
-                "fit_percent": self.fit.fit_percent}
 
 
 @dataclass(frozen=True)
@@ -184,11 +126,11 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     warnings += _remarks(fit.estimate)
     step("residuals")
     period = _period_of(responses[0]) if responses and responses[0] is not None else None
-    evaluations = tuple(_evaluation(s.name, part, period)
+    evaluations = tuple(judged(s.name, part, period)
                         for s, part in zip(sources, fit.fits, strict=True))
-    tests, lines = _test(sources[0], fit.fits[0], responses[0], period)
+    tests, lines = residual_tests(sources[0], fit.fits[0], responses[0], period)
     step("hold-out")
-    held_out = _hold_out(sources, holdout, fit, names, noise, period)
+    held_out = hold_out(sources, holdout, fit, names, noise, period)
     frequency, ratio, gain = summary(fit)
     paper = _paper_rows(fit) if _like_the_paper(sources[0]) else ()
     return Identification(fit, tuple(sources), tuple(r for r in responses if r is not None),
@@ -347,58 +289,11 @@ def _period_of(response: FrequencyResponse) -> int | None:
     if response.method != "periods" or not response.lines.size:
         return None
     base = response.omega[0] / response.lines[0]
-    return round(2.0 * math.pi / (base * response.sample_period))
-
-
-def _period_in(source: Source) -> int | None:
-    for signal in (source.driver, source.axis.input):
-        found = find_period(signal) if signal is not None else None
-        if found is not None:
-            return found.period
-    return None
-
-
-def _evaluation(name: str, fit: SegmentFit, period: int | None) -> Evaluation:
-    floor = noise_floor_from_periods(fit.residual, period) if period else None
-    if floor is not None:
-        return Evaluation(name, fit, NoiseFloor(floor, "periods"))
-    rms = float(np.sqrt(np.mean(fit.innovations**2)))
-    return Evaluation(name, fit, NoiseFloor(rms, "innovations"))
-
-
-def _test(source: Source, fit: SegmentFit, response: FrequencyResponse | None,
-          period: int | None) -> tuple[tuple[ResidualTest, ...], LineResidual | None]:
-    lost = fit.skip + fit.noise.order
-    tests = (whiteness(fit.innovations, fitted=fit.noise.order),
-             input_correlation(fit.innovations, source.axis.input[lost:]))
-    if response is None or period is None:
-        return tests, None
-    return tests, line_residuals(fit.residual, period, response.lines, source.sample_period)
-
-
-def _hold_out(sources: Sequence[Source], holdout: Sequence[Source], fit: ModelFit,
-              names: Sequence[str], noise: str, period: int | None) -> tuple[Evaluation, ...]:
-    if holdout:
-        return tuple(_evaluation(s.name, evaluate(fit.model, s.run(), noise=noise),
-                                 _period_in(s)) for s in holdout)
-    whole = sources[0].run()
-    cut = 3 * whole.input.size // 4
-    if whole.input.size - cut < 100:
-        return ()
-    early = replace(whole, input=whole.input[:cut], output=whole.output[:cut])
-    before = min(cut, LEAD_IN)
-    late = replace(whole, input=whole.input[cut - before:], output=whole.output[cut - before:],
-                   skip=before)
-    runs = [early, *(s.run() for s in sources[1:])]
-    part = fit_model(fit.model, runs, names, noise=noise)
-    if not part.estimate.ok:
-        return ()
-    return (_evaluation(f"{whole.name}, last quarter, fitted without it",
-                        evaluate(part.model, late, noise=noise), period),)
+    return round(2.0 * math.pi / float(base * response.sample_period))
 
 
 def _like_the_paper(source: Source) -> bool:
-    return source.axis.input_unit == "V" and source.axis.position_unit == "m"
+    return (source.axis.input_unit, source.axis.position_unit) == ("V", "m")
 
 
 def _paper_rows(fit: ModelFit) -> tuple[PaperRow, ...]:
