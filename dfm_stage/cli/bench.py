@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import difflib
 import importlib
 import json
@@ -22,6 +23,7 @@ from dfm_stage.errors import DfmError
 
 ROOT = Path(__file__).resolve().parents[2]
 STDERR = 2
+PR_SET_PDEATHSIG = 1
 COLUMNS = ("key", "value", "unit", "bar", "", "peer", "peer value", "ratio", "how")
 
 
@@ -65,8 +67,9 @@ def run_one(name: str, folder: Path, quick: bool) -> list[dict[str, Any]]:
     """
     with tempfile.TemporaryDirectory(prefix="dfm_stage_bench_") as scratch:
         answer = Path(scratch) / "figures.json"
-        command = [sys.executable, "-m", "dfm_stage.cli.bench", "--child", str(answer)]
-        command += ["--folder", str(folder), *(["--quick"] if quick else []), name]
+        command = [sys.executable, "-m", "dfm_stage.cli.bench"]
+        command += ["--child", str(answer), str(os.getpid()), "--folder", str(folder)]
+        command += [*(["--quick"] if quick else []), name]
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=STDERR) as child:
             try:
                 code = child.wait()
@@ -81,6 +84,13 @@ def run_one(name: str, folder: Path, quick: bool) -> list[dict[str, Any]]:
             raise BenchError(f"benchmark {name} failed ({how}): its own message is above")
         figures: list[dict[str, Any]] = json.loads(answer.read_text("utf-8"))
         return figures
+
+
+def _end_with(parent: int) -> None:
+    """Be interrupted when the process `parent`, which started this one, ends in whatever way."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT, 0, 0, 0)
+    if os.getppid() != parent:
+        raise KeyboardInterrupt
 
 
 def _run_child(name: str, folder: Path, quick: bool, answer: Path) -> int:
@@ -151,7 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="shorter runs, rougher figures")
     parser.add_argument("--list", action="store_true", help="print the names and stop")
     parser.add_argument("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS)
-    parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     return parser
 
 
@@ -172,7 +182,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     folder = options.folder.resolve()
     if options.child:
-        return _run_child(options.names[0], folder, options.quick, options.child)
+        answer, parent = options.child
+        _end_with(int(parent))
+        return _run_child(options.names[0], folder, options.quick, Path(answer))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         names = _chosen(options.names, folder)
