@@ -4,20 +4,23 @@ Each module of `dfm_stage.model.effects` holds one `EFFECT`. Nothing else has to
 an effect: the registry finds it, the kernel compiles its hooks in, validation, fitting and the
 documentation read its data.
 
-Hooks are plain functions of floats and arrays that numba can compile. `p` is the effect's own
-parameter array, in the order of `parameters`; `x` (m) and `v` (m/s) are position and velocity of
-the driven point, `drive` is the input after delay, limit, amplifier and coil (V, or A).
+Hooks are plain functions of floats and arrays that numba can compile. `p` is the tuple
+of the effect's own parameters, in the order of `parameters`; `x` (m) and `v` (m/s) are position and velocity of
+the driven point, `actuator` (N) the force of an actuator of constant force constant.
 
-`force(x, v, drive, p) -> N`
+`force(x, v, actuator, p) -> N`
     A smooth force on the driven point.
 `advance(z, dx, v0, v1, p) -> z` with `bristle_force(z, v, p) -> N`
     A force with memory: the state `z` after the point moved by `dx` without reversing, while its
     velocity went from `v0` to `v1`; and the force that goes with it.
-`stamp(a, rows, first, p, base)`
-    A linear part with states of its own, see `dfm_stage.model.kernel.assemble`.
-`sense(y, x, t, other, p) -> m`
-    What is added to the reading `y` of the encoder at time `t`; `other` is the position of the
+`stamp(a, rows, first, p)` with `states`
+    A linear part whose states begin at index `first`, see `dfm_stage.model.kernel.assemble`;
+    `start(state, first, p)` gives them initial values.
+`sense(x, t, other, p) -> m`
+    What is added to the encoder's reading at time `t` (s); `other` (m) is the position of the
     neighbouring axis.
+`encode(reading, dither, p) -> m`
+    The mean of the rounded reading when noise of RMS `dither` is added before rounding.
 `other_force(p) -> N/m`
     Force per metre of the neighbouring axis.
 `adds_to`
@@ -99,7 +102,9 @@ class Effect:
     advance: Callable[..., float] | None = field(default=None, repr=False)
     bristle_force: Callable[..., float] | None = field(default=None, repr=False)
     stamp: Callable[..., None] | None = field(default=None, repr=False)
+    start: Callable[..., None] | None = field(default=None, repr=False)
     sense: Callable[..., float] | None = field(default=None, repr=False)
+    encode: Callable[..., float] | None = field(default=None, repr=False)
     other_force: Callable[..., float] | None = field(default=None, repr=False)
 
     @property

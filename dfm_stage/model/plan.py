@@ -13,9 +13,13 @@ from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.description import Model, unknown_name
 from dfm_stage.model.errors import ModelError
 from dfm_stage.model.kernel import slots
+from dfm_stage.model.kernel.events import TERMS
 from dfm_stage.model.registry import EFFECTS
 
 Array = NDArray[np.float64]
+
+
+DIRECTED_LEVELS, SMOOTH_LEVELS = 19, 9
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Plan:
     """A model compiled to flat arrays; see `dfm_stage.model.kernel.slots` for the addresses."""
 
     model: Model
-    on: NDArray[np.bool_]
+    on: int
     layout: NDArray[np.int64]
     theta: Array
     states: tuple[str, ...]
@@ -31,7 +35,7 @@ class Plan:
     @classmethod
     def of(cls, model: Model, changing: Sequence[str] = (), longest_delay: float = 0.0) -> Plan:
         """The plan of `model`, with room for base parameters `changing` from zero."""
-        on = np.array([model.effect(name) is not None for name in slots.EFFECT_NAMES], dtype=bool)
+        on = sum(1 << slots.BIT[use.name] for use in model.effects)
         theta = theta_of(model)
         layout = np.full(slots.LAYOUT_FIXED + len(slots.STATE_NAMES), -1, dtype=np.int64)
         states = ["position", "velocity"]
@@ -47,19 +51,32 @@ class Plan:
         delay = max(theta[slots.DELAY], longest_delay)
         layout[slots.ORDER] = n
         layout[slots.HISTORY] = math.floor(delay / model.sample_period + 1e-9) + 2
+        layout[slots.CURVED] = on & slots.FORCED != 0
+        layout[slots.DIRECTED] = on & slots.REVERSING != 0
+        layout[slots.LEVELS] = levels = (
+            0 if not layout[slots.CURVED] else
+            DIRECTED_LEVELS if layout[slots.DIRECTED] else SMOOTH_LEVELS)
+        sticks = levels if layout[slots.DIRECTED] else 0
         sizes = {slots.AT_HEAD: slots.HEAD_SIZE, slots.AT_STATE: n,
+                 slots.AT_BRISTLE: slots.BRISTLES,
                  slots.AT_HISTORY: int(layout[slots.HISTORY]), slots.AT_A: n * (n + 1),
-                 slots.AT_ROWS: slots.ROWS * (n + 1), slots.AT_DISCRETE: n * (n + 7)}
+                 slots.AT_ROWS: slots.ROWS * (n + 1), slots.AT_DISCRETE: n * (n + 7),
+                 slots.AT_HELD: n * (n + 1), slots.AT_NODE: 18 * levels * (n + 5),
+                 slots.AT_END: 2 * levels * n * (n + 5),
+                 slots.AT_STICK_NODE: 12 * sticks * (n + 1),
+                 slots.AT_STICK_END: 2 * sticks * n * (n + 1),
+                 slots.AT_SCRATCH: n + 3 * slots.BRISTLES + (n + 1) * TERMS}
         first = 0
         for at, size in sizes.items():
             layout[at] = first
             first += size
-        layout[slots.AT_TABLE] = first
-        return cls(model, on, layout, theta, tuple(states))
+        layout[slots.WORK_SIZE] = first
+        kept = [use.name for use in model.effects if use.name in slots.BRISTLE_NAMES]
+        return cls(model, on, layout, theta, (*states, *kept))
 
     def work(self) -> Array:
         """A fresh work array, not prepared yet."""
-        work = np.zeros(int(self.layout[slots.AT_TABLE]))
+        work = np.zeros(int(self.layout[slots.WORK_SIZE]))
         work[self.layout[slots.AT_HEAD] + slots.PERIOD] = self.model.sample_period
         return work
 
@@ -116,3 +133,28 @@ def place(model: Model, states: Sequence[str], address: str) -> int:
     if address not in known:
         raise ModelError(unknown_name("parameter", address, known))
     return known[address]
+
+
+def parameter_table(plan: Plan, names: Sequence[str], matrix: Array) -> tuple[Plan, Array]:
+    """A plan with room for the changing parameters, and theta for each row of `matrix`.
+
+    Raises
+    ------
+    ModelError
+        If a name is not known.
+    """
+    model = plan.model
+    places = [place(model, plan.states, name) for name in names]
+    longest = sum((float(matrix[:, column].max(initial=0.0)) for column, name in enumerate(names)
+                   if name in ("delay", "transport_delay.delay")), plan.theta[slots.DELAY])
+    wide = Plan.of(model, names, longest)
+    base = wide.theta.copy()
+    for use in model.effects:
+        slot = EFFECTS[use.name].adds_to
+        if slot is not None:
+            base[slots.SLOT_NAMES.index(slot)] = model.base.get(slot, 0.0)
+    table = np.tile(base, (len(matrix), 1))
+    for column, index in enumerate(places):
+        table[:, index] = matrix[:, column]
+    apply_slots(model, table)
+    return wide, table

@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from dfm_stage.model.description import Model
-from dfm_stage.model.kernel import record, slots
+from dfm_stage.model.kernel import slots
+from dfm_stage.model.kernel.record import peek, run
+from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.plan import Plan, place
 
-_NO_OTHER = np.empty(0)
-_ALL = np.arange(len(slots.SIGNALS))
+_NONE = np.empty((0, 4))
+_NOWHERE = np.full(len(slots.SIGNALS), -1)
 _DRAWS = 1024
 FINEST_COUNT_M = 1e-12
 
@@ -55,11 +57,13 @@ class Plant:
         self._work = self._plan.work()
         self._theta = self._plan.theta.copy()
         self._held, self._out = np.zeros(1), np.zeros((len(slots.SIGNALS), 1))
-        self._no_force, self._force = np.empty((0, 4)), np.zeros((1, 4))
+        self._force = np.zeros((1, 4))
         self._noise = float(self._theta[slots.NOISE])
+        step = self.model.effect("encoder_quantization")
+        self._step = step.parameters["step"] if step else 0.0
         resolution = float(self._theta[slots.RESOLUTION])
         self.count_size_m = resolution if resolution > 0.0 else FINEST_COUNT_M
-        record.prepare(self._plan.on, self._plan.layout, self._theta, self._work)
+        prepare(self._plan.on, self._plan.layout, self._theta, self._work)
         self.reset()
 
     @property
@@ -74,7 +78,7 @@ class Plant:
         theta[slots.FIRST_INITIAL:] = 0.0
         for name, value in {"position": position, "velocity": velocity, **(states or {})}.items():
             theta[place(self.model, self._plan.states, f"initial.{name}")] = value
-        record.reset(self._plan.layout, theta, past_input, self._work)
+        reset(self._plan.on, self._plan.layout, theta, past_input, self._work)
         self._generator = np.random.default_rng(self.seed)
         self._draws: list[float] = []
         self._sample: Sample | None = None
@@ -86,13 +90,15 @@ class Plant:
         return self._sample
 
     def _look(self) -> Sample:
-        record.peek(self._plan.on, self._plan.layout, self._theta, self._work, self._out)
-        position, velocity, current, force, output = self._out[:, 0].tolist()
+        peek(self._plan.on, self._plan.layout, self._theta, self._work, _NONE, self._out)
+        position, velocity, current, force, reading, _ = self._out[:, 0].tolist()
         if self._noise > 0.0:
             if not self._draws:
                 self._draws = self._generator.standard_normal(_DRAWS)[::-1].tolist()
-            output += self._noise * self._draws.pop()
-        counts = round(output / self.count_size_m)
+            reading += self._noise * self._draws.pop()
+        if self._step > 0.0:
+            reading = round(reading / self._step) * self._step
+        counts = round(reading / self.count_size_m)
         return Sample(position, velocity, current, force, counts, counts * self.count_size_m)
 
     def advance(self, input: float, external_force_n: float = 0.0) -> None:
@@ -100,10 +106,10 @@ class Plant:
         if self._sample is None:
             self.sample()
         self._held[0] = input
-        force = self._no_force
+        force = _NONE
         if external_force_n != 0.0:
             self._force[0, 0] = external_force_n
             force = self._force
-        record.run(self._plan.on, self._plan.layout, self._theta, self._work, self._held, force,
-                   _NO_OTHER, _ALL, self._out)
+        run(self._plan.on, self._plan.layout, self._theta, self._work, self._held, force,
+                _NONE, _NOWHERE, self._out)
         self._sample = None

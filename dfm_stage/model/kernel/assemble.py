@@ -33,13 +33,15 @@ from dfm_stage.model.kernel.slots import (
 )
 
 Array = NDArray[np.float64]
+INSTANT = 1e-6
+"""A lag shorter than this part of a sample period is taken as none."""
 _AMPLIFIER_STATE, _COIL_STATE = LAYOUT_FIXED + 2, LAYOUT_FIXED + 3
 
 
 @compiled
-def lag(a: Array, rows: Array, state: int, time_constant: float) -> None:
-    """Put a first-order lag into the drive; without delay where the time constant is zero."""
-    if state < 0 or time_constant <= 0.0:
+def lag(a: Array, rows: Array, state: int, time_constant: float, shortest: float) -> None:
+    """Put a first-order lag into the drive; none where it is shorter than `shortest`."""
+    if state < 0 or time_constant <= shortest:
         return
     for j in range(rows.shape[1]):
         a[state, j] = rows[ROW_DRIVE, j] / time_constant
@@ -49,9 +51,10 @@ def lag(a: Array, rows: Array, state: int, time_constant: float) -> None:
 
 
 @compiled
-def assemble(on: NDArray[np.bool_], layout: NDArray[np.int64], theta: Array, a: Array,
+def assemble(on: int, layout: NDArray[np.int64], theta: Array, period: float, a: Array,
              rows: Array) -> None:
     """Fill `a` and `rows` for the parameters `theta`."""
+    shortest = INSTANT * period
     n = a.shape[0]
     a[:] = 0.0
     rows[:] = 0.0
@@ -62,19 +65,20 @@ def assemble(on: NDArray[np.bool_], layout: NDArray[np.int64], theta: Array, a: 
     rows[ROW_POSITION, 0] = 1.0
     rows[ROW_VELOCITY, 1] = 1.0
     rows[ROW_FORCE_IN, 1] = 1.0 / mass
-    stamp_modes(on, layout, a, rows, theta)
+    stamp_modes(on, layout, theta, a, rows)
 
     rows[ROW_DRIVE, n] = 1.0
-    lag(a, rows, layout[_AMPLIFIER_STATE], theta[AMPLIFIER])
-    stamp_amplifier(on, layout, a, rows, theta)
+    lag(a, rows, layout[_AMPLIFIER_STATE], theta[AMPLIFIER], shortest)
+    stamp_amplifier(on, layout, theta, a, rows)
     for j in range(n):
         rows[ROW_DRIVE, j] -= theta[BACK_EMF] * rows[ROW_VELOCITY, j]
     if theta[RESISTANCE] > 0.0:
-        lag(a, rows, layout[_COIL_STATE], theta[INDUCTANCE] / theta[RESISTANCE])
+        lag(a, rows, layout[_COIL_STATE], theta[INDUCTANCE] / theta[RESISTANCE],
+            shortest)
 
     for i in range(n):
         share = rows[ROW_FORCE_IN, i] * theta[FORCE_CONSTANT]
         if share != 0.0:
             for j in range(n + 1):
                 a[i, j] += share * rows[ROW_DRIVE, j]
-    stamp_mechanics(on, layout, a, rows, theta)
+    stamp_mechanics(on, layout, theta, a, rows)

@@ -12,6 +12,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +25,20 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(function: F) -> F:
     """`function` as machine code that runs without the interpreter lock, not cached itself."""
     result: F = numba.njit(nogil=True, error_model="numpy")(function)
+    return result
+
+
+def lean(function: F) -> F:
+    """As `compiled`, for functions that allocate nothing: without reference counts, which cost
+    more than the arithmetic in short functions of arrays."""
+    result: F = numba.njit(nogil=True, error_model="numpy", _nrt=False)(function)
+    return result
+
+
+def inlined(function: F) -> F:
+    """As `lean`, and part of the code of whoever calls it."""
+    result: F = numba.njit(nogil=True, error_model="numpy", _nrt=False,
+                           forceinline=True)(function)
     return result
 
 
@@ -44,10 +59,13 @@ def _cache_folder() -> Iterator[None]:
         config.CACHE_DIR = before
 
 
+@lru_cache
 def _folder() -> Path:
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256(str(package).encode())
-    for source in sorted(package.rglob("*.py")):
+    sources = [*(package / "kernel").glob("*.py"), *(package / "effects").glob("*.py"),
+               package / "base.py", package / "effect.py", package / "registry.py"]
+    for source in sorted(sources):
         digest.update(source.read_bytes())
     name = f"dfm_stage-{digest.hexdigest()[:16]}"
     given = os.environ.get("NUMBA_CACHE_DIR")

@@ -1,0 +1,34 @@
+"""Coil inductance: the current lags behind the voltage.
+
+    (inductance/R) e' = a - back_emf x' - e
+
+Needs coil_resistance in base.
+Source: Schmidt, Schitter and Rankers, The Design of High Performance Mechatronics (2014), ch. 5.
+"""
+
+from __future__ import annotations
+
+from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.parameter import Parameter
+
+EFFECT = Effect(
+    name="coil_inductance",
+    meaning="the coil's current lags behind its voltage",
+    equation="(inductance/R) e' = a - back_emf x' - e",
+    source="Schmidt et al., The Design of High Performance Mechatronics (2014), ch. 5",
+    parameters=(Parameter("inductance", 0.0, "H", "inductance of the coil", 0.0, 1e3),),
+    priors={"inductance": Prior(1e-5, 1e-1)},
+    side="actuator",
+    parity="linear",
+    memory=False,
+    shown_by="excitation up to R / (2 pi inductance), or a current record",
+    classes=(
+        Equivalence(("coil_inductance", "amplifier_bandwidth"),
+                    "no current record, or back-EMF small",
+                    "the voltage at the coil beside the command"),
+        Equivalence(("coil_inductance", "transport_delay"),
+                    "a band well below R / (2 pi inductance)",
+                    "excitation to higher frequencies"),
+    ),
+    adds_to="coil_inductance",
+)

@@ -1,0 +1,52 @@
+"""Cross-axis coupling: the neighbouring axis is seen in this one.
+
+    y = x + ratio other                 misaligned scale or guide
+    F = -stiffness other                off-diagonal element of the stiffness matrix
+
+Quasi-statically a stiffness s does what a ratio of -s / (stiffness of the axis) does; above the
+resonance only the ratio remains.
+Source: Awtar, Synthesis and Analysis of Parallel Kinematic XY Flexure Mechanisms (2004), ch. 2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.parameter import Parameter
+
+Array = NDArray[np.float64]
+
+
+def sense(x: float, t: float, other: float, p: Array) -> float:
+    """m"""
+    return p[0] * other
+
+
+def other_force(p: Array) -> float:
+    """N/m"""
+    return -p[1]
+
+
+EFFECT = Effect(
+    name="cross_axis_coupling",
+    meaning="motion of the neighbouring axis shows up in this one",
+    equation="y = x + ratio other;  F = -stiffness other",
+    source="Awtar, Parallel Kinematic XY Flexure Mechanisms (2004), ch. 2",
+    parameters=(
+        Parameter("ratio", 0.0, "", "metres read per metre of the other axis", -10.0, 10.0),
+        Parameter("stiffness", 0.0, "N/m", "off-diagonal stiffness", -1e12, 1e12),
+    ),
+    priors={"ratio": Prior(-0.05, 0.05, log=False), "stiffness": Prior(-50.0, 50.0, log=False)},
+    side="sensor",
+    parity="linear",
+    memory=False,
+    shown_by="motion of the other axis, not correlated with this one's",
+    optional=("stiffness",),
+    classes=(Equivalence(("cross_axis_coupling", "second_mode"),
+                         "the other axis not recorded",
+                         "a record of both axes with one driven at a time"),),
+    sense=sense,
+    other_force=other_force,
+)

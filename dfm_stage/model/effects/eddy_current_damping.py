@@ -1,0 +1,44 @@
+"""Eddy-current braking: damping that fades above a critical speed.
+
+    F = -damping x' / (1 + (x'/critical_velocity)^2)
+
+Viscous far below the critical speed, where the field of the eddy currents is small; the force is
+largest, damping critical_velocity / 2, at the critical speed.
+Source: Wouterse, IEE Proc. B 138 (1991) 153; Smythe, Trans. AIEE 61 (1942) 681.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.parameter import Parameter
+
+
+def force(x: float, v: float, actuator: float, p: NDArray[np.float64]) -> float:
+    """N"""
+    ratio = v / p[1]
+    return -p[0] * v / (1.0 + ratio * ratio)
+
+
+EFFECT = Effect(
+    name="eddy_current_damping",
+    meaning="eddy currents brake the motion, the less the faster it is",
+    equation="F = -damping x' / (1 + (x'/critical_velocity)^2)",
+    source="Wouterse, IEE Proc. B 138 (1991) 153",
+    parameters=(
+        Parameter("damping", 0.0, "N s/m", "damping at low speed", 0.0, 1e9),
+        Parameter("critical_velocity", 1.0, "m/s", "speed of the largest force", 1e-9, 1e6),
+    ),
+    priors={"damping": Prior(1e-2, 1e2), "critical_velocity": Prior(1e-3, 10.0)},
+    side="mechanical",
+    parity="odd",
+    memory=False,
+    shown_by="resonant motion over a range of speeds up to the critical one",
+    optional=("critical_velocity",),
+    classes=(Equivalence(("eddy_current_damping", "damping"),
+                         "speeds far below critical_velocity",
+                         "speeds near critical_velocity"),),
+    force=force,
+)

@@ -1,0 +1,31 @@
+"""Force offset: a constant force, such as weight, a cable, or a coil's zero error.
+
+    F = force
+
+On a linear spring it only shifts the rest position, as an encoder's zero does; with a nonlinear
+spring or friction it is felt. Together with coulomb_friction it is friction that differs with
+direction.
+Source: Slocum, Precision Machine Design (1992).
+"""
+
+from __future__ import annotations
+
+from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.parameter import Parameter
+
+EFFECT = Effect(
+    name="force_offset",
+    meaning="a constant force acts on the stage",
+    equation="F = force",
+    source="Slocum, Precision Machine Design (1992)",
+    parameters=(Parameter("force", 0.0, "N", "towards positive x", -1e6, 1e6),),
+    priors={"force": Prior(-1.0, 1.0, log=False)},
+    side="mechanical",
+    parity="even",
+    memory=False,
+    shown_by="a trusted encoder_zero, or a nonlinear spring and large motion",
+    classes=(Equivalence(("force_offset", "encoder_zero"),
+                         "a linear spring and no trusted encoder_zero",
+                         "referencing the encoder at the spring's rest position"),),
+    adds_to="constant_force",
+)

@@ -1,0 +1,238 @@
+"""Reversal, sticking and breakaway inside the shortest step, located on Taylor series."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.kernel.algebra import cubic_at, row_value
+from dfm_stage.model.kernel.compiled import lean
+from dfm_stage.model.kernel.hooks import bristle_force, bristle_steps, point_force
+from dfm_stage.model.kernel.slots import (
+    AT_A,
+    AT_BRISTLE,
+    AT_HELD,
+    AT_ROWS,
+    AT_SCRATCH,
+    AT_STATE,
+    BRISTLES,
+    CONSTANT_FORCE,
+    DRY_FRICTION,
+    FORCE_CONSTANT,
+    ORDER,
+    ROW_DRIVE,
+    ROW_FORCE_IN,
+    ROW_HOLD,
+    ROW_POSITION,
+    ROW_VELOCITY,
+)
+
+Array = NDArray[np.float64]
+Layout = NDArray[np.int64]
+TERMS = 12
+EVENTS = 6
+
+
+@lean
+def pushed(on: int, theta: Array, work: Array, n: int, rows: int, state: int, z: int, u: float,
+           force: Array, r: float) -> float:
+    """Force beyond what holds the point at rest, without dry friction, N; it moves that way."""
+    x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
+    drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
+    push = (theta[CONSTANT_FORCE] + bristle_force(on, theta, work, z, 0.0)
+            + point_force(on, theta, x, 0.0, drive)
+            - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u))
+    if force.shape[0] > 0:
+        push += cubic_at(force, r)
+    return push
+
+
+@lean
+def cell(on: int, theta: Array, work: Array, layout: Layout, u: float, force: Array, r0: float,
+         dr: float, length: float, mode: int) -> int:
+    """Advance the state over the shortest step, of `length` (s), with the events in it.
+
+    `force` and [r0, r0 + dr] as in `motion.slip`. Returns the mode at its end.
+    """
+    n, rows, state, z = layout[ORDER], layout[AT_ROWS], layout[AT_STATE], layout[AT_BRISTLE]
+    rate = dr / length
+    done = 0.0
+    for event in range(EVENTS):
+        left = length - done
+        if left <= 0.0:
+            break
+        start, last = r0 + rate * done, event == EVENTS - 1
+        if mode == 0:
+            taken, mode = _held(on, theta, work, layout, u, force, start, rate, left, last)
+            done += taken
+            continue
+        taken = _moving(on, theta, work, layout, u, force, start, rate, left, mode, last)
+        done += taken
+        if taken < left:
+            _halt(work, n, rows, state, u)
+            push = pushed(on, theta, work, n, rows, state, z, u, force, r0 + rate * done)
+            mode = 0 if abs(push) <= theta[DRY_FRICTION] else (1 if push > 0.0 else -1)
+    speed = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
+    if mode != 0 and mode * speed < 0.0:
+        _halt(work, n, rows, state, u)
+        mode = 0
+    return mode
+
+
+@lean
+def _held(on: int, theta: Array, work: Array, layout: Layout, u: float, force: Array,
+          start: float, rate: float, left: float, last: bool) -> tuple[float, int]:
+    """Stick until the end or until breakaway; the time taken (s) and the mode then."""
+    n, rows, state, z = layout[ORDER], layout[AT_ROWS], layout[AT_STATE], layout[AT_BRISTLE]
+    end = layout[AT_SCRATCH]
+    terms = end + n + 3 * BRISTLES
+    series = terms + n * TERMS
+    drive_row = rows + ROW_DRIVE * (n + 1)
+    _series(work, n, layout[AT_HELD], -1, state, u, 0.0, 0.0, terms)
+    _scalar(work, n, rows + ROW_HOLD * (n + 1), terms, u, series)
+    _at(work, n, terms, left, end)
+    x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
+    gain = theta[FORCE_CONSTANT]
+    f = point_force(on, theta, x, 0.0, gain * row_value(work, drive_row, state, n, u))
+    f_end = point_force(on, theta, x, 0.0, gain * row_value(work, drive_row, end, n, u))
+    if force.shape[0] > 0:
+        f += cubic_at(force, start)
+        f_end += cubic_at(force, start + rate * left)
+    for k in range(TERMS):
+        work[series + k] = -work[series + k]
+    work[series] += theta[CONSTANT_FORCE] + bristle_force(on, theta, work, z, 0.0) + f
+    work[series + 1] += (f_end - f) / left
+    push = _value(work, series, left)
+    if abs(push) <= theta[DRY_FRICTION] or last:
+        _at(work, n, terms, left, state)
+        return left, 0
+    mode = 1 if push > 0.0 else -1
+    work[series] -= mode * theta[DRY_FRICTION]
+    t = _root(work, series, 0.0, left) if mode * work[series] < 0.0 else 0.0
+    _at(work, n, terms, t, state)
+    return t, mode
+
+
+@lean
+def _moving(on: int, theta: Array, work: Array, layout: Layout, u: float, force: Array,
+            start: float, rate: float, left: float, mode: int, last: bool) -> float:
+    """Move until the end or until the speed is zero; the time taken, s."""
+    n, rows, state, z = layout[ORDER], layout[AT_ROWS], layout[AT_STATE], layout[AT_BRISTLE]
+    end, moved = layout[AT_SCRATCH], layout[AT_SCRATCH] + n
+    terms = end + n + 3 * BRISTLES
+    series = terms + n * TERMS
+    x_row, v_row = rows + ROW_POSITION * (n + 1), rows + ROW_VELOCITY * (n + 1)
+    d_row, push_row = rows + ROW_DRIVE * (n + 1), rows + ROW_FORCE_IN * (n + 1)
+    gain = theta[FORCE_CONSTANT]
+    plain = theta[CONSTANT_FORCE] - mode * theta[DRY_FRICTION]
+    x, v = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
+    f = (plain + bristle_force(on, theta, work, z, v)
+         + point_force(on, theta, x, v, gain * row_value(work, d_row, state, n, u)))
+    if force.shape[0] > 0:
+        f += cubic_at(force, start)
+    slope = 0.0
+    for _ in range(2):
+        _series(work, n, layout[AT_A], push_row, state, u, f, slope, terms)
+        _at(work, n, terms, left, end)
+        x_end, v_end = row_value(work, x_row, end, n, u), row_value(work, v_row, end, n, u)
+        bristle_steps(on, theta, work, z, x_end - x, v, v_end, moved)
+        f_end = (plain + bristle_force(on, theta, work, moved, v_end)
+                 + point_force(on, theta, x_end, v_end,
+                               gain * row_value(work, d_row, end, n, u)))
+        if force.shape[0] > 0:
+            f_end += cubic_at(force, start + rate * left)
+        slope = (f_end - f) / left
+    t = left
+    if mode * v_end < 0.0 and not last:
+        _scalar(work, n, v_row, terms, u, series)
+        t = 0.0
+        if mode * v > 0.0:
+            t = _root(work, series, 0.0, left)
+        elif mode * work[series + 1] > 0.0:
+            for k in range(TERMS - 1):
+                work[series + k] = work[series + k + 1]
+            work[series + TERMS - 1] = 0.0
+            t = _root(work, series, 0.0, left)
+    if t > 0.0:
+        _at(work, n, terms, t, state)
+        x_end, v_end = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
+        bristle_steps(on, theta, work, z, x_end - x, v, v_end, moved)
+        for i in range(BRISTLES):
+            work[z + i] = work[moved + i]
+    return t
+
+
+@lean
+def _series(work: Array, n: int, a: int, push_row: int, state: int, u: float, f: float,
+            slope: float, terms: int) -> None:
+    """work[terms + n k:] t^k: the state under the force f + slope t; none if push_row < 0."""
+    for i in range(n):
+        work[terms + i] = work[state + i]
+        work[terms + n + i] = row_value(work, a + i * (n + 1), state, n, u)
+        if push_row >= 0:
+            work[terms + n + i] += work[push_row + i] * f
+    for k in range(2, TERMS):
+        for i in range(n):
+            total = work[push_row + i] * slope if k == 2 and push_row >= 0 else 0.0
+            for j in range(n):
+                total += work[a + i * (n + 1) + j] * work[terms + n * (k - 1) + j]
+            work[terms + n * k + i] = total / k
+
+
+@lean
+def _at(work: Array, n: int, terms: int, t: float, out: int) -> None:
+    for i in range(n):
+        total = 0.0
+        for k in range(TERMS - 1, -1, -1):
+            total = total * t + work[terms + n * k + i]
+        work[out + i] = total
+
+
+@lean
+def _scalar(work: Array, n: int, row: int, terms: int, u: float, out: int) -> None:
+    """work[out + k] t^k = work[row:] . [state(t), u]"""
+    for k in range(TERMS):
+        work[out + k] = row_value(work, row, terms + n * k, n, u if k == 0 else 0.0)
+
+
+@lean
+def _value(work: Array, series: int, t: float) -> float:
+    total = 0.0
+    for k in range(TERMS - 1, -1, -1):
+        total = total * t + work[series + k]
+    return total
+
+
+@lean
+def _root(work: Array, series: int, low: float, high: float) -> float:
+    """A root between two points of different sign, by Newton's method kept inside a bracket."""
+    falling = _value(work, series, high) < 0.0
+    t = high
+    for _ in range(80):
+        value = slope = 0.0
+        for k in range(TERMS - 1, -1, -1):
+            slope = slope * t + value
+            value = value * t + work[series + k]
+        if (value < 0.0) == falling:
+            high = t
+        else:
+            low = t
+        newton = t - value / slope if slope != 0.0 else low
+        if not low < newton < high:
+            newton = 0.5 * (low + high)
+        if abs(newton - t) <= 1e-15 * high:
+            return newton
+        t = newton
+    return t
+
+
+@lean
+def _halt(work: Array, n: int, rows: int, state: int, u: float) -> None:
+    """Take the rest of the point's velocity out, as a blow at the point would."""
+    v_row, push_row = rows + ROW_VELOCITY * (n + 1), rows + ROW_FORCE_IN * (n + 1)
+    v = row_value(work, v_row, state, n, u)
+    mobility = 0.0
+    for i in range(n):
+        mobility += work[v_row + i] * work[push_row + i]
+    for i in range(n):
+        work[state + i] -= work[push_row + i] * (v / mobility)

@@ -1,0 +1,258 @@
+"""One sample of a model with nonlinear forces: exact linear part, collocated force, exact events.
+
+Over a step the force on the driven point is represented by the cubic through its values at the
+four Lobatto points; the linear part answers it exactly (see `tables`), and the values are found by
+fixed-point iteration (exponential Lobatto collocation, order six in the end point). Where the
+cubic does not resolve the force, or the iteration does not contract, the step is halved, down to
+2^-depth of the piece; afterwards steps grow again.
+
+Friction and hysteresis act differently in the two directions, so no step crosses a reversal: it
+is approached by halving and then located inside the shortest step on the Taylor series of the
+state. There the point either sticks, if friction can hold it, or turns. While it sticks, the
+constrained linear part is propagated exactly until the force that holds it exceeds the friction,
+located in the same way.
+
+Everything lives in the flat array `work`; arguments called node, state, z, ... are first indices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.kernel.algebra import cubic_at, row_value
+from dfm_stage.model.kernel.compiled import lean
+from dfm_stage.model.kernel.events import cell, pushed
+from dfm_stage.model.kernel.hooks import bristle_force, bristle_steps, point_force
+from dfm_stage.model.kernel.slots import (
+    AT_BRISTLE,
+    AT_END,
+    AT_HEAD,
+    AT_NODE,
+    AT_ROWS,
+    AT_SCRATCH,
+    AT_STATE,
+    AT_STICK_END,
+    AT_STICK_NODE,
+    BRISTLED,
+    BRISTLES,
+    CONSTANT_FORCE,
+    CUBIC_PART,
+    CURVATURE,
+    DEPTH,
+    DIRECTED,
+    DRY_FRICTION,
+    FORCE_CONSTANT,
+    LEVEL,
+    LEVELS,
+    MODE,
+    ORDER,
+    ROW_DRIVE,
+    ROW_POSITION,
+    ROW_VELOCITY,
+    SCALE,
+    SLOPE,
+)
+from dfm_stage.model.kernel.tables import CUBIC, FROM_VALUES, POINT_1, POINT_2
+
+Array = NDArray[np.float64]
+Layout = NDArray[np.int64]
+
+UNRESOLVED = 3e-4      # cubic part of the force, over the largest force so far
+UNSETTLED = 1e-11      # expected change in the next iteration, over the largest force so far
+FAINT = 1e-5           # forces this small beside the actuator's need not be resolved
+ITERATIONS = 8
+ACCEPTED, TOO_COARSE, REVERSAL = 0, 1, 2
+C0, C1, C2, C3 = CUBIC / 20.0
+_SLOPE = FROM_VALUES[1] + 2.0 * FROM_VALUES[2] + 3.0 * FROM_VALUES[3]
+_BEND = FROM_VALUES[2] + 3.0 * FROM_VALUES[3]
+S0, S1, S2, S3 = _SLOPE
+B0, B1, B2, B3 = _BEND
+
+
+@lean
+def slip(on: int, theta: Array, work: Array, n: int, head: int, rows: int, node: int, end: int,
+         state: int, z: int, scratch: int, direction: int, directed: bool, u: float,
+         force: Array, r0: float, dr: float, length: float, last: bool) -> int:
+    """Try one step of moving, of `length` (s); its end goes to scratch, bristles behind it.
+
+    `force` are the coefficients of the outside force in the sample, of which the step covers
+    [r0, r0 + dr]; `last` says that it cannot be halved. What step control needs goes to the head.
+    """
+    bristled = on & BRISTLED != 0
+    e0 = theta[CONSTANT_FORCE] - direction * theta[DRY_FRICTION]
+    e1, e2, e3 = e0, e0, e0
+    if force.shape[0] > 0:
+        e0 += cubic_at(force, r0)
+        e1 += cubic_at(force, r0 + POINT_1 * dr)
+        e2 += cubic_at(force, r0 + POINT_2 * dr)
+        e3 += cubic_at(force, r0 + dr)
+    x0 = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
+    v0 = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
+    d0 = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
+    f0 = e0 + point_force(on, theta, x0, v0, d0)
+    if bristled:
+        f0 += bristle_force(on, theta, work, z, v0)
+
+    t = node + 9 * n
+    xa, va, xb, vb = work[t] * u, work[t + 1] * u, work[t + 2] * u, work[t + 3] * u
+    xc, vc, da, db, dc = (work[t + 4] * u, work[t + 5] * u, work[t + 6] * u, work[t + 7] * u,
+                          work[t + 8] * u)
+    for j in range(n + 1):
+        t = node + 9 * j
+        s = work[state + j]
+        if j == n:
+            t += 9
+            s = f0
+        xa += work[t] * s
+        va += work[t + 1] * s
+        xb += work[t + 2] * s
+        vb += work[t + 3] * s
+        xc += work[t + 4] * s
+        vc += work[t + 5] * s
+        da += work[t + 6] * s
+        db += work[t + 7] * s
+        dc += work[t + 8] * s
+
+    slope, curvature = work[head + SLOPE] * length, work[head + CURVATURE] * length * length
+    f1 = f0 + POINT_1 * (slope + POINT_1 * curvature)
+    f2 = f0 + POINT_2 * (slope + POINT_2 * curvature)
+    f3 = f0 + (slope + curvature)
+    largest, settled, before = work[head + SCALE], False, 0.0
+    p, q, w = node + 9 * (n + 2), node + 9 * (n + 3), node + 9 * (n + 4)
+    z1, z2, z3 = scratch + n + BRISTLES, scratch + n + 2 * BRISTLES, scratch + n
+    v1 = v2 = v3 = 0.0
+    for _ in range(ITERATIONS):
+        x1 = xa + (work[p] * f1 + work[q] * f2 + work[w] * f3)
+        v1 = va + (work[p + 1] * f1 + work[q + 1] * f2 + work[w + 1] * f3)
+        d1 = da + (work[p + 6] * f1 + work[q + 6] * f2 + work[w + 6] * f3)
+        g = e1 + point_force(on, theta, x1, v1, d1)
+        if bristled:
+            bristle_steps(on, theta, work, z, x1 - x0, v0, v1, z1)
+            g += bristle_force(on, theta, work, z1, v1)
+        change = abs(g - f1)
+        f1 = g
+        x2 = xb + (work[p + 2] * f1 + work[q + 2] * f2 + work[w + 2] * f3)
+        v2 = vb + (work[p + 3] * f1 + work[q + 3] * f2 + work[w + 3] * f3)
+        d2 = db + (work[p + 7] * f1 + work[q + 7] * f2 + work[w + 7] * f3)
+        g = e2 + point_force(on, theta, x2, v2, d2)
+        if bristled:
+            bristle_steps(on, theta, work, z1, x2 - x1, v1, v2, z2)
+            g += bristle_force(on, theta, work, z2, v2)
+        change = max(change, abs(g - f2))
+        f2 = g
+        x3 = xc + (work[p + 4] * f1 + work[q + 4] * f2 + work[w + 4] * f3)
+        v3 = vc + (work[p + 5] * f1 + work[q + 5] * f2 + work[w + 5] * f3)
+        d3 = dc + (work[p + 8] * f1 + work[q + 8] * f2 + work[w + 8] * f3)
+        g = e3 + point_force(on, theta, x3, v3, d3)
+        if bristled:
+            bristle_steps(on, theta, work, z2, x3 - x2, v2, v3, z3)
+            g += bristle_force(on, theta, work, z3, v3)
+        change = max(change, abs(g - f3))
+        f3 = g
+        largest = max(largest, max(max(abs(f0), abs(f1)), max(abs(f2), abs(f3))))
+        ratio = min(change / before, 1.0) if before > 0.0 else 0.1
+        if change * ratio <= UNSETTLED * largest:
+            settled = True
+            break
+        before = change
+    if directed:
+        a0, a1, a2, a3 = direction * v0, direction * v1, direction * v2, direction * v3
+        least = min(a1, a2)
+        if (least < 0.0 or a3 < 0.0
+                or (least < a0 and least < a3 and least < 0.5 * (max(a0, a3) - least))):
+            return REVERSAL
+    unresolved = abs(C0 * f0 + C1 * f1 + C2 * f2 + C3 * f3)
+    if not last and not (settled and unresolved <= UNRESOLVED * largest):
+        return TOO_COARSE
+    work[head + CUBIC_PART] = unresolved
+    work[head + SCALE] = largest
+    work[head + SLOPE] = (S0 * f0 + S1 * f1 + S2 * f2 + S3 * f3) / length
+    work[head + CURVATURE] = (B0 * f0 + B1 * f1 + B2 * f2 + B3 * f3) / (length * length)
+    t = end + n * (n + 1)
+    for i in range(n):
+        work[scratch + i] = (work[end + n * n + i] * u + (work[t + i] * f0 + work[t + n + i] * f1)
+                             + (work[t + 2 * n + i] * f2 + work[t + 3 * n + i] * f3))
+    for j in range(n):
+        s = work[state + j]
+        for i in range(n):
+            work[scratch + i] += work[end + n * j + i] * s
+    return ACCEPTED
+
+
+@lean
+def stick(on: int, theta: Array, work: Array, n: int, rows: int, stick_node: int, stick_end: int,
+          state: int, z: int, scratch: int, u: float, force: Array, r0: float,
+          dr: float) -> int:
+    """Try one step of sticking; REVERSAL where friction cannot hold the point all the time."""
+    x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
+    rest = theta[CONSTANT_FORCE] + bristle_force(on, theta, work, z, 0.0)
+    for i in range(3):
+        hold = work[stick_node + 6 * n + i] * u
+        drive = work[stick_node + 6 * n + 3 + i] * u
+        for j in range(n):
+            hold += work[stick_node + 6 * j + i] * work[state + j]
+            drive += work[stick_node + 6 * j + 3 + i] * work[state + j]
+        push = rest + point_force(on, theta, x, 0.0, drive) - hold
+        if force.shape[0] > 0:
+            push += cubic_at(force, r0 + dr * (POINT_1 if i == 0 else POINT_2 if i == 1 else 1.0))
+        if abs(push) > theta[DRY_FRICTION]:
+            return REVERSAL
+    for i in range(n):
+        total = work[stick_end + n * n + i] * u
+        for j in range(n):
+            total += work[stick_end + n * j + i] * work[state + j]
+        work[scratch + i] = total
+    return ACCEPTED
+
+
+@lean
+def advance_piece(on: int, layout: Layout, theta: Array, work: Array, which: int, u: float,
+                  force: Array, r0: float, span: float, length: float) -> None:
+    """Advance the state over piece `which` of a sample, during which the input is u.
+
+    The piece lasts `length` (s) and covers [r0, r0 + span] of the sample; `force` are the
+    coefficients of the outside force, or empty.
+    """
+    n, head, rows = layout[ORDER], layout[AT_HEAD], layout[AT_ROWS]
+    state, z, scratch = layout[AT_STATE], layout[AT_BRISTLE], layout[AT_SCRATCH]
+    tables = which * layout[LEVELS]
+    depth, directed = int(work[head + DEPTH]), layout[DIRECTED] == 1
+    level, mode = int(work[head + LEVEL]), int(work[head + MODE])
+    work[head + SCALE] = max(work[head + SCALE], FAINT * abs(theta[FORCE_CONSTANT] * u))
+    units, position = 1 << depth, 0
+    while position < units:
+        size = units >> level
+        r, dr = r0 + span * position / units, span * size / units
+        table = tables + level
+        if directed and mode == 0:
+            push = pushed(on, theta, work, n, rows, state, z, u, force, r)
+            if abs(push) > theta[DRY_FRICTION]:
+                mode = 1 if push > 0.0 else -1
+                work[head + SLOPE] = work[head + CURVATURE] = 0.0
+                continue
+            outcome = stick(on, theta, work, n, rows, layout[AT_STICK_NODE] + 6 * (n + 1) * table,
+                            layout[AT_STICK_END] + n * (n + 1) * table, state, z, scratch, u,
+                            force, r, dr)
+            work[head + CUBIC_PART] = 0.0
+        else:
+            outcome = slip(on, theta, work, n, head, rows, layout[AT_NODE] + 9 * (n + 5) * table,
+                           layout[AT_END] + n * (n + 5) * table, state, z, scratch, mode,
+                           directed, u, force, r, dr, length * size / units, level == depth)
+        if outcome != ACCEPTED and level < depth:
+            level += 1
+            continue
+        if outcome == REVERSAL:
+            mode = cell(on, theta, work, layout, u, force, r, dr, length * size / units, mode)
+            work[head + SLOPE] = work[head + CURVATURE] = 0.0
+        else:
+            for i in range(n):
+                work[state + i] = work[scratch + i]
+            if on & BRISTLED and mode != 0:
+                for i in range(BRISTLES):
+                    work[z + i] = work[scratch + n + i]
+        position += size
+        if (level > 0 and position % (2 * size) == 0
+                and 16.0 * work[head + CUBIC_PART] <= UNRESOLVED * work[head + SCALE]):
+            level -= 1
+    work[head + LEVEL], work[head + MODE] = level, mode
