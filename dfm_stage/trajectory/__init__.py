@@ -6,9 +6,10 @@ from dfm_stage.trajectory.experiment import AxisSpec, Experiment, load_experimen
 from dfm_stage.trajectory.kind import Kind, Option
 from dfm_stage.trajectory.limits import Limits, Violation, check_limits, require_within
 from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
+from dfm_stage.trajectory.stepped_sine import Segment
 
 __all__ = [
     "EXCITATION_KINDS", "REFERENCE_KINDS", "AxisSpec", "Excitation", "Experiment", "Kind",
-    "LimitError", "Limits", "Option", "Reference", "TrajectoryError", "Violation",
+    "LimitError", "Limits", "Option", "Reference", "Segment", "TrajectoryError", "Violation",
     "check_limits", "load_experiment", "make_excitation", "make_reference", "require_within",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,8 +11,10 @@ import numpy as np
 
 from dfm_stage.model.parameter import Parameter
 from dfm_stage.trajectory import staircase as _staircase
+from dfm_stage.trajectory import stepped_sine as _stepped
 from dfm_stage.trajectory import waveform as _waveform
 from dfm_stage.trajectory.kind import Array, Kind, Timing, Values, choose
+from dfm_stage.trajectory.stepped_sine import Segment
 from dfm_stage.trajectory.waveform import Lines, Waveform
 
 
@@ -22,7 +25,8 @@ class Excitation:
     Line h is the frequency h / (period_samples * sample_period_s); `excited_lines` carry the
     signal, `detection_lines` were left out of it on purpose. `period_samples` is 0 where the
     signal does not repeat. The first `ramp_samples` fade in. `crest_factor` is peak over RMS of
-    one period (of the whole signal where there is none), before fading in.
+    one period (of the whole signal where there is none), before fading in. `segments` are the
+    frequencies of a stepped sine, each with its samples.
     """
 
     voltage: Array
@@ -35,6 +39,7 @@ class Excitation:
     detection_lines: Lines
     crest_factor: float
     seed: int = 0
+    segments: tuple[Segment, ...] = ()
 
     @property
     def time_s(self) -> Array:
@@ -56,7 +61,8 @@ class Excitation:
 
     def metadata(self) -> dict[str, Any]:
         """Return what a recorder stores beside the signal, as plain numbers, strings, lists."""
-        return {"kind": self.kind, "sample_period_s": self.sample_period_s,
+        steps = {"segments": [each.to_list() for each in self.segments]} if self.segments else {}
+        return {**steps, "kind": self.kind, "sample_period_s": self.sample_period_s,
                 "samples": int(self.voltage.size), "period_samples": self.period_samples,
                 "periods": self.periods, "ramp_samples": self.ramp_samples,
                 "excited_lines": self.excited_lines.tolist(),
@@ -83,6 +89,12 @@ def _steps(values: Values, timing: Timing) -> Excitation:
     return _plain("steps", voltage, timing, period)
 
 
+def _stepped_sine(values: Values, timing: Timing) -> Excitation:
+    voltage, segments, ramp = _stepped.stepped_sine(values, timing, "v")
+    return Excitation(voltage, "stepped_sine", timing.sample_period_s, 0, 0, ramp, _NONE, _NONE,
+                      math.sqrt(2.0), timing.seed, segments)
+
+
 Maker = Callable[[Values, Timing, str], Waveform]
 
 
@@ -103,6 +115,9 @@ EXCITATION_KINDS: dict[str, Kind[Excitation]] = {kind.name: kind for kind in (
          _staircase.staircase_options("v", "V")),
     Kind("sine", "one frequency", _waveform.sine_parameters("v", "V", 0.08),
          _from_waveform("sine", _waveform.sine)),
+    Kind("stepped_sine", "one frequency after another, each settled and then measured",
+         _stepped.stepped_sine_parameters("v", "V", 0.08), _stepped_sine,
+         _stepped.STEPPED_SINE_OPTIONS),
     Kind("chirp", "a sweep through a band of frequencies",
          _waveform.chirp_parameters("v", "V", 0.08),
          _from_waveform("chirp", _waveform.chirp), _waveform.CHIRP_OPTIONS),
