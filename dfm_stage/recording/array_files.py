@@ -94,7 +94,8 @@ def _dspace(capture: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         signals = capture[key]
         for signal in signals if isinstance(signals, (list, np.ndarray)) else [signals]:
             if isinstance(signal, Mapping) and "Data" in signal:
-                name = str(signal.get("Name") or "signal").split("/")[-1].strip('"')
+                name = signal.get("Name", "")
+                name = name.split("/")[-1].strip('"') if isinstance(name, str) else ""
                 yield "time_s" if key == "X" else name, signal["Data"]
 
 

@@ -219,7 +219,7 @@ def _together(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
         if abs(axis.grid.period_s - period) > 1e-4 * period:
             raise RecordError(f"axes {axes[0].name} and {axis.name} have different periods "
                               f"({period:.6g} and {axis.grid.period_s:.6g} s); read one of them")
-        even = axis.grid.stamps_ns - origin - np.arange(axis.grid.count) * period * 1e9
+        even = axis.grid.steady_ns - origin - np.arange(axis.grid.count) * period * 1e9
         offset = float(np.median(even)) * 1e-9 / period
         shifts.append(round(offset))
         if abs(offset - round(offset)) > 0.1:

@@ -396,8 +396,9 @@ def decode(data: Bytes, offsets: Ints, row: int, program: Ints, arena: Bytes, ba
     (number of bad messages, number of texts)
     """
     count_all = len(offsets)
-    start, end, at = np.empty(count_all, np.int64), np.empty(count_all, np.int64), np.empty(
-        count_all, np.int64)
+    start = np.empty(count_all, np.int64)
+    end = np.empty(count_all, np.int64)
+    at = np.empty(count_all, np.int64)
     _start(data, offsets, row, arena, bases, start, end, at)
     used = np.zeros(ragged.shape[0], np.int64)
     last = np.full(ragged.shape[0], -1, np.int64)
@@ -421,7 +422,9 @@ def decode(data: Bytes, offsets: Ints, row: int, program: Ints, arena: Bytes, ba
                               last, ragged_ends, entries, n_entries)
             pc += target
         elif op == _REST:
-            at[:] = np.where(at >= 0, end, at)
+            for m in range(count_all):
+                if at[m] >= 0:
+                    at[m] = end[m]
     n_bad = 0
     for m in range(count_all):
         if at[m] < 0 or end[m] - at[m] > TRAILING:

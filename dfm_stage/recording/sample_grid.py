@@ -19,6 +19,7 @@ _WRAP = 1 << 32
 _LARGEST_JUMP = 1_000_000       # a larger step in the numbers is a restart, not a loss
 _NOMINAL_SHARE = 0.01           # stamps may differ by this share from the period that was set
 _JITTER_SHARE = 0.05
+_CLOCK_STEP_NS = 10**9          # time that passes between two samples and is no stall
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class SampleGrid:
     ----------
     first_seq : number that the first sample has in the bag
     rows : (count,) row of each sample in the measurement topic, -1 where it is missing
-    stamps_ns : (count,) when each was taken; missing ones in between
+    stamps_ns : (count,) when each was taken, as stamped; missing ones in between
+    steady_ns : (count,) the same without the steps of a clock that was set meanwhile
     period_s : sample period
     log_window_ns : log times of the first and last measurement
     notes : what was found on the way
@@ -38,6 +40,7 @@ class SampleGrid:
     first_seq: int
     rows: Ints
     stamps_ns: Ints
+    steady_ns: Ints
     period_s: float
     log_window_ns: tuple[int, int]
     notes: list[str] = field(default_factory=list)
@@ -93,19 +96,37 @@ def sample_grid(measurement: Topic, nominal_s: float | None, given_s: float | No
     place = np.full(int(index[-1]) + 1, -1, np.int64)
     place[index] = rows
     stamps = measurement["header.stamp"][rows]
-    all_stamps = np.round(np.interp(np.arange(len(place)), index, stamps - stamps[0])).astype(
-        np.int64) + stamps[0]
-    period = _period(index, stamps, nominal_s, given_s, name, notes)
+    steady = _without_clock_steps(index, stamps, name, notes)
+    period = _period(index, steady, nominal_s, given_s, name, notes)
     log = measurement.log_time_ns
-    return SampleGrid(int(seq[0] % _WRAP), place, all_stamps, period,
+    return SampleGrid(int(seq[0] % _WRAP), place, _everywhere(index, stamps),
+                      _everywhere(index, steady), period,
                       (int(log[rows[0]]), int(log[rows[-1]])), notes)
+
+
+def _everywhere(index: Ints, stamps: Ints) -> Ints:
+    """Put stamps in between where samples are missing."""
+    between = np.interp(np.arange(index[-1] + 1), index, stamps - stamps[0])
+    return np.asarray(np.round(between).astype(np.int64) + stamps[0], np.int64)
+
+
+def _without_clock_steps(index: Ints, stamps: Ints, name: str, notes: list[str]) -> Ints:
+    advance, samples = np.diff(stamps), np.diff(index)
+    usual = float(np.median(advance / samples))
+    excess = advance - np.round(usual * samples).astype(np.int64)
+    step = np.where((advance < 0) | (excess > _CLOCK_STEP_NS), excess, 0)
+    places = np.flatnonzero(step)
+    if not len(places):
+        return stamps
+    notes.append(f"{name}: the clock was set {len(places)} times while recording, first by "
+                 f"{step[places[0]] * 1e-9:.3g} s; samples were taken by their numbers")
+    return np.asarray(stamps - np.concatenate(([0], np.cumsum(step))), np.int64)
 
 
 def _period(index: Ints, stamps: Ints, nominal_s: float | None, given_s: float | None, name: str,
             notes: list[str]) -> float:
-    lag = max(len(index) // 2, 1)
-    estimate = float(np.median((stamps[lag:] - stamps[:-lag]) / (index[lag:] - index[:-lag])))
-    estimate = round_off(estimate * 1e-9, estimate * 1e-9 / len(index))
+    estimate = float(np.polyfit(index, (stamps - stamps[0]) * 1e-9, 1)[0])
+    estimate = round_off(estimate, estimate / len(index))
     period = estimate
     if given_s is not None:
         period = given_s
@@ -114,15 +135,14 @@ def _period(index: Ints, stamps: Ints, nominal_s: float | None, given_s: float |
     elif nominal_s is not None:
         notes.append(f"{name}: the stamps show a period of {estimate:.6g} s, the run was set to "
                      f"{nominal_s:.6g} s; that of the stamps was used")
-    if period <= 0:
-        raise RecordError(f"{name}: time does not advance (all stamps are alike); give the sample "
-                          f"period")
+    if not period > 0:
+        raise RecordError(f"{name}: time does not advance; give the sample period")
     return period
 
 
 def jitter_note(grid: SampleGrid, position: FloatArray, unit: str, name: str) -> str | None:
     """Say how unevenly the samples were taken and what that is worth, None if it is little."""
-    deviation = (grid.stamps_ns - grid.stamps_ns[0]) * 1e-9
+    deviation = (grid.steady_ns - grid.steady_ns[0]) * 1e-9
     deviation -= grid.period_s * np.arange(grid.count)
     deviation -= np.median(deviation)
     deviation = deviation[grid.rows >= 0]

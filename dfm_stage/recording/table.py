@@ -94,7 +94,8 @@ def table_record(table: Table, options: Options, fingerprint: str = "") -> Recor
         If columns are missing or their content cannot be a record.
     """
     try:
-        return _record(table, options, fingerprint)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _record(table, options, fingerprint)
     except RecordError as error:
         name = str(table.path)
         message = str(error)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from dfm_stage.recording.errors import RecordError
 from dfm_stage.recording.record import FloatArray
 
-GAP_STEPS = 1.5             # a step longer than this many periods is a gap
 EVEN_SHARE = 1e-3           # deviations below this share of a period do not count
 SCATTER_SHARE = 0.1         # with more gaps than this share of the rows there is no sample period
 MAX_JITTER_SHARE = 0.5
+_PHASE_SAMPLES = 10
+_LONGEST_GAP = 1e9          # samples
+_LONGEST_MASK = 100         # times the samples there are
 _MANY = 5
 
 Where = Callable[[int], str]
@@ -70,23 +72,47 @@ def find_time_base(time: FloatArray, rows: NDArray[np.int64], where: Where,
         raise RecordError(f"only {len(time)} usable rows; a record needs at least 3")
     time, rows, notes = _without_repeats(time, rows, where)
     steps = np.diff(time)
-    period = float(np.median(steps))
-    after = np.flatnonzero(steps > GAP_STEPS * period)
+    advance = _advance(time)
+    after = np.flatnonzero(advance > 1)
     if len(after) > SCATTER_SHARE * len(steps):
         raise RecordError(
             f"time advances in steps from {steps.min():.3g} to {steps.max():.3g} s, so there is "
             f"no sample period; resample the data evenly, or give the sample period if the time "
             f"column is wrong")
     if len(after):
-        notes.append(_gap_note(time, steps, rows, after, period, where))
+        notes.append(_gap_note(time, steps, rows, after, advance, where))
+    if gaps == "mask" and advance.sum() > _LONGEST_MASK * len(time):
+        raise RecordError("the gaps are far longer than the record; cut the file, or keep the "
+                          "longest stretch (gaps='longest')")
     if len(after) and gaps == "longest":
         first, last = longest_stretch(len(time), after)
         notes.append(f"the longest stretch without a gap was kept: {last - first} of {len(time)} "
                      f"samples, {where(int(rows[first]))} to {where(int(rows[last - 1]))}")
-        time, rows = time[first:last], rows[first:last]
+        time, rows, advance = time[first:last], rows[first:last], advance[first:last - 1]
         if len(time) < 3:
             raise RecordError("no stretch without a gap has 3 samples or more")
-    return _fit(time, rows, notes)
+    return _fit(time, rows, np.concatenate(([0], np.cumsum(advance))), notes)
+
+
+def _advance(time: FloatArray) -> NDArray[np.int64]:
+    """Return how many samples each row is further than the one before it, (n - 1,).
+
+    Where steps are uneven, a running average of the phase tells a late sample from a lost one.
+    """
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    advance = np.ones(len(steps), np.int64)
+    uneven = np.abs(steps - period) > 0.5 * period
+    if not uneven.any():
+        return advance
+    first = min(_PHASE_SAMPLES, len(time))
+    phase = float(np.median(time[:first] - period * np.arange(first)))
+    for k, stamp in enumerate(time[1:].tolist()):
+        ahead = max(round(min((stamp - phase) / period, _LONGEST_GAP)), 1)
+        advance[k] = ahead
+        phase += ahead * period
+        phase += (stamp - phase) / _PHASE_SAMPLES
+    return advance
 
 
 def longest_stretch(count: int, after: NDArray[np.int64]) -> tuple[int, int]:
@@ -123,19 +149,16 @@ def _others(count: int) -> str:
 
 
 def _gap_note(time: FloatArray, steps: FloatArray, rows: NDArray[np.int64],
-              after: NDArray[np.int64], period: float, where: Where) -> str:
-    missing = int(np.sum(np.round(steps[after] / period) - 1))
+              after: NDArray[np.int64], advance: NDArray[np.int64], where: Where) -> str:
+    missing = int(np.sum(advance[after] - 1))
     places = [f"{where(int(rows[k + 1]))} ({steps[k]:.4g} s at {time[k]:.6g} s)"
               for k in after[:_MANY]]
     more = f" and {len(after) - _MANY} more" if len(after) > _MANY else ""
     return f"{missing} samples are missing before {', '.join(places)}{more}"
 
 
-def _fit(time: FloatArray, rows: NDArray[np.int64], notes: list[str]) -> TimeBase:
-    steps = np.diff(time)
-    period = float(np.median(steps))
-    index = np.concatenate(([0], np.cumsum(np.maximum(np.round(steps / period), 1))))
-    index = index.astype(np.int64)
+def _fit(time: FloatArray, rows: NDArray[np.int64], index: NDArray[np.int64],
+         notes: list[str]) -> TimeBase:
     slope, start = np.polyfit(index, time - time[0], 1)
     deviation = time - time[0] - (start + slope * index)
     worst = float(np.abs(deviation).max())

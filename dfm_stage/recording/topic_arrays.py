@@ -74,9 +74,9 @@ class TopicArrays:
         with self._lock:
             codes = [self._texts.setdefault(data[start:start + size].tobytes(), len(self._texts))
                      for start, size in entries.tolist()]
-        mapping = np.array(codes, np.int32)
-        if (mapping == np.arange(len(codes))).all():
+        if all(code == number for number, code in enumerate(codes)):
             return
+        mapping = np.array(codes, np.int32)
         for column, base in zip(self.plan.fixed, self._bases[len(_RECORD_COLUMNS):], strict=True):
             if not column.dtype:
                 part = self._view(column, int(base))[row:row + count]
