@@ -7,10 +7,11 @@ import time
 from pathlib import Path
 from statistics import median
 
+from mcap.reader import make_reader
+
 from benchmarks.executors import executor
 from benchmarks.figure import Figure
 from dfm_stage.harness import StageGraph
-from mcap.reader import make_reader
 
 TOPICS = ("reference", "excitation", "measurement", "command", "amplifier", "plant")
 
@@ -39,8 +40,8 @@ def figures(quick: bool = False) -> list[Figure]:
     for composed, name, bar in ((True, "composed", 4.0), (False, "processes", 1.5)):
         value, other = speed[composed, "events"], speed[composed, "default"]
         out.append(Figure(f"lockstep.{name}_x_real_time", value, "x", bar, "default executor",
-                          other, value / other, f"{duration_s:g} s at 1 kHz, PID raster, recording "
-                          f"all topics; median of {repeats}"))
+                          other, value / other, f"{duration_s:g} s at 1 kHz, PID raster, "
+                          f"recording all topics; median of {repeats}"))
     out.append(Figure("lockstep.identical", float(identical), "1 = yes", 1.0, None, None, None,
                       f"two runs in processes and one composed: same bytes, topic by topic and in "
                       f"order, on {', '.join(TOPICS)}"))

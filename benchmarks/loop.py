@@ -7,7 +7,6 @@ executor: what the middleware alone costs on this machine in this minute.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +40,9 @@ def figures(quick: bool = False) -> list[Figure]:
     ]
     for key, q in (("median", 50), ("p99", 99), ("p999", 99.9)):
         value, other = (float(np.percentile(each["age"], q)) for each in (ours, default))
-        out.append(Figure(f"loop.age_{key}_ms", value, "ms", 1.0 if key == "p99" else None, peer,
-                          other, value / other, f"measurement stamp to amplifier stamp; {seconds}"))
+        bar = 1.0 if key == "p99" else None
+        out.append(Figure(f"loop.age_{key}_ms", value, "ms", bar, peer, other, value / other,
+                          f"measurement stamp to amplifier stamp; {seconds}"))
     out += [
         Figure("loop.messages_lost", ours["lost"], "messages", 0.0, None, None, None,
                f"gaps in the sequence numbers of {len(TOPICS)} topics in the bag"),

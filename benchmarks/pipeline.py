@@ -33,10 +33,11 @@ def ages_ms(duration_s: float) -> NDArray[np.float64]:
 
 def _stage(index: int, duration_s: float) -> None:
     import rclpy
-    from dfm_interfaces.msg import Measurement
     from rclpy.clock import Clock, ClockType
     from rclpy.experimental import EventsExecutor
     from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    from dfm_interfaces.msg import Measurement
 
     rclpy.init()
     node = rclpy.create_node(f"stage_{index}")

@@ -6,7 +6,7 @@
 
 `composed=True` puts every node into the calling process, on one executor that `run` spins;
 otherwise each node is a process of its own. Every graph has a ROS domain of its own, unless one is
-given, so two at once do not see each other. Nodes are waited for by asking them, never by sleeping.
+given, so two at once do not see each other. Nodes are waited for by asking them, not by sleeping.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from typing import TYPE_CHECKING, Any
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import rclpy
-from dfm_interfaces.action import RunExperiment
-from dfm_interfaces.srv import Ready
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.action import ActionClient
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
+from dfm_interfaces.action import RunExperiment
+from dfm_interfaces.srv import Ready
 from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
@@ -204,7 +204,8 @@ class StageGraph:
         with launched.log.open("wb") as log:
             launched.process = subprocess.Popen(
                 [sys.executable, "-m", "dfm_stage", kind, *ros_args], stdin=subprocess.DEVNULL,
-                stdout=log, stderr=log, start_new_session=True, preexec_fn=_die_with_parent,
+                stdout=log, stderr=log, start_new_session=True,
+                preexec_fn=_die_with_parent,  # noqa: PLW1509 nothing but a system call
                 env={**os.environ, "ROS_DOMAIN_ID": str(self._domain_id)})
         self._launched.append(launched)
 

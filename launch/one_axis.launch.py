@@ -1,11 +1,12 @@
 """One axis in real time: ros2 launch dfm_stage one_axis.launch.py record:=true."""
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchDescription
 
 LOOP = ("sim_plant", "encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 

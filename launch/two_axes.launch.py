@@ -1,11 +1,12 @@
 """Two coupled axes in real time: ros2 launch dfm_stage two_axes.launch.py record:=true."""
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchDescription
 
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 

@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", action="store_true",
                         help="one process per node instead of all in this one")
     options = parser.parse_args(argv)
-    out = Path(options.out or f"demo/{datetime.now():%Y%m%d_%H%M%S}")
+    out = Path(options.out or f"demo/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
     try:
         return _demo(out, options.model, options.seed, not options.processes)
     except DfmError as error:

@@ -6,9 +6,9 @@ import math
 import time
 from typing import Any
 
-from dfm_interfaces.msg import AmplifierState
 from std_srvs.srv import Trigger
 
+from dfm_interfaces.msg import AmplifierState
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
 

@@ -23,7 +23,6 @@ from typing import Any
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import rclpy
-from dfm_interfaces.srv import Ready
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -35,6 +34,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 import dfm_stage
+from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.wire import codec
@@ -81,7 +81,7 @@ class Publisher:
             return
         try:
             self._publish(data)
-        except Exception:
+        except RuntimeError:
             self._insist(data)
 
     def release(self) -> bool:
@@ -96,7 +96,7 @@ class Publisher:
         while self._node.context.ok():
             try:
                 self._publish(data)
-            except Exception as error:
+            except RuntimeError as error:
                 if time.monotonic() > deadline:
                     raise DfmError(f"{self.ros.topic_name}: cannot publish for "
                                    f"{LOCKSTEP_PATIENCE_S:g} s, a subscriber does not keep up "
@@ -213,7 +213,7 @@ class LoopNode(Node):
     # Readiness and diagnostics
 
     def _open_links(self) -> None:
-        if all([publisher.release() for publisher in self.publishers_of_links]):
+        if all(publisher.release() for publisher in self.publishers_of_links):
             self._opening.cancel()
 
     def _on_ready(self, request: Ready.Request, response: Ready.Response) -> Ready.Response:
@@ -321,7 +321,7 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
     try:
         rclpy.init(args=list(args) if args is not None else None,
                    signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:
+    except RuntimeError as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
         return 2
     node: Node | None = None
@@ -345,4 +345,4 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
 
 
 def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
+    return " ".join(str(error).partition(", at /")[0].split())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from dfm_interfaces.msg import Measurement
-
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
 

@@ -56,7 +56,7 @@ class Recorder(LoopNode):
         super().__init__(**kwargs)
         self._wanted = _pattern("topics", self.settings["topics"])
         self._unwanted = _pattern("exclude", self.settings["exclude"])
-        folder = self.settings["bag"] or f"bags/{datetime.now():%Y%m%d_%H%M%S}"
+        folder = self.settings["bag"] or f"bags/{datetime.now().astimezone():%Y%m%d_%H%M%S}"
         self._bag = BagWriter(folder, compression=self.settings["compression"])
         self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
                          json.dumps(versions(), sort_keys=True).encode())
@@ -174,7 +174,7 @@ class Recorder(LoopNode):
             return True, "closed before"
         self._open = False
         try:
-            if self._configs:
+            if self._configs and self._bag.error is None:
                 self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml",
                                  json.dumps(self._configs, sort_keys=True, indent=1).encode())
             self._bag.close()

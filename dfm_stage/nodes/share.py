@@ -22,7 +22,7 @@ def config_folder() -> Path:
         from ament_index_python.packages import get_package_share_directory
 
         installed = Path(get_package_share_directory("dfm_stage")) / "config"
-    except Exception:
+    except (ImportError, LookupError):
         installed = tree
     if not installed.is_dir():
         raise DfmError("dfm_stage's config folder is not found; build the package with colcon "

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dfm_interfaces.action import RunExperiment
 from rclpy.action import ActionServer, CancelResponse
 from std_srvs.srv import Trigger
 
+from dfm_interfaces.action import RunExperiment
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
@@ -73,9 +73,9 @@ class TrajectoryGenerator(LoopNode):
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self._action = ActionServer(
-            self, RunExperiment, "~/run_experiment", lambda goal: RunExperiment.Result(),
+            self, RunExperiment, "~/run_experiment", lambda _goal: RunExperiment.Result(),
             handle_accepted_callback=self._on_goal,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT)
+            cancel_callback=lambda _goal: CancelResponse.ACCEPT)
         self.create_timer(0.2, self._report, clock=self.steady)
         if self.settings["autostart"] and self._asked_for_something():
             self._autostart = self.create_timer(0.05, self._start_when_open, clock=self.steady)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import struct
 from collections import namedtuple
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 from dfm_stage.errors import DfmError
@@ -130,7 +130,7 @@ class Codec:
         return tuple(out)
 
 
-@lru_cache(maxsize=None)
+@cache
 def codec(message_type: Any, frame_id: str = "") -> Codec:
     """Return the (shared) codec of a message type."""
     return Codec(message_type, frame_id)

@@ -4,14 +4,16 @@ Loop topics are relative names inside the namespace of one axis (`/stage/x`). Pu
 reliable with a history of 100 samples, so a recorder that is held up for a tenth of a second
 loses nothing; the nodes of the loop subscribe best effort with depth 1, because a late sample is
 of no use to them. Only the simulated scale is read through a deep, reliable subscription, as the
-buffer of a real counter would be. In lockstep every sample counts: both sides are reliable and keep all, and a
-full history holds the publisher back instead of losing a sample.
+buffer of a real counter would be. In lockstep every sample counts: both sides are reliable and
+keep all, and a full history holds the publisher back instead of losing a sample.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from dfm_interfaces.msg import (
     AmplifierState,
@@ -24,7 +26,6 @@ from dfm_interfaces.msg import (
     PositionCounts,
     Reference,
 )
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 DEFAULT_NAMESPACE = "/stage/x"
 

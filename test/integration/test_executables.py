@@ -41,8 +41,9 @@ def test_all_six_start_work_together_and_end_on_a_signal(folder, tmp_path):
     rclpy.init(context=context, args=[])
     node = rclpy.create_node("observer", context=context)
     try:
-        from dfm_interfaces.msg import AmplifierState
         from rclpy.executors import SingleThreadedExecutor
+
+        from dfm_interfaces.msg import AmplifierState
 
         answers = []
         node.create_subscription(AmplifierState, "/stage/x/amplifier", answers.append, 10)
@@ -80,4 +81,5 @@ def test_a_bad_parameter_is_one_line_and_exit_code_2(folder, tmp_path):
     assert process.wait(20.0) == 2
     lines = (tmp_path / "controller.log").read_text().splitlines()
     assert len(lines) == 1
-    assert "kp" in lines[0] and "real number" in lines[0]
+    assert "kp" in lines[0]
+    assert "real number" in lines[0]

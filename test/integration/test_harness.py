@@ -7,6 +7,7 @@ import signal
 import time
 
 import pytest
+
 from dfm_stage.errors import DfmError
 from dfm_stage.harness import HarnessError, StageGraph
 
@@ -28,7 +29,8 @@ def test_two_graphs_do_not_see_each_other():
 
 
 def test_no_process_is_left_when_the_test_fails():
-    with pytest.raises(ZeroDivisionError), StageGraph(lockstep=True) as graph:
+    graph = StageGraph(lockstep=True)
+    with pytest.raises(ZeroDivisionError), graph:  # noqa: PT012
         processes = processes_of(graph)
         assert len(processes) == 5
         _ = 1 / 0
@@ -36,7 +38,7 @@ def test_no_process_is_left_when_the_test_fails():
 
 
 def test_a_node_that_dies_is_named_with_its_last_words():
-    with pytest.raises(HarnessError, match="controller ended"), StageGraph() as graph:
+    with pytest.raises(HarnessError, match="controller ended"), StageGraph() as graph:  # noqa: PT012
         for each in graph._launched:
             if each.kind == "controller":
                 each.process.send_signal(signal.SIGKILL)

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+
 from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.model import Simulator, load_model
-from mcap.reader import make_reader
 
 LOOP = ("reference", "excitation", "measurement", "command", "amplifier", "plant")
 SHAKE = {"name": "shake", "mode": "open_loop", "duration_s": 1.0, "axes": {"x": {
@@ -74,10 +75,10 @@ def test_two_axes_on_one_plant(tmp_path):
 
 
 def test_what_a_stuck_loop_waits_for_is_named(tmp_path):
-    with StageGraph(lockstep=True, composed=True, nodes=(
-            "sim_plant", "encoder_driver", "controller", "trajectory_generator")) as graph:
-        with pytest.raises(HarnessError, match="sim_plant says: waiting for x/sim/drive"):
-            graph.run(SHAKE, timeout_s=8.0)
+    kinds = ("sim_plant", "encoder_driver", "controller", "trajectory_generator")
+    with (StageGraph(lockstep=True, composed=True, nodes=kinds) as graph,
+          pytest.raises(HarnessError, match="sim_plant says: waiting for x/sim/drive")):
+        graph.run(SHAKE, timeout_s=8.0)
 
 
 def test_between_experiments_the_loop_waits_for_a_reference(tmp_path):

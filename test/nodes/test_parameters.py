@@ -6,6 +6,9 @@ import math
 
 import pytest
 import rclpy
+from rcl_interfaces.msg import ParameterType
+from rclpy.parameter import Parameter
+
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.amplifier_driver import AmplifierDriver
 from dfm_stage.nodes.controller import Controller
@@ -13,8 +16,6 @@ from dfm_stage.nodes.encoder_driver import EncoderDriver
 from dfm_stage.nodes.recorder import Recorder
 from dfm_stage.nodes.sim_plant import SimPlant
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
-from rcl_interfaces.msg import ParameterType
-from rclpy.parameter import Parameter
 
 NODES = (AmplifierDriver, Controller, EncoderDriver, Recorder, SimPlant, TrajectoryGenerator)
 

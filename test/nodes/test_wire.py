@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import pytest
 from builtin_interfaces.msg import Time
-from dfm_interfaces.msg import PlantState
-from dfm_stage.nodes.wire import Codec, WireError, codec, header_stamp_ns
-from dfm_stage.nodes.wiring import LINKS
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header, String
+
+from dfm_interfaces.msg import PlantState
+from dfm_stage.nodes.wire import Codec, WireError, codec, header_stamp_ns
+from dfm_stage.nodes.wiring import LINKS
 
 VALUES = {
     "boolean": st.booleans(),
@@ -63,10 +65,8 @@ def test_nan_survives():
 
 @given(st.binary(max_size=80))
 def test_garbage_is_refused_or_decoded_but_never_crashes(data):
-    try:
+    with contextlib.suppress(WireError):
         codec(PlantState).decode(data)
-    except WireError:
-        pass
 
 
 def test_a_type_that_is_not_flat_is_refused():
