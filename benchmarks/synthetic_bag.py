@@ -121,8 +121,8 @@ def write_bag(folder: Path, duration_s: float, period_s: float = 0.001,
                 rows.append([data[at:at + size] for at in range(0, len(data), size)])
             for k in range(stop - start):
                 now = START_NS + round((start + k) * period_s * 1e9) + 200_000
-                for (number, _), messages in zip(streams, rows, strict=True):
-                    bag.write(number, messages[k], now, now - 100_000, start + k)
+                for (number, _), ready in zip(streams, rows, strict=True):
+                    bag.write(number, ready[k], now, now - 100_000, start + k)
     return count * len(streams)
 
 

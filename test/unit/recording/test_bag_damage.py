@@ -150,11 +150,7 @@ def test_flipped_bits(whole: tuple[str, Path], tmp_path: Path) -> None:
         damaged[place] ^= 1 << int(rng.integers(8))
         copy = tmp_path / "flipped.mcap"
         copy.write_bytes(damaged)
-        try:
-            bag = read_bag(copy)
-        except BagReadError as error:
-            assert "\n" not in str(error)
-            continue
+        bag = read_bag(copy)
         found = check_rows(bag)
         missing = sum(COUNT - len(k) for k in found.values())
         assert missing <= 2 * 800, (place, bag.losses)
@@ -174,9 +170,9 @@ def test_an_unfinished_bag_is_read_to_its_end(tmp_path: Path,
     (copy.parent / "metadata.yaml").write_bytes((path.parent / "metadata.yaml").read_bytes())
     bag = read_bag(copy.parent)
     assert all(len(k) == COUNT for k in check_rows(bag).values())
-    assert [str(loss) for loss in bag.losses] == [
-        f"{path.name}: the file stops without an index: the recording was cut off, and what came "
-        f"after the last message here is missing"]
+    cut_off = (f"{path.name}: the file stops without an index: the recording was cut off, and "
+               f"what came after the last message here is missing")
+    assert [str(loss) for loss in bag.losses] == [cut_off]
 
 
 def test_a_message_index_that_lies_is_not_believed(whole: tuple[str, Path],

@@ -158,14 +158,14 @@ def test_topics_are_chosen_by_name_or_pattern(tmp_path: Path, our_messages: Mess
         "/stage/x/command", "/stage/x/drive"}
     with pytest.raises(BagReadError, match=r"no topic /stage/y/command; there are /stage/x/"):
         read_bag(tmp_path / "bag", ["/stage/y/command"])
-    with pytest.raises(BagReadError, match="has no field 'volt'; there are header.stamp"):
+    with pytest.raises(BagReadError, match=r"has no field 'volt'; there are header\.stamp"):
         read_bag(tmp_path / "bag")["/stage/x/command"]["volt"]
 
 
 def test_text_and_sequences(tmp_path: Path, typestore: Typestore, schema: Callable[[str], str],
                             make_bag: Callable[..., None]) -> None:
     kind = "sensor_msgs/msg/JointState"
-    JointState, Header, Time = (typestore.types[name] for name in (  # noqa: N806
+    JointState, Header, Time = (typestore.types[name] for name in (
         kind, "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
     rows = [(["a", "b"], [1.0, 2.0]), ([], []), (["b"], [3.0])] * 100
     data = [bytes(typestore.serialize_cdr(JointState(
