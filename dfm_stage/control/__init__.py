@@ -5,10 +5,26 @@ from dfm_stage.control.gains import PID_PARAMETERS, PidGains
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
-from dfm_stage.control.sampled import Margins, Sampled, margins, sample_stage
+from dfm_stage.control.sampled import Margins, loop_margins, margins
+from dfm_stage.control.stage import (
+    LinearStage,
+    Sampled,
+    linear_stage,
+    sample_model,
+    sample_stage,
+)
+from dfm_stage.control.ziegler_nichols import (
+    Oscillation,
+    Ultimate,
+    oscillation,
+    ultimate,
+    ultimate_from_relays,
+    ziegler_nichols,
+)
 
 __all__ = [
-    "PID_PARAMETERS", "ControlError", "Margins", "Pid", "PidDesign", "PidGains", "Sampled",
-    "algebraic", "feedback_gain", "finite_horizon", "margins", "pid_for", "pid_with_margin",
-    "sample_stage",
+    "PID_PARAMETERS", "ControlError", "LinearStage", "Margins", "Oscillation", "Pid", "PidDesign",
+    "PidGains", "Sampled", "Ultimate", "algebraic", "feedback_gain", "finite_horizon",
+    "linear_stage", "loop_margins", "margins", "oscillation", "pid_for", "pid_with_margin",
+    "sample_model", "sample_stage", "ultimate", "ultimate_from_relays", "ziegler_nichols",
 ]

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
-from dfm_stage.control.sampled import Margins, margins, sample_stage
+from dfm_stage.control.sampled import Margins, margins
+from dfm_stage.control.stage import sample_stage
 
 _FILTER_RATIO = 8.0
 

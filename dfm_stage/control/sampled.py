@@ -1,95 +1,17 @@
-"""A second-order stage behind amplifier lag and delay, sampled exactly, and its loop margins."""
+"""How far a sampled loop is from instability."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
+from dfm_stage.control.stage import Sampled
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """x[k+1] = a x[k] + b u[k], y[k] = c x[k]; shapes (n, n), (n,), (n,), units V and m."""
-
-    a: Array
-    b: Array
-    c: Array
-    sample_period_s: float
-
-    def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
-        """Return y/u at frequencies of shape (F,), m/V, complex (F,)."""
-        z = np.exp(2j * math.pi * np.asarray(frequency_hz) * self.sample_period_s)
-        eye = np.eye(self.b.size)
-        solved = np.linalg.solve(z[:, None, None] * eye - self.a,
-                                 np.broadcast_to(self.b[:, None], (z.size, self.b.size, 1)))
-        return np.asarray(solved[:, :, 0] @ self.c)
-
-
-def sample_stage(base: Mapping[str, float], sample_period_s: float) -> Sampled:
-    """Return the base model of a model.yaml, sampled with a zero-order hold.
-
-    Position k is taken before input k acts; input k is held for one period, delayed by
-    `delay`, and passes a first-order lag `amplifier_time_constant`. A delay that is no whole
-    number of samples is exact too (Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3).
-
-    Raises
-    ------
-    ControlError
-        If mass or force_constant is missing or not above zero.
-    """
-    for name in ("mass", "force_constant"):
-        if not base.get(name, 0.0) > 0.0:
-            raise ControlError(f"the model's base needs {name} above zero to design on it")
-    mass, lag, h = base["mass"], base.get("amplifier_time_constant", 0.0), sample_period_s
-    a = np.array([[0.0, 1.0], [-base.get("stiffness", 0.0) / mass,
-                               -base.get("damping", 0.0) / mass]])
-    b = np.array([0.0, base["force_constant"] / mass])
-    if lag > 0.0:
-        a = np.block([[a, b[:, None]], [np.zeros((1, 2)), np.full((1, 1), -1.0 / lag)]])
-        b = np.array([0.0, 0.0, 1.0 / lag])
-    delay = base.get("delay", 0.0) / h
-    whole = math.floor(delay + 1e-9)
-    late = max(0.0, delay - whole) * h
-    phi, new = _held(a, b, h - late)
-    phi_late, old = _held(a, b, late)
-    a_d, old = phi @ phi_late, phi @ old
-    n, m = b.size, whole + (1 if late > 1e-9 * h else 0)
-    full = np.zeros((n + m, n + m))
-    full[:n, :n] = a_d
-    b_full = np.zeros(n + m)
-    if m == 0:
-        b_full[:n] = new
-    else:
-        # The state holds u[k-m] ... u[k-1], oldest first.
-        full[:n, n] = old if late > 1e-9 * h else new
-        if late > 1e-9 * h:
-            if m > 1:
-                full[:n, n + 1] = new
-            else:
-                b_full[:n] = new
-        for i in range(m - 1):
-            full[n + i, n + i + 1] = 1.0
-        b_full[-1] = 1.0
-    c = np.zeros(n + m)
-    c[0] = 1.0
-    return Sampled(full, b_full, c, h)
-
-
-def _held(a: Array, b: Array, seconds: float) -> tuple[Array, Array]:
-    from scipy.linalg import expm
-    n = b.size
-    block = np.zeros((n + 1, n + 1))
-    block[:n, :n], block[:n, n] = a, b
-    phi = expm(block * seconds)
-    return phi[:n, :n], phi[:n, n]
 
 
 def closed_loop_poles(stage: Sampled, gains: PidGains) -> NDArray[np.complex128]:
@@ -135,10 +57,27 @@ class Margins:
 
 
 def margins(stage: Sampled, gains: PidGains) -> Margins:
-    """Return the margins of the sampled loop, from 5,000 frequencies up to half the rate."""
-    nyquist = 0.5 / stage.sample_period_s
-    f = np.geomspace(nyquist * 1e-5, nyquist, 5000)
+    """Return the margins of the sampled loop of `Pid`, as `loop_margins`."""
+    f = frequency_grid(stage)
     loop = stage.response(f) * controller_response(gains, f, stage.sample_period_s)
+    return loop_margins(f, loop, bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0))
+
+
+def frequency_grid(stage: Sampled) -> Array:
+    """Return 5,000 frequencies up to half the rate, in Hz, and a denser set at each resonance."""
+    nyquist = 0.5 / stage.sample_period_s
+    poles = np.linalg.eigvals(stage.a)
+    rates = np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / stage.sample_period_s
+    near = [np.abs(rate.imag) + np.abs(rate.real) * np.linspace(-8.0, 8.0, 161)
+            for rate in rates if rate.imag > 0.0]
+    f = np.concatenate((np.geomspace(nyquist * 1e-5, nyquist, 5000),
+                        *(each / (2.0 * math.pi) for each in near)))
+    return np.unique(f[(f >= nyquist * 1e-5) & (f <= nyquist)])
+
+
+def loop_margins(frequency_hz: Array, loop: NDArray[np.complex128], stable: bool) -> Margins:
+    """Return the margins of a loop gain (F,) with negative feedback, given at frequencies (F,)."""
+    f = frequency_hz
     size, angle = np.abs(loop), np.unwrap(np.angle(loop))
     crossings = np.flatnonzero((size[:-1] >= 1.0) != (size[1:] >= 1.0))
     turns = (angle + math.pi) / (2.0 * math.pi)
@@ -146,7 +85,7 @@ def margins(stage: Sampled, gains: PidGains) -> Margins:
     at = 1.0 / size[through]
     lost = np.degrees(np.abs((angle[crossings] + 2.0 * math.pi) % (2.0 * math.pi) - math.pi))
     return Margins(
-        stable=bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0),
+        stable=stable,
         modulus=float(np.min(np.abs(1.0 + loop))),
         gain=float(np.min(at[at > 1.0], initial=math.inf)),
         phase_deg=float(np.min(lost, initial=math.inf)),
