@@ -57,22 +57,19 @@ def judge(names: Sequence[str], values: Array, units: Sequence[str], scale: Arra
         return Identifiability((), "nothing was estimated")
     both = np.hstack([nuisance / column_norms(nuisance, np.ones(nuisance.shape[1])), jacobian])
     triangle = np.asarray(np.linalg.qr(both, mode="r"))
-    upper = triangle[nuisance.shape[1]:, nuisance.shape[1]:]
     reference = np.where(values != 0.0, np.abs(values), scale)
-    relative = upper * reference
-    norms = column_norms(relative, np.ones(count))
+    relative = triangle[nuisance.shape[1]:, nuisance.shape[1]:] * reference
+    effect = np.linalg.norm(jacobian, axis=0) * reference
+    norms = np.where(effect > 0.0, effect, 1.0)
     _, singular, right = np.linalg.svd(relative / norms)
     lost = singular <= RANK_TOLERANCE * singular[0]
-    directions: list[BlindDirection] = []
-    if np.any(lost):
-        basis = right[lost] / norms
-        directions += [_describe(vector, math.inf, names, reference, units)
-                       for vector in _sparse_basis(basis)]
+    told = _Words(names, reference, units, effect)
+    directions = [told.direction(vector, math.inf)
+                  for vector in _sparse_basis(right[lost] / norms)]
     _, singular, right = np.linalg.svd(relative)
-    alive = singular > RANK_TOLERANCE * singular[0]
-    for strength, vector in zip(singular[alive], right[alive], strict=True):
-        if strength < 1.0 / WEAK:
-            directions.append(_describe(vector, 1.0 / strength, names, reference, units))
+    directions += [told.direction(vector, 1.0 / strength)
+                   for strength, vector in zip(singular, right, strict=True)
+                   if RANK_TOLERANCE * singular[0] < strength < 1.0 / WEAK]
     if not directions:
         return Identifiability((), "the data tell all estimated parameters apart")
     return Identifiability(tuple(directions), "; ".join(d.text for d in directions))
@@ -95,29 +92,45 @@ def _sparse_basis(basis: Array) -> list[Array]:
     return [row / np.linalg.norm(row) for row in rows]
 
 
-def _describe(vector: Array, std: float, names: Sequence[str], reference: Array,
-              units: Sequence[str]) -> BlindDirection:
-    chosen = [int(i) for i in np.flatnonzero(np.abs(vector) >= 0.2 * np.max(np.abs(vector)))]
-    members = tuple(names[i] for i in chosen)
-    change = vector[chosen] * np.sign(vector[chosen[0]])
-    raw = change * reference[chosen]
-    listed = _join(members)
-    same_unit = len({units[i] for i in chosen}) == 1
-    how_well = "" if math.isinf(std) else f" (known only to {100.0 * std:.0f} %)"
-    if len(members) == 1:
-        text = (f"the data do not show {listed}: hold it or excite it more" if math.isinf(std)
-                else f"{listed} is hardly visible{how_well}")
-    elif _equal(change):
-        text = f"{listed} only as {'a ratio' if len(members) == 2 else 'ratios'}{how_well}"
-    elif len(members) == 2 and same_unit and _equal(raw * [1.0, -1.0]):
-        text = f"{listed} only as their sum{how_well}"
-    elif len(members) == 2 and same_unit and _equal(raw):
-        text = f"{listed} only as their difference{how_well}"
-    elif len(members) == 2 and _equal(change * [1.0, -1.0]):
-        text = f"{listed} only as a product{how_well}"
-    else:
-        text = f"{listed} only in combination{how_well}"
-    return BlindDirection(members, tuple(float(c) for c in change), std, text)
+@dataclass(frozen=True)
+class _Words:
+    """What is needed to put a direction into words; `effect` (p,) is what each moves alone."""
+
+    names: Sequence[str]
+    reference: Array
+    units: Sequence[str]
+    effect: Array
+
+    def direction(self, vector: Array, std: float) -> BlindDirection:
+        change, moved = np.abs(vector), np.abs(vector) * self.effect
+        chosen = [int(i) for i in np.flatnonzero(
+            (change >= 0.2 * np.max(change)) | (moved > 0.1 * np.max(moved)))]
+        members = tuple(self.names[i] for i in chosen)
+        change = vector[chosen] * np.sign(vector[chosen[0]])
+        same_unit = len({self.units[i] for i in chosen}) == 1
+        how = _how(change, change * self.reference[chosen], same_unit)
+        if len(members) == 1 and math.isinf(std):
+            text = f"the data do not show {members[0]}: hold it or excite it more"
+        elif len(members) == 1:
+            text = f"{members[0]} is hardly visible"
+        else:
+            text = f"{_join(members)} only {how}"
+        if math.isfinite(std):
+            text += f" (known only to {100.0 * std:.0f} %)"
+        return BlindDirection(members, tuple(float(c) for c in change), std, text)
+
+
+def _how(change: Array, raw: Array, same_unit: bool) -> str:
+    """Say what remains known when `change` (relative) or `raw` (absolute) leaves no trace."""
+    if _equal(change):
+        return "as a ratio" if change.size == 2 else "as ratios"
+    if change.size == 2 and same_unit and _equal(raw * [1.0, -1.0]):
+        return "as their sum"
+    if change.size == 2 and same_unit and _equal(raw):
+        return "as their difference"
+    if change.size == 2 and _equal(change * [1.0, -1.0]):
+        return "as a product"
+    return "in combination"
 
 
 def _equal(values: Array) -> bool:

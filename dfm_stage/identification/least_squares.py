@@ -36,7 +36,7 @@ class Solution:
 
 def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Array], Array],
              start: Array, scale: Array, low: Array, high: Array, *,
-             max_iterations: int = 40, tolerance: float = 1e-7) -> Solution:
+             max_iterations: int = 60, tolerance: float = 1e-5) -> Solution:
     """Minimise sum(residual(x)^2) for low <= x <= high.
 
     `residual(x)` gives (N,), not finite where x cannot be simulated; `jacobian(x, r)` gives
@@ -60,9 +60,9 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
         variance = cost / max(r.size - x.size, 1)
         if variance == 0.0:
             return Solution(x, r, j, cost, iteration, True, held, "exact")
-        directions = _directions(j, r, scale, held)
+        quadratic = _Quadratic(j, r, scale, low - x, high - x)
         for _ in range(12):
-            step, expected = _step(directions, damping, scale, held)
+            step, expected = quadratic.step(damping, held)
             trial = np.clip(x + step, low, high)
             if expected <= tolerance * variance:
                 return Solution(x, r, j, cost, iteration, True, held, "converged")
@@ -104,33 +104,52 @@ def column_norms(jacobian: Array, scale: Array) -> Array:
     return np.where(norms * scale > 1e-14 * strongest, norms, math.inf)
 
 
-def spectral(jacobian: Array, norms: Array) -> tuple[Array, Array]:
-    """Return singular values (n,), falling, and right vectors (n, n) as rows of J / norms.
+def spectral(gram: Array) -> tuple[Array, Array]:
+    """Return singular values (n,), falling, and right vectors (n, n) as rows of J.
 
-    Through the Gram matrix, which resolves ratios of singular values down to 1e-7 and costs a
+    From the Gram matrix J^T J, which resolves ratios of singular values down to 1e-7 and costs a
     fraction of a decomposition of J.
     """
-    scaled = jacobian / norms
-    squares, vectors = np.linalg.eigh(scaled.T @ scaled)
+    squares, vectors = np.linalg.eigh(gram)
     return np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1].T
 
 
-def _directions(jacobian: Array, residual: Array, scale: Array,
-                held: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:
-    norms = column_norms(jacobian, scale)[~held]
-    singular, right = spectral(jacobian[:, ~held], norms)
-    kept = singular > RANK_TOLERANCE * singular[:1].max(initial=0.0)
-    gradient = right[kept] @ ((jacobian[:, ~held].T @ residual) / norms)
-    return singular[kept], right[kept], gradient / singular[kept], norms
+class _Quadratic:
+    """The local model of the cost, |r + J d|^2, and its damped minimum inside a box."""
 
+    def __init__(self, jacobian: Array, residual: Array, scale: Array, low: Array,
+                 high: Array) -> None:
+        norms = column_norms(jacobian, scale)
+        self.norms = np.where(np.isfinite(norms), norms, 1.0)
+        seen = np.isfinite(norms)
+        self.gram = (jacobian.T @ jacobian) / np.outer(self.norms, self.norms)
+        self.gradient = (jacobian.T @ residual) / self.norms
+        self.gradient[~seen] = 0.0
+        self.low, self.high = low * self.norms, high * self.norms
 
-def _step(directions: tuple[Array, Array, Array, Array], damping: float, scale: Array,
-          held: NDArray[np.bool_]) -> tuple[Array, float]:
-    """Return the step (n,) and the fall of the cost that the linear model expects of it."""
-    singular, right, projection, norms = directions
-    gain = singular / (singular**2 + damping)
-    step = np.zeros(scale.size)
-    step[~held] = -(right.T @ (gain * projection)) / norms
-    fit = 1.0 - singular * gain
-    expected = float(np.sum(projection**2 * (1.0 - fit**2)))
-    return step, expected
+    def step(self, damping: float, held: NDArray[np.bool_]) -> tuple[Array, float]:
+        """Return the step (n,) and the fall of the cost that goes with it.
+
+        Where the minimum lies outside the box, the first entries to leave it stop at its wall and
+        the others are found anew.
+        """
+        fixed = held.copy()
+        d = np.zeros(fixed.size)
+        for _ in range(fixed.size + 1):
+            free = ~fixed
+            d[free] = self._minimum(free, self.gradient + self.gram[:, fixed] @ d[fixed], damping)
+            outside = free & ((d < self.low) | (d > self.high))
+            if not np.any(outside):
+                break
+            d[outside] = np.clip(d, self.low, self.high)[outside]
+            fixed |= outside
+        fall = -float(2.0 * self.gradient @ d + d @ self.gram @ d)
+        return d / self.norms, fall
+
+    def _minimum(self, free: NDArray[np.bool_], gradient: Array, damping: float) -> Array:
+        if not np.any(free):
+            return np.empty(0)
+        singular, right = spectral(self.gram[np.ix_(free, free)])
+        kept = singular > RANK_TOLERANCE * singular[0]
+        part = right[kept]
+        return np.asarray(-part.T @ ((part @ gradient[free]) / (singular[kept] ** 2 + damping)))

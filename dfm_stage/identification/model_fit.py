@@ -10,11 +10,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.identification.coordinates import LAGS, group, to_physical
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.output_error import Problem, Segment, Unknown, estimate
 from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.result import Estimate, SegmentFit
-from dfm_stage.model import EFFECTS, Model, Reparametrisation, SimulationError, Simulator
+from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 
 Array = NDArray[np.float64]
 Start = Literal["free", "rest", "periodic"]
@@ -95,7 +96,7 @@ def expand_names(model: Model, names: Iterable[str]) -> tuple[str, ...]:
 
 def fit_model(model: Model, runs: Sequence[Run], free: Sequence[str] | None = None, *,
               noise: str = "auto", starts: Sequence[Mapping[str, float]] = (),
-              max_iterations: int = 40) -> ModelFit:
+              max_iterations: int = 60) -> ModelFit:
     """Estimate the parameters `free` of a one-axis `model` from `runs`.
 
     `starts` are other values to begin from, by address; parameters left out of one keep the
@@ -115,7 +116,7 @@ def fit_model(model: Model, runs: Sequence[Run], free: Sequence[str] | None = No
     others = [builder.vector({**builder.values, **dict(start)}) for start in starts]
     found = estimate(problem, noise=noise, starts=others, held=held,
                      max_iterations=max_iterations)
-    found = builder.physical(found)
+    found = to_physical(found, builder.groups, model)
     fitted = model
     if found.status != "failed":
         fitted = model.with_parameters({n: found.value(n) for n in names})
@@ -171,7 +172,9 @@ class _Builder:
         if "force_constant" not in model.base:
             given["force_constant"] = 1.0
         self.values = given
-        self.coordinates = _coordinates(model, names)
+        self.groups = group(model, names)
+        renamed = {n: f for g in self.groups for n, f in zip(g.names, g.fitted, strict=True)}
+        self.fitted = [renamed.get(n, n) for n in names]
         self.local: list[tuple[int, str]] = []
         for i, run in enumerate(self.runs):
             self._check(run)
@@ -207,23 +210,28 @@ class _Builder:
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Return the unknowns (p,) that stand for parameter `values`, initial states zero."""
-        parts = [np.atleast_1d(change.forward(np.array([values[n] for n in members])))
-                 if change is not None else np.array([values[n] for n in members])
-                 for members, change in self.coordinates]
-        return np.concatenate([*parts, np.zeros(len(self.local))])
+        found = np.array([values[n] for n in self.names], dtype=float)
+        for coordinates in self.groups:
+            at = [self.fitted.index(n) for n in coordinates.fitted]
+            found[at] = coordinates.forward(found[at])
+        return np.concatenate([found, np.zeros(len(self.local))])
 
     def _global_unknowns(self) -> Iterable[Unknown]:
-        for members, change in self.coordinates:
-            if change is None:
-                for name in members:
-                    limits = self.model.parameter(name)
-                    yield Unknown(name, self.values[name], self._scale(name), limits.low,
-                                  limits.high, limits.unit)
+        start = self.vector(self.values)
+        special = {name: (coordinates, k) for coordinates in self.groups
+                   for k, name in enumerate(coordinates.fitted)}
+        for value, fitted, name in zip(start, self.fitted, self.names, strict=False):
+            first = float(value)
+            if fitted in special:
+                coordinates, k = special[fitted]
+                scale = float(coordinates.scale[k])
+                yield Unknown(fitted, first, scale if first == 0.0 or np.isfinite(
+                    coordinates.high[k]) else abs(first), float(coordinates.low[k]),
+                    float(coordinates.high[k]), coordinates.units[k])
             else:
-                start = np.asarray(change.forward(np.array([self.values[n] for n in members])))
-                for name, value in zip(change.fitted, start, strict=True):
-                    size = abs(float(value))
-                    yield Unknown(name, float(value), size if size > 0.0 else 1.0)
+                limits = self.model.parameter(name)
+                yield Unknown(name, first, self._scale(name), limits.low, limits.high,
+                              limits.unit)
 
     def _scale(self, name: str) -> float:
         value = abs(self.values[name])
@@ -265,6 +273,9 @@ class _Builder:
         states = [(k, s) for k, (i, s) in enumerate(self.local) if i == index]
         columns = [*self.names, *(f"initial.{s}" for _, s in states)]
         first = rows.shape[1] - len(self.local)
+        if run.start == "periodic":
+            lags = [k for k, n in enumerate(self.names) if n in LAGS]
+            physical[:, lags] = np.maximum(physical[:, lags], 1e-6 * run.sample_period)
         table = np.hstack([physical, rows[:, [first + k for k, _ in states]]])
         out = np.full((rows.shape[0], run.output.size), np.nan)
         if not np.any(valid):
@@ -272,74 +283,37 @@ class _Builder:
         periodic = run.start == "periodic" and run.period is not None
         driven = run.input[: run.period] if periodic else run.input
         past = 0.0 if run.start == "rest" else float(run.input[0])
+        for k in np.flatnonzero(valid) if periodic else (valid,):
+            out[k] = self._rows(driven, columns, table[k], past, periodic, run.input.size)
+        return out
+
+    def _rows(self, driven: Array, columns: Sequence[str], table: Array, past: float,
+              periodic: bool, samples: int) -> Array:
+        """Simulate rows (P, n) or one (n,); one that has no periodic motion becomes NaN."""
+        small = driven.size * np.atleast_2d(table).shape[0] < SMALL
         try:
-            small = driven.size * rows.shape[0] < SMALL
-            found = self.simulator.run_many(driven, columns, table[valid], past_input=past,
+            found = self.simulator.run_many(driven, columns, table, past_input=past,
                                             steady_state=periodic, threads=1 if small else None)
         except SimulationError:
-            return out
+            return np.full(samples, np.nan)
         if periodic:
-            found = np.tile(found, (1, run.input.size // driven.size))
-        out[valid] = found
-        return out
+            return np.asarray(np.tile(found[0], samples // driven.size))
+        return np.asarray(found)
 
     def _physical_rows(self, rows: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return parameter values (P, n) in the order of `names`, and which rows are allowed."""
-        columns: dict[str, Array] = {}
-        at = 0
-        for members, change in self.coordinates:
-            part = rows[:, at: at + len(members)]
-            at += len(members)
-            if change is not None:
-                with np.errstate(all="ignore"):
-                    part = np.array([change.backward(row) for row in part])
-            columns.update({n: part[:, k] for k, n in enumerate(members)})
-        if not self.names:
-            return np.empty((rows.shape[0], 0)), np.ones(rows.shape[0], bool)
-        table = np.column_stack([columns[n] for n in self.names])
+        count = len(self.names)
+        table = rows[:, :count].copy()
+        if not count:
+            return table, np.ones(rows.shape[0], bool)
+        for coordinates in self.groups:
+            at = [self.fitted.index(n) for n in coordinates.fitted]
+            with np.errstate(all="ignore"):
+                table[:, at] = [coordinates.backward(row) for row in rows[:, at]]
         low = np.array([self.model.parameter(n).low for n in self.names])
         high = np.array([self.model.parameter(n).high for n in self.names])
         allowed = np.all(np.isfinite(table) & (table >= low) & (table <= high), axis=1)
         return table, allowed
-
-    def physical(self, found: Estimate) -> Estimate:
-        """Return the estimate in the parameters of the model instead of fitted coordinates."""
-        if all(change is None for _, change in self.coordinates) or found.status == "failed":
-            return found
-        count = len(self.names)
-        rest = found.values.size - count
-        ordered = [n for members, _ in self.coordinates for n in members]
-
-        def carried(x: Array) -> Array:
-            table, _ = self._physical_rows(x[None, :count])
-            back = {n: table[0, k] for k, n in enumerate(self.names)}
-            return np.array([back[n] for n in ordered])
-
-        slope = np.zeros((count, count))
-        std = found.std[:count]
-        for j in range(count):
-            step = 1e-3 * std[j] if np.isfinite(std[j]) and std[j] > 0.0 else 1e-6 * max(
-                abs(found.values[j]), 1e-12)
-            up, down = found.values.copy(), found.values.copy()
-            up[j] += step
-            down[j] -= step
-            slope[:, j] = (carried(up) - carried(down)) / (2.0 * step)
-        whole = np.eye(count + rest)
-        whole[:count, :count] = slope
-        known = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
-        covariance = whole @ known @ whole.T
-        lost = ~np.isfinite(np.diag(found.covariance))
-        blurred = np.any(np.abs(whole[:, lost]) > 0.0, axis=1)
-        covariance[blurred, :] = covariance[:, blurred] = np.nan
-        covariance[blurred, blurred] = np.inf
-        limits = [self.model.parameter(n) for n in ordered]
-        return replace(
-            found, names=(*ordered, *found.names[count:]),
-            units=(*(p.unit for p in limits), *found.units[count:]),
-            values=np.concatenate((carried(found.values), found.values[count:])),
-            covariance=covariance,
-            low=np.concatenate(([p.low for p in limits], found.low[count:])),
-            high=np.concatenate(([p.high for p in limits], found.high[count:])))
 
 
 def _ready(model: Model, names: Iterable[str]) -> Model:
@@ -348,20 +322,6 @@ def _ready(model: Model, names: Iterable[str]) -> Model:
     if "force_constant" in absent:
         absent["force_constant"] = 1.0
     return model.with_parameters(absent) if absent else model
-
-
-def _coordinates(model: Model, names: tuple[str, ...]
-                 ) -> list[tuple[tuple[str, ...], Reparametrisation | None]]:
-    """Group the free names: those that an effect fits in coordinates of its own, and the rest."""
-    groups: list[tuple[tuple[str, ...], Reparametrisation | None]] = []
-    taken: set[str] = set()
-    for use in model.effects:
-        change = EFFECTS[use.name].fit
-        if change is not None and all(n in names and n not in taken for n in change.names):
-            groups.append((tuple(change.names), change))
-            taken.update(change.names)
-    plain = tuple(n for n in names if n not in taken)
-    return [(plain, None), *groups] if plain else groups
 
 
 def _is_mechanical(state: str) -> bool:

@@ -78,7 +78,7 @@ class Problem:
 
 
 def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] = (),
-             held: dict[str, float] | None = None, max_iterations: int = 40,
+             held: dict[str, float] | None = None, max_iterations: int = 60,
              max_order: int | None = None) -> Estimate:
     """Estimate the unknowns of `problem`.
 
@@ -110,6 +110,9 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
             criterion.renew_weights(solution.x)
             solution = criterion.minimise(solution.x, max_iterations)
             iterations += solution.iterations
+    if not (math.isfinite(solution.cost) and np.all(np.isfinite(solution.jacobian))):
+        return _failed(problem, held or {}, f"{solution.reason}: tighten the bounds or start from "
+                       "other values")
     return _assemble(criterion, solution, held or {}, iterations)
 
 
@@ -337,7 +340,7 @@ def _assemble(criterion: _Criterion, solution: Solution, held: dict[str, float],
 def _sandwich(jacobian: Array, middle: Array, scale: Array) -> Array:
     """Return H+ M H+ with H = J^T J; infinite variance where a lost direction has a share."""
     norms = column_norms(jacobian, scale)
-    singular, right = spectral(jacobian, norms)
+    singular, right = spectral((jacobian / norms).T @ (jacobian / norms))
     kept = singular > RANK_TOLERANCE * singular[0]
     inverse = (right[kept].T / singular[kept] ** 2) @ right[kept]
     scaled = inverse @ (middle / np.outer(norms, norms)) @ inverse
@@ -381,8 +384,13 @@ def _status(solution: Solution, verdict: Identifiability,
     if blind:
         return "not_identifiable", "; ".join(d.text for d in blind)
     if at_bound:
-        return "at_bound", f"{', '.join(at_bound)} ended on the limit: hold or widen it"
+        return "at_bound", limit_message(at_bound)
     return "converged", "converged"
+
+
+def limit_message(names: Sequence[str]) -> str:
+    """Say which parameters ended on their limit and what to do."""
+    return f"{', '.join(names)} ended on the limit: hold or widen it"
 
 
 def _failed(problem: Problem, held: dict[str, float], message: str) -> Estimate:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,8 @@ class Estimate:
 
     `names`, `units` (p,), `values` (p,), `covariance` and `correlation` (p, p) list the unknowns
     in the order of the problem, initial states and offsets included; `held` names parameters kept
-    at a given value. Intervals use Student's t with `dof` degrees of freedom. `status` is one of
+    at a given value. Intervals use Student's t with `dof` degrees of freedom; `intervals`
+    holds those of parameters that were searched in other coordinates. `status` is one of
     `converged`, `at_bound`, `not_identifiable`, `not_converged` or `failed`; `message` says what
     to do about it.
     """
@@ -72,6 +73,7 @@ class Estimate:
     message: str
     iterations: int
     at_bound: tuple[str, ...] = ()
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -113,6 +115,8 @@ class Estimate:
         if name in self.held:
             return Quantity(self.held[name], "", None)
         j = self.index(name)
+        if name in self.intervals:
+            return Quantity(float(self.values[j]), self.units[j], self.intervals[name])
         return self.derived(lambda x: float(x[j]), self.units[j],
                             (float(self.low[j]), float(self.high[j])))
 

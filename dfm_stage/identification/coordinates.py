@@ -1,0 +1,176 @@
+"""Coordinates in which a search is well conditioned, and the way back to physical parameters.
+
+Amplifier lag tau and delay D act almost alike: exp(-s D) / (1 + tau s) depends on their sum to
+first order and on tau^2 to second. They are searched as total = tau + D and share = (tau/total)^2,
+in which the response is smooth and nearly linear even where one of them is zero, and in which
+both stay positive inside a box. Effects may bring coordinates of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from dfm_stage.identification.identifiability import Identifiability
+from dfm_stage.identification.output_error import limit_message
+from dfm_stage.identification.quantity import t95
+from dfm_stage.identification.result import Estimate
+from dfm_stage.model import EFFECTS, Model
+
+Array = NDArray[np.float64]
+
+LAGS = ("amplifier_time_constant", "amplifier_bandwidth.time_constant")
+DELAYS = ("delay", "transport_delay.delay")
+DRAWS = 4096
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """`forward` takes values of `names` (n,) to those of `fitted` (n,), `backward` back.
+
+    `low` and `high` bound the fitted values; `scale` is their size where a value is zero.
+    """
+
+    names: tuple[str, ...]
+    fitted: tuple[str, ...]
+    units: tuple[str, ...]
+    forward: Callable[[Array], Array]
+    backward: Callable[[Array], Array]
+    low: Array
+    high: Array
+    scale: Array
+    sum_and_share: bool = False
+
+
+def group(model: Model, names: Sequence[str]) -> list[Coordinates]:
+    """Return the coordinates of those free `names` that are not searched as they are."""
+    groups: list[Coordinates] = []
+    lags = [n for n in LAGS if n in names]
+    delays = [n for n in DELAYS if n in names]
+    if len(lags) == len(delays) == 1:
+        groups.append(_lag_and_delay(lags[0], delays[0], model.sample_period))
+    taken = {n for g in groups for n in g.names}
+    for use in model.effects:
+        change = EFFECTS[use.name].fit
+        if change is None or any(n not in names or n in taken for n in change.names):
+            continue
+        count = len(change.names)
+        groups.append(Coordinates(
+            tuple(change.names), tuple(change.fitted), ("",) * count, change.forward,
+            change.backward, np.full(count, -np.inf), np.full(count, np.inf), np.ones(count)))
+        taken.update(change.names)
+    return groups
+
+
+def _lag_and_delay(lag: str, delay: str, period: float) -> Coordinates:
+    def forward(values: Array) -> Array:
+        total = float(values[0] + values[1])
+        return np.array([total, (values[0] / total) ** 2 if total > 0.0 else 0.25])
+
+    def backward(fitted: Array) -> Array:
+        part = fitted[0] * math.sqrt(max(fitted[1], 0.0))
+        return np.array([part, fitted[0] - part])
+
+    return Coordinates((lag, delay), (f"{lag} + {delay}", f"({lag} share)^2"), ("s", ""), forward,
+                       backward, np.zeros(2), np.array([11.0, 1.0]), np.array([period, 1.0]), True)
+
+
+def to_physical(found: Estimate, groups: Sequence[Coordinates], model: Model) -> Estimate:
+    """Return `found`, whose unknowns are fitted coordinates, in physical parameters.
+
+    Covariances are carried linearly. Intervals are the 2.5 and 97.5 % points of what draws from
+    the fitted coordinates' distribution, kept inside their box, become.
+    """
+    names, units = list(found.names), list(found.units)
+    values, low, high = found.values.copy(), found.low.copy(), found.high.copy()
+    covariance = found.covariance
+    intervals = dict(found.intervals)
+    for coordinates in groups:
+        at = np.array([names.index(n) for n in coordinates.fitted])
+        slope = _slope(coordinates, values[at], covariance[np.ix_(at, at)])
+        intervals.update(_drawn(coordinates, values[at], covariance[np.ix_(at, at)], found.dof))
+        covariance = _carried(covariance, at, slope)
+        values[at] = coordinates.backward(values[at])
+        for k, name in zip(at, coordinates.names, strict=True):
+            limits = model.parameter(name)
+            names[k], units[k] = name, limits.unit
+            low[k], high[k] = limits.low, limits.high
+    at_bound = tuple(n for n in found.at_bound if n in names)
+    at_bound += tuple(n for g in groups for n in g.names
+                      if values[names.index(n)] <= low[names.index(n)])
+    verdict = _reworded(found.identifiability, groups)
+    message = found.message
+    if found.status == "at_bound":
+        message = limit_message(at_bound)
+    elif found.status == "not_identifiable":
+        message = "; ".join(d.text for d in verdict.directions if math.isinf(d.std))
+    return replace(found, message=message, identifiability=verdict, names=tuple(names),
+                   units=tuple(units), values=values, low=low, high=high, covariance=covariance,
+                   intervals=intervals, at_bound=at_bound)
+
+
+def _reworded(verdict: Identifiability, groups: Sequence[Coordinates]) -> Identifiability:
+    """Say of a share that the data do not show that only the sum is known."""
+    split = {g.fitted[1]: g.names for g in groups if g.sum_and_share}
+    directions = tuple(
+        replace(d, members=split[d.members[0]], change=(1.0, -1.0),
+                text=f"{' and '.join(split[d.members[0]])} only as their sum")
+        if len(d.members) == 1 and d.members[0] in split else d for d in verdict.directions)
+    if directions == verdict.directions:
+        return verdict
+    return Identifiability(directions, "; ".join(d.text for d in directions))
+
+
+def _slope(coordinates: Coordinates, values: Array, covariance: Array) -> Array:
+    """Return the derivative of `backward` (n, n), taken over half a standard error each way."""
+    std = np.sqrt(np.diag(covariance))
+    slope = np.zeros((values.size, values.size))
+    for j in range(values.size):
+        step = 0.5 * std[j] if np.isfinite(std[j]) and std[j] > 0.0 else 1e-6 * max(
+            abs(values[j]), 1e-9)
+        up, down = values.copy(), values.copy()
+        up[j] = min(values[j] + step, coordinates.high[j])
+        down[j] = max(values[j] - step, coordinates.low[j])
+        slope[:, j] = (coordinates.backward(up) - coordinates.backward(down)) / (up[j] - down[j])
+    return slope
+
+
+def _drawn(coordinates: Coordinates, values: Array, covariance: Array,
+           dof: float) -> dict[str, tuple[float, float]]:
+    """Return the interval of each physical parameter; unlimited where nothing is known."""
+    box = coordinates.high - coordinates.low
+    variance = np.diag(covariance).copy()
+    unknown = ~np.isfinite(variance)
+    if np.any(unknown & ~np.isfinite(box)):
+        return dict.fromkeys(coordinates.names, (-math.inf, math.inf))
+    known = np.where(np.isfinite(covariance), covariance, 0.0)
+    known[unknown, unknown] = box[unknown] ** 2
+    widened = t95(dof) / t95(math.inf)
+    sampler = stats.qmc.MultivariateNormalQMC(np.zeros(values.size), seed=0)
+    strength, directions = np.linalg.eigh(known)
+    root = directions * np.sqrt(np.maximum(strength, 0.0))
+    draws = values + widened * sampler.random(DRAWS) @ root.T
+    draws = np.clip(draws, coordinates.low, coordinates.high)
+    physical = np.array([coordinates.backward(row) for row in draws])
+    physical = physical[np.all(np.isfinite(physical), axis=1)]
+    limits = np.quantile(physical, (0.025, 0.975), axis=0)
+    return {n: (float(limits[0, k]), float(limits[1, k]))
+            for k, n in enumerate(coordinates.names)}
+
+
+def _carried(covariance: Array, at: NDArray[np.int64], slope: Array) -> Array:
+    """Apply `slope` to the rows and columns `at`; what was unknown there stays so."""
+    whole = np.eye(covariance.shape[0])
+    whole[np.ix_(at, at)] = slope
+    known = np.where(np.isfinite(covariance), covariance, 0.0)
+    out = np.asarray(whole @ known @ whole.T)
+    lost = ~np.isfinite(np.diag(covariance))
+    blurred = np.any(np.abs(whole[:, lost]) > 0.0, axis=1)
+    out[blurred, :] = out[:, blurred] = np.nan
+    out[blurred, blurred] = np.inf
+    return out
