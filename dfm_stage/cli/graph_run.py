@@ -1,0 +1,33 @@
+"""Running one experiment on the simulated node graph, into a bag, and reading it back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dfm_stage.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from dfm_stage.recording import Record
+
+
+def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, seed: int = 0,
+                 axes: Sequence[str] = ("x",), composed: bool = True,
+                 label: str = "") -> Record:
+    """Run an experiment in lockstep on a graph of its own and return the record of its bag.
+
+    Raises
+    ------
+    DfmError
+        If the graph does not come up, the experiment fails or the bag cannot be read.
+    """
+    from dfm_stage.harness import StageGraph
+
+    name = experiment if isinstance(experiment, str) else str(experiment["name"])
+    with StageGraph(model=model, seed=seed, axes=axes, lockstep=True, composed=composed,
+                    bag=bag) as graph:
+        with Progress(label or f"  {name}") as progress:
+            graph.run(experiment, progress=progress)
+        graph.stop_recording()
+    return graph.record()
