@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from sensor_msgs.msg import JointState
+
 from dfm_interfaces.msg import Measurement
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
+
+_JOINT_STATE_PERIOD_S = 0.05
 
 
 class EncoderDriver(LoopNode):
@@ -34,6 +38,8 @@ class EncoderDriver(LoopNode):
         self._last: Any = None
         self._last_position = 0.0
         self._out = self.link_publisher("measurement")
+        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self.create_timer(_JOINT_STATE_PERIOD_S, self._publish_joint_state, clock=self.steady)
         self.link_subscription("sim/position_counts", self._on_counts)
         self.publish_config()
 
@@ -59,6 +65,14 @@ class EncoderDriver(LoopNode):
         self._last_position = position
         self._out.send(sample.stamp_ns, sample.seq, position, counts, flags)
         self.count("samples")
+
+    def _publish_joint_state(self) -> None:
+        if self._last is None:
+            return
+        sec, nanosec = divmod(self._last.stamp_ns, 1_000_000_000)
+        state = JointState(name=[self.axis], position=[self._last_position])
+        state.header.stamp.sec, state.header.stamp.nanosec = sec, nanosec
+        self._joint_states.publish(state)
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Without a first sample there is nothing to answer."""
