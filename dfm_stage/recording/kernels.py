@@ -406,7 +406,9 @@ def decode(data: Bytes, offsets: Ints, row: int, program: Ints, arena: Bytes, ba
     pc = 0
     while pc < program.shape[0]:
         op, size, count, target = (program[pc, 0], program[pc, 1], program[pc, 2], program[pc, 3])
-        to = bases[3 + target] + row * count * (8 if op == _TIME else size) if target >= 0 else -1
+        to = -1
+        if op <= _STRING and target >= 0:
+            to = bases[3 + target] + row * count * (8 if op == _TIME else size)
         pc += 1
         if op == _COPY:
             _copy(data, start, end, at, size, count, arena, to)
