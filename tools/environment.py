@@ -56,7 +56,6 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
     """Make the environment from nothing; the stamp is written last."""
     stamp = folder / "environment.json"
     stamp.unlink(missing_ok=True)
-    remove_tree(folder / "env")
     env = folder / "env"
     outside = {
         name: value
@@ -68,6 +67,7 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
         outside["PYTHONPATH"] = environ["PYTHONPATH"]
     kind = "beside the installed ROS 2" if host.ros_prefix else "private"
     with steps.step(f"Python {host.version} environment, {kind}"):
+        remove_tree(env)
         site = ["--system-site-packages"] if host.ros_prefix else []
         steps.call([host.python, "-m", "venv", *site, env], outside, "python -m venv")
     python = env / "bin/python"

@@ -111,15 +111,15 @@ def check(host: Host) -> None:
             f"the ROS wheels exist for x86_64, not for {platform.machine()}: "
             "install ROS 2 Jazzy and source its setup.bash"
         )
-    for language, variable, names, package in (
-        ("C", "CC", ("cc", "gcc", "clang"), "gcc"),
-        ("C++", "CXX", ("c++", "g++", "clang++"), "g++"),
+    for language, variable, names in (
+        ("C", "CC", ("cc", "gcc", "clang")),
+        ("C++", "CXX", ("c++", "g++", "clang++")),
     ):
         wanted = os.environ.get(variable, "").split()[:1]
         if not any(shutil.which(name) for name in wanted or names):
             looked_for = f"{variable}={wanted[0]}" if wanted else ", ".join(names)
             raise SetupError(
-                f"no {language} compiler ({looked_for}): install {package} "
+                f"no {language} compiler ({looked_for}): install g++ "
                 "(Debian, Ubuntu: apt-get install g++; Fedora: dnf install gcc-c++)"
             )
     header, has_venv = _python_offers(host)
