@@ -2,6 +2,9 @@
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PID_PARAMETERS, PidGains
+from dfm_stage.control.kalman import KalmanDesign, kalman
+from dfm_stage.control.lqg import Lqg
+from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
@@ -23,8 +26,9 @@ from dfm_stage.control.ziegler_nichols import (
 )
 
 __all__ = [
-    "PID_PARAMETERS", "ControlError", "LinearStage", "Margins", "Oscillation", "Pid", "PidDesign",
-    "PidGains", "Sampled", "Ultimate", "algebraic", "feedback_gain", "finite_horizon",
+    "LQR_PARAMETERS", "PID_PARAMETERS", "ControlError", "KalmanDesign", "LinearStage", "Lqg",
+    "LqrDesign", "LqrSpec", "Margins", "Oscillation", "Pid", "PidDesign", "PidGains", "Sampled",
+    "Ultimate", "algebraic", "design_lqr", "feedback_gain", "finite_horizon", "kalman",
     "linear_stage", "loop_margins", "margins", "oscillation", "pid_for", "pid_with_margin",
     "sample_model", "sample_stage", "ultimate", "ultimate_from_relays", "ziegler_nichols",
 ]
