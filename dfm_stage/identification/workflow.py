@@ -258,7 +258,7 @@ def _starting_model(source: Source, model: Model | None, transfer: TransferFunct
     else:
         start = model
         others = [_allowed(model, base_values(transfer.plant, model.base["mass"]))] \
-            if transfer is not None and len(transfer.plant.modes) == 1 else []
+            if transfer is not None else []
     start = start.with_parameters(given) if given else start
     names = default_free(start) if free is None else expand_names(start, free)
     names = tuple(n for n in names if n not in expand_names(start, fixed))
@@ -267,15 +267,27 @@ def _starting_model(source: Source, model: Model | None, transfer: TransferFunct
 
 
 def base_values(plant: LinearPlant, mass: float) -> dict[str, float]:
-    """Return the base parameters of a one-mode plant at a given moving mass."""
-    mode = plant.modes[0]
-    return {"damping": mode.damping * mass, "stiffness": mode.stiffness * mass,
-            "force_constant": mode.numerator * mass, "amplifier_time_constant": plant.lag,
-            "delay": plant.delay}
+    """Return the parameters of a plant of one or two modes at a given moving mass.
+
+    The softer mode is the stage's own; the other is the effect `second_mode`.
+    """
+    first, *rest = sorted(plant.modes, key=lambda m: m.stiffness)
+    total = sum(m.numerator for m in plant.modes)
+    values = {"damping": first.damping * mass, "stiffness": first.stiffness * mass,
+              "force_constant": total * mass, "amplifier_time_constant": plant.lag,
+              "delay": plant.delay}
+    if rest and total != 0.0 and rest[0].stiffness > 0.0:
+        values |= {"second_mode.share": rest[0].numerator / total,
+                   "second_mode.frequency": rest[0].natural_frequency_hz,
+                   "second_mode.damping_ratio": rest[0].damping_ratio}
+    return values
 
 
 def _allowed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    return {n: v for n, v in values.items() if n in model.base or n == "force_constant"}
+    """Keep of `values` what the model has, inside its limits."""
+    own = {**model.parameters(), "force_constant": 1.0}
+    limits = {n: model.parameter(n) for n in values if n in own}
+    return {n: min(max(values[n], p.low), p.high) for n, p in limits.items()}
 
 
 def _remarks(estimate: Estimate) -> list[str]:

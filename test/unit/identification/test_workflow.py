@@ -1,0 +1,110 @@
+"""From records to a model: the whole way, on records made by SciPy alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dfm_stage.identification import IdentificationError, Source, identify
+from dfm_stage.model import Model
+from dfm_stage.recording import AxisRecord
+
+LINES = np.setdiff1d(np.arange(1, 141, 2), [9, 23, 41, 77, 101])
+COUNT = 5e-8
+
+
+def source(reference_stage, multisine, seed, periods=6, name="run", **truth):
+    rng = np.random.default_rng(seed)
+    u = 0.08 * multisine(LINES, 2000, periods, seed)
+    u, y = reference_stage(**truth).simulate(u, noise=5e-8 * rng.standard_normal(u.size))
+    return Source(name, AxisRecord(u, COUNT * np.round(y / COUNT)), 1e-3)
+
+
+def test_the_papers_stage_within_its_bars(reference_stage, multisine):
+    hits = []
+    for seed in range(10):
+        found = identify([source(reference_stage, multisine, seed)])
+        assert found.estimate.status == "converged"
+        truth = {"natural_frequency_hz": np.sqrt(650 / 1.082) / 2 / np.pi,
+                 "damping_ratio": 1.845 / 2 / np.sqrt(650 * 1.082), "gain": 1.082 / 650}
+        for name, bar in (("natural_frequency_hz", 0.005), ("damping_ratio", 0.03),
+                          ("gain", 0.005)):
+            q = getattr(found, name)
+            assert q.value == pytest.approx(truth[name], rel=bar)
+            hits.append(q.covers(truth[name]))
+    assert np.mean(hits) >= 0.8
+    assert found.model.base["mass"] == 1.082
+    assert found.held_out[0].fit.rms == pytest.approx(5.2e-8, rel=0.1)
+    assert found.evaluations[0].floor.known_from == "periods"
+    assert all(t.passed for t in found.tests)
+    assert {row.symbol for row in found.paper} == {"b", "c/m", "k/m"}
+    assert abs(found.paper[0].deviation_percent) < 0.1
+    assert found.transfer_function.misfit < 2.0
+
+
+def test_the_answer_as_json(reference_stage, multisine):
+    found = identify([source(reference_stage, multisine, 0)]).to_dict()
+    assert found["schema"] == 1
+    for name in ("natural_frequency_hz", "damping_ratio", "gain"):
+        assert set(found[name]) == {"value", "unit", "ci95"}
+        low, high = found[name]["ci95"]
+        assert low < found[name]["value"] < high
+    assert found["parameters"]["mass"] == {"value": 1.082, "unit": "kg", "ci95": None,
+                                           "held": True}
+    assert found["parameters"]["stiffness"]["unit"] == "N/m"
+    assert found["fit"]["unit"] == "m"
+    assert {"rms", "noise_floor", "unit"} <= set(found["held_out"])
+    assert [t["name"] for t in found["residual_tests"]] == ["whiteness", "input_correlation"]
+
+
+def test_another_mass_scales_the_rest(reference_stage, multisine):
+    one = identify([source(reference_stage, multisine, 0)], fixed={"mass": 2.164})
+    assert one.model.base["stiffness"] == pytest.approx(1300.0, rel=1e-3)
+    assert one.natural_frequency_hz.value == pytest.approx(3.9009, rel=1e-4)
+
+
+def test_a_wrong_model_is_corrected_and_a_missing_mode_stands_out(reference_stage, multisine):
+    train = source(reference_stage, multisine, 1, second=(0.07, 16.0, 0.01))
+    start = Model("start", 1e-3, base={"mass": 1.082, "damping": 3.0, "stiffness": 500.0,
+                                       "force_constant": 2.0, "amplifier_time_constant": 1e-3,
+                                       "delay": 1e-3})
+    plain = identify([train], model=start)
+    two = identify([train], model=start.with_effect(
+        "second_mode", {"share": 0.02, "frequency": 14.0, "damping_ratio": 0.03}))
+    assert plain.evaluations[0].fit.rms > 20 * two.evaluations[0].fit.rms
+    assert two.evaluations[0].fit.rms == pytest.approx(5.2e-8, rel=0.1)
+    assert two.estimate.quantity("second_mode.frequency").value == pytest.approx(16.0, rel=1e-3)
+    assert two.estimate.quantity("second_mode.share").value == pytest.approx(0.07, rel=0.01)
+    assert not plain.line_residuals.passed
+    assert two.line_residuals.passed
+
+
+def test_hold_out_record_and_several_records(reference_stage, multisine):
+    runs = [source(reference_stage, multisine, s, name=f"run{s}") for s in (1, 2, 3)]
+    found = identify(runs[:2], holdout=runs[2:])
+    assert [e.source for e in found.evaluations] == ["run1", "run2"]
+    assert [e.source for e in found.held_out] == ["run3"]
+    assert found.held_out[0].fit.fit_percent > 99.0
+    assert found.held_out[0].floor.known_from == "periods"
+
+
+def test_radians_and_amperes_are_carried(reference_stage, multisine):
+    plain = source(reference_stage, multisine, 1)
+    turned = Source("run", AxisRecord(plain.axis.input, plain.axis.position, "A", "rad"), 1e-3)
+    found = identify([turned])
+    assert found.gain.unit == "rad/A"
+    assert found.model.position_unit == "rad"
+    assert found.model.drive == "current"
+    assert not found.paper
+    assert found.to_dict()["fit"]["unit"] == "rad"
+
+
+def test_records_that_do_not_belong_together_are_refused(reference_stage, multisine):
+    one = source(reference_stage, multisine, 1)
+    other = Source("other", AxisRecord(one.axis.input, one.axis.position, "A", "m"), 1e-3)
+    with pytest.raises(IdentificationError, match="same units"):
+        identify([one, other])
+    with pytest.raises(IdentificationError, match="resample"):
+        identify([one, Source("slow", one.axis, 2e-3)])
+    with pytest.raises(IdentificationError, match="at least one"):
+        identify([])
