@@ -221,6 +221,16 @@ def test_messages_that_do_not_fit_their_definition_are_counted(tmp_path: Path) -
     assert "5 messages do not fit the definition of a/msg/A" in str(bag.losses[0])
 
 
+def test_a_text_may_not_reach_beyond_its_message(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = bag.add_topic("/a", "std_msgs/msg/String", [], "", "string data\n")
+        for k, size in enumerate([3, 4, 5, 8, 2**31, 2**32 - 1]):
+            bag.write(topic, b"\0\1\0\0" + size.to_bytes(4, "little") + b"ab\0", k + 1, k, k)
+    found = read_bag(tmp_path / "bag")
+    assert found["/a"]["data"].tolist() == ["ab"]
+    assert [loss.messages for loss in found.losses] == [5]
+
+
 def test_things_that_are_no_bag(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").write_bytes(b"")
     (tmp_path / "text.mcap").write_text("hello, this is not a bag\n")
