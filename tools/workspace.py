@@ -8,10 +8,16 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import environment
-from console import Steps, read_stamp, remove_tree, write_stamp
+from console import Steps, read_stamp, remove_tree, write_stamp, write_whole
 from host import Host
 
 REVISION = 1  # raise it when the way of building changes
+LONGEST_INTERPRETER = 125
+# the second line is a command to sh and the begin of a string to Python
+THROUGH_SH = """#!/bin/sh
+'''exec' "{python}" "$0" "$@"
+' '''
+"""
 INTERFACES, STAGE = "dfm_interfaces", "dfm_stage"
 
 
@@ -112,8 +118,23 @@ def build(root: Path, folder: Path, steps: Steps, environ: Mapping[str, str]) ->
             "MAKEFLAGS": f"-j{os.cpu_count() or 1}",
         }
         steps.call(command, {**environ, **own}, "colcon build", cwd=root)
+    make_startable(folder / "install" / STAGE / "lib" / STAGE, python)
     for package, wanted in todo.items():
         write_stamp(folder / f"{package}.json", wanted)
+
+
+def make_startable(scripts: Path, python: Path) -> None:
+    """Start scripts through sh where the kernel cannot read the interpreter's path.
+
+    It stops reading at a space, and at 127 characters.
+    """
+    if " " not in str(python) and len(str(python)) < LONGEST_INTERPRETER:
+        return
+    for script in scripts.glob("*"):
+        first, _, rest = script.read_text(encoding="utf-8").partition("\n")
+        if first.startswith("#!") and first != "#!/bin/sh":
+            write_whole(script, THROUGH_SH.format(python=python) + rest)
+            script.chmod(0o755)
 
 
 def variables(host: Host, folder: Path, environ: Mapping[str, str]) -> dict[str, str]:

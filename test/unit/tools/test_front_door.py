@@ -246,6 +246,19 @@ FOREIGN = {
 }
 
 
+@pytest.mark.parametrize("folder", ["plain", "with space", "long" * 40])
+def test_scripts_start_whatever_the_path(tmp_path: Path, folder: str) -> None:
+    python, scripts = tmp_path / folder / "python", tmp_path / folder / "lib"
+    scripts.mkdir(parents=True)
+    python.symlink_to(sys.executable)
+    script = scripts / "node"
+    script.write_text(f"#!{python}\nimport sys\nprint(sys.argv[1:])\n")
+    script.chmod(0o755)
+    for _ in range(2):
+        workspace.make_startable(scripts, python)
+        assert call(str(script), "a b", "c").stdout == "['a b', 'c']\n"
+
+
 class TestVariables:
     def test_nothing_foreign_reaches_the_private_environment(self, tmp_path: Path) -> None:
         seen = workspace.variables(BARE, tmp_path, FOREIGN)
