@@ -2,6 +2,7 @@
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PID_PARAMETERS, PidGains
+from dfm_stage.control.guard import GUARD_PARAMETERS, Guard
 from dfm_stage.control.kalman import KalmanDesign, kalman
 from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
@@ -16,6 +17,7 @@ from dfm_stage.control.stage import (
     sample_model,
     sample_stage,
 )
+from dfm_stage.control.tuning_runs import TUNING_PARAMETERS, GainRaising, RelayRun, TuningRun
 from dfm_stage.control.ziegler_nichols import (
     Oscillation,
     Ultimate,
@@ -26,8 +28,9 @@ from dfm_stage.control.ziegler_nichols import (
 )
 
 __all__ = [
-    "LQR_PARAMETERS", "PID_PARAMETERS", "ControlError", "KalmanDesign", "LinearStage", "Lqg",
-    "LqrDesign", "LqrSpec", "Margins", "Oscillation", "Pid", "PidDesign", "PidGains", "Sampled",
+    "GUARD_PARAMETERS", "LQR_PARAMETERS", "PID_PARAMETERS", "TUNING_PARAMETERS", "ControlError",
+    "GainRaising", "Guard", "KalmanDesign", "LinearStage", "Lqg", "LqrDesign", "LqrSpec",
+    "Margins", "Oscillation", "Pid", "PidDesign", "PidGains", "RelayRun", "Sampled", "TuningRun",
     "Ultimate", "algebraic", "design_lqr", "feedback_gain", "finite_horizon", "kalman",
     "linear_stage", "loop_margins", "margins", "oscillation", "pid_for", "pid_with_margin",
     "sample_model", "sample_stage", "ultimate", "ultimate_from_relays", "ziegler_nichols",

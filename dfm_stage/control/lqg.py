@@ -31,15 +31,21 @@ class Lqg:
         If a limit or time is not above zero.
     """
 
-    __slots__ = ("_a", "_apart", "_b", "_correct", "_decay", "_drifts", "_ki", "_ki_h", "_known",
-                 "_limit", "_next", "_offset", "_period", "_r", "_start", "_through", "_v",
-                 "_wa", "design", "fault", "integral_v", "output_v", "saturated")
+    __slots__ = ("_a", "_b", "_bumpless_s", "_correct", "_decay", "_drifts", "_go_on", "_ki",
+                 "_ki_h", "_known", "_law_output", "_limit", "_next", "_offset", "_period", "_r",
+                 "_start", "_through", "_v", "_wa", "design", "fault", "integral_v", "output_v",
+                 "saturated")
 
     def __init__(self, design: LqrDesign, output_limit_v: float = 10.0,
                  bumpless_s: float = 0.1) -> None:
         for name, value in (("output_limit_v", output_limit_v), ("bumpless_s", bumpless_s)):
             if not (math.isfinite(value) and value > 0.0):
                 raise ControlError(f"lqg: {name} must be a number above zero, not {value!r}")
+        self._limit, self._bumpless_s = output_limit_v, bumpless_s
+        self._use(design)
+        self.reset()
+
+    def _use(self, design: LqrDesign) -> None:
         self.design = design
         f, h = design.filter, design.sample_period_s
         # One product gives the prediction, the feedback and the expected reading.
@@ -49,10 +55,9 @@ class Lqg:
         self._b = f.B
         self._r, self._v, self._wa = (float(each) for each in design.reference_gain)
         self._ki, self._ki_h = design.integral_gain, design.integral_gain * h
-        self._decay = math.exp(-h / bumpless_s)
+        self._decay = math.exp(-h / self._bumpless_s)
         self._start, self._drifts = design.start, f.drifting_force
-        self._limit, self._period = output_limit_v, h
-        self.reset()
+        self._period = h
 
     @property
     def sample_period_s(self) -> float:
@@ -64,6 +69,10 @@ class Lqg:
         """The estimated force at the last sample, N."""
         return float(self._next[-1]) if self._drifts else 0.0
 
+    def set_output_limit(self, output_limit_v: float) -> None:
+        """Change the largest absolute output, V."""
+        self._limit = output_limit_v
+
     def reset(self) -> None:
         """Forget everything but the design."""
         self.integral_v = 0.0
@@ -72,8 +81,9 @@ class Lqg:
         self.fault = ""
         self._offset = 0.0
         self._known = False
+        self._go_on = math.nan
+        self._law_output = 0.0
         self._next = np.zeros(self._b.size)
-        self._apart = 0.0
 
     def step(self, reference_m: float, position_m: float, velocity_m_s: float = 0.0,
              acceleration_m_s2: float = 0.0, dt_s: float = 0.0) -> float:
@@ -86,10 +96,13 @@ class Lqg:
         product = self._a @ x
         n = self._b.size
         innovation = position_m - float(product[n + 1])
-        wanted = (float(product[n]) + self._through * innovation + self.integral_v + self._offset
-                  + self._r * reference_m + self._v * velocity_m_s + self._wa * acceleration_m_s2)
-        if wanted - wanted != 0.0:
+        law = (float(product[n]) + self._through * innovation + self._r * reference_m
+               + self._v * velocity_m_s + self._wa * acceleration_m_s2)
+        if law - law != 0.0:
             return self._faulted(x)
+        if self._go_on == self._go_on:
+            self._continue_at(self._go_on, law)
+        wanted = law + self.integral_v + self._offset
         limit = self._limit
         output = min(limit, max(-limit, wanted))
         self.saturated = output != wanted
@@ -98,7 +111,7 @@ class Lqg:
             self.integral_v += self._ki_h * error
         self._offset *= self._decay
         self._next = product[:n] + self._correct * innovation
-        self.output_v = output
+        self.output_v = self._law_output = output
         if self.fault:
             self.fault = ""
         return output
@@ -129,10 +142,39 @@ class Lqg:
         law = (float(product[n]) + self._through * innovation + self._r * reference_m
                + self._v * velocity_m_s + self._wa * acceleration_m_s2)
         self._next = product[:n] + self._correct * innovation
-        self.output_v = min(self._limit, max(-self._limit, output_v))
-        short = self.output_v - law
-        self.integral_v, self._offset = (short, 0.0) if self._ki else (0.0, short)
+        self.output_v = self._law_output = min(self._limit, max(-self._limit, output_v))
+        self._continue_at(self.output_v, law)
         self.fault = ""
+
+    def set_design(self, design: LqrDesign) -> None:
+        """Change the design without a bump.
+
+        The next `step` goes on at the present output. The filter keeps what it knows where the
+        new design has the same states of the stage, else it starts again from the next reading.
+
+        Raises
+        ------
+        ControlError
+            If the design is for another sample period.
+        """
+        if design.sample_period_s != self._period:
+            raise ControlError(f"lqg: the design is for samples every {design.sample_period_s:g} "
+                               f"s, the controller runs every {self._period:g} s")
+        before, old = self._next, self.design.stage.b.size
+        self._use(design)
+        n = design.stage.b.size
+        self._next = np.zeros(self._b.size)
+        if n == old:
+            shared = min(before.size, self._b.size)
+            self._next[:shared] = before[:shared]
+        else:
+            self._known = False
+        self._go_on = self._law_output
+
+    def _continue_at(self, output_v: float, law: float) -> None:
+        short = output_v - law
+        self.integral_v, self._offset = (short, 0.0) if self._ki else (0.0, short)
+        self._go_on = math.nan
 
     def _predicted(self, position_m: float, dt_s: float) -> np.ndarray:
         """Return the filter's prediction for this sample; the first one starts from rest."""
@@ -152,6 +194,6 @@ class Lqg:
     def _faulted(self, x: np.ndarray) -> float:
         self.fault = "reference or measurement is not a finite number"
         self.saturated = False
-        self.output_v = 0.0
+        self.output_v = self._law_output = 0.0
         self._next = self.design.filter.A @ x
         return 0.0

@@ -163,8 +163,8 @@ class Pid:
               velocity_m_s: float = 0.0, acceleration_m_s2: float = 0.0) -> None:
         """Follow another controller (or a hand) so that taking over from it gives no bump.
 
-        Call it in place of `step`, each sample or once: the next `step` with the same inputs
-        returns `output_v`, as far as the limits allow.
+        Call it in place of `step`, each sample or once: the next `step` returns `output_v`, as
+        far as the limits allow, if the stage stands still (once) or goes on as it did (each).
 
         Raises
         ------
@@ -179,7 +179,7 @@ class Pid:
             self._derivative = self._decay * self._derivative + moved * self._per_dt
         self._last = now
         self.output_v = min(self._limit, max(-self._limit, output_v))
-        self.integral_v = self.output_v - self._parts(self._decay * self._derivative)
+        self.integral_v = self.output_v - self._parts(self._derivative)
         self.fault = ""
 
     def set_gains(self, gains: PidGains) -> None:

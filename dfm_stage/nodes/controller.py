@@ -2,7 +2,9 @@
 
 In lockstep it waits for reference and excitation of the same sample. In real time it answers at
 once with the reference that was sent ahead for this sample, or, where that is late, with the last
-one (counted).
+one (counted). The laws that are not in force follow the one that is, so that `mode` changes
+without a bump. A guard watches travel and divergence; once it let go, the output stays zero until
+`mode` is set again.
 """
 
 from __future__ import annotations
@@ -10,12 +12,34 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from dfm_stage.control import PID_PARAMETERS, Pid, PidGains
+from dfm_stage.control import (
+    GUARD_PARAMETERS,
+    LQR_PARAMETERS,
+    PID_PARAMETERS,
+    TUNING_PARAMETERS,
+    ControlError,
+    GainRaising,
+    Guard,
+    Lqg,
+    LqrDesign,
+    LqrSpec,
+    Pid,
+    PidGains,
+    RelayRun,
+    TuningRun,
+    design_lqr,
+)
 from dfm_stage.control.gains import ANTI_WINDUP
+from dfm_stage.model import load_model
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
 
-_MODES = ("open_loop", "pid")
+_MODES = ("open_loop", "pid", "lqr")
+_RUNS: dict[str, type[TuningRun]] = {"raise_gain": GainRaising, "relay": RelayRun}
+_LQR_SWITCHES = ("lqr_integral", "lqr_disturbance", "lqr_feedforward")
+_LQR_NAMES = (*(parameter.name for parameter in LQR_PARAMETERS), *_LQR_SWITCHES)
+_PID_NAMES = (*(parameter.name for parameter in PID_PARAMETERS), "anti_windup")
+_TUNING_NAMES = tuple(parameter.name for parameter in TUNING_PARAMETERS)
 
 
 class _AtZero(NamedTuple):
@@ -38,17 +62,34 @@ class Controller(LoopNode):
         *(Setting.of(parameter, live=True) for parameter in PID_PARAMETERS),
         Setting("anti_windup", "back_calculation", "what keeps the integral from winding up",
                 choices=ANTI_WINDUP, live=True),
+        Setting("model", "", "model.yaml that lqr is designed on, a path or a name in "
+                "config/models", live=True),
+        *(Setting.of(parameter, live=True) for parameter in LQR_PARAMETERS),
+        Setting("lqr_integral", True, "integral action on the tracking error", live=True),
+        Setting("lqr_disturbance", False, "estimate a drifting force and take it off the output",
+                live=True),
+        Setting("lqr_feedforward", True, "add the model's own input for the reference; without "
+                "it, it is the paper's regulator", live=True),
+        *(Setting.of(parameter, live=True) for parameter in GUARD_PARAMETERS),
+        Setting("tuning", "none", "in mode pid: find the ultimate gain instead of controlling",
+                choices=("none", *_RUNS), live=True),
+        *(Setting.of(parameter, live=True) for parameter in TUNING_PARAMETERS),
     )
+    _designed: tuple[tuple[Any, ...], LqrDesign] | None = None
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._period: float = self.settings["sample_period_s"]
         self._pid = Pid(self._gains(self.settings.values), self._period)
+        self._lqg: Lqg | None = None
+        self._use_design()
+        self._guard = self._new_guard()
+        self._run: TuningRun | None = None
         self._mode: str = self.settings["mode"]
         self._limit: float = self.settings["output_limit_v"]
+        self._start_tuning()
         self._seq = 0
         self._last_seq: int | None = None
-        self._last_voltage = 0.0
         self._measurement: Any = None
         self._reference: Any = None
         self._next_reference: Any = None
@@ -64,25 +105,79 @@ class Controller(LoopNode):
 
     @staticmethod
     def _gains(values: dict[str, Any]) -> PidGains:
-        names = [parameter.name for parameter in PID_PARAMETERS] + ["anti_windup"]
-        return PidGains(**{name: values[name] for name in names})
+        return PidGains(**{name: values[name] for name in _PID_NAMES})
+
+    def _new_guard(self) -> Guard:
+        return Guard(self._period, *(self.settings[parameter.name]
+                                     for parameter in GUARD_PARAMETERS))
 
     def check_settings(self, values: dict[str, Any]) -> None:
-        """Refuse gains that the law cannot work with."""
+        """Refuse gains and models that the laws cannot work with."""
         self._gains(values)
+        if values["mode"] == "lqr" and not values["model"]:
+            raise ControlError("mode lqr needs the parameter model: a model.yaml, or a name in "
+                               "config/models")
+        if values["model"]:
+            self._design(values)
+
+    def _design(self, values: dict[str, Any]) -> LqrDesign:
+        """Return the LQR for these values; the last one is kept."""
+        key = (values["model"], values["sample_period_s"], *(values[n] for n in _LQR_NAMES))
+        if self._designed is None or self._designed[0] != key:
+            model = load_model(values["model"])
+            if model.axes:
+                model = model.axis(self.get_namespace().rpartition("/")[2])
+            design = design_lqr(model, LqrSpec.from_mapping(values), values["sample_period_s"])
+            self._designed = (key, design)
+        return self._designed[1]
+
+    def _use_design(self) -> None:
+        if not self.settings["model"]:
+            self._lqg = None
+            return
+        design = self._design(self.settings.values)
+        if self._lqg is None:
+            self._lqg = Lqg(design, self.settings["output_limit_v"])
+            return
+        self._lqg.set_output_limit(self.settings["output_limit_v"])
+        if self._lqg.design is not design:
+            self._lqg.set_design(design)
+
+    def _start_tuning(self) -> None:
+        make = _RUNS.get(self.settings["tuning"]) if self._mode == "pid" else None
+        self._run = make(self._period, **{name: self.settings[name] for name in _TUNING_NAMES}
+                         ) if make else None
 
     def settings_applied(self, names: set[str]) -> None:
         """Take over new gains and modes without a bump."""
         self._limit = self.settings["output_limit_v"]
-        self._pid.set_gains(self._gains(self.settings.values))
-        mode = self.settings["mode"]
-        if mode != self._mode and mode == "pid":
-            self._pid.reset()
-            if self._measurement is not None:
-                reference = self._reference.position if self._reference is not None else 0.0
-                self._pid.track(self._last_voltage, reference, self._measurement.position)
-        self._mode = mode
+        if names & set(_PID_NAMES):
+            self._pid.set_gains(self._gains(self.settings.values))
+        if names & {"model", "output_limit_v", *_LQR_NAMES}:
+            self._use_design()
+        self._mode = self.settings["mode"]
+        if names & {"mode", "tuning", *_TUNING_NAMES}:
+            self._start_tuning()
+        if "mode" in names or names & {parameter.name for parameter in GUARD_PARAMETERS}:
+            self._guard = self._new_guard()
+            self.warnings_active.pop("guard", None)
         self.publish_config()
+
+    def config(self) -> dict[str, Any]:
+        """Return margins of the LQR and the state of a tuning run."""
+        out: dict[str, Any] = {}
+        if self._lqg is not None:
+            found = self._lqg.design.margins
+            out["lqr"] = {"modulus_margin": found.modulus, "gain_margin": found.gain,
+                          "phase_margin_deg": found.phase_deg,
+                          "crossover_hz": found.crossover_hz}
+        run = self._run
+        if run is not None:
+            out["tuning"] = {"ended": run.ended, "failure": run.failure}
+            if run.outcome is not None:
+                out["tuning"] |= {"ultimate_gain_v_m": run.outcome.gain_v_m,
+                                  "ultimate_period_s": run.outcome.period_s}
+        return out
 
     # The loop
 
@@ -128,28 +223,69 @@ class Controller(LoopNode):
         if samples != 1:
             self.count("samples_missed", samples - 1)
         added = self._excitation.voltage if self._excitation is not None else 0.0
-        wanted = added
-        if self._mode == "pid":
-            reference = self._reference or _AT_ZERO
-            wanted += self._pid.step(reference.position, measurement.position,
-                                     reference.velocity, reference.acceleration,
-                                     samples * self._period)
+        reference = self._reference or _AT_ZERO
+        law = self._law(reference, measurement.position, samples)
+        wanted = law + added
         voltage = min(max(wanted, -self._limit), self._limit)
         saturated = voltage != wanted
         if not math.isfinite(wanted):
             voltage, saturated = 0.0, True
             self.count("not_finite")
-        if self._mode == "pid":
-            saturated = saturated or self._pid.saturated
-            if voltage != wanted:
-                self._pid.applied(voltage - added)
+        if not self._guard.check(measurement.position, voltage, self._limit, samples):
+            self._let_go()
+            voltage = added = 0.0
+        saturated = self._tell(reference, measurement.position, voltage, added,
+                               voltage != wanted) or saturated
         if saturated:
             self.count("saturated")
-        self._last_voltage = voltage
         self._seq += 1
         stamp = measurement.stamp_ns if self.lockstep else self.now_ns()
         self._out.send(stamp, self._seq, measurement.seq, measurement.stamp_ns, voltage,
                        saturated)
+
+    def _law(self, reference: Any, position: float, samples: int) -> float:
+        run = self._run
+        if self._guard.tripped:
+            return 0.0
+        if run is not None:
+            before, law = run.ended, run.step(position)
+            if run.ended != before:
+                self.publish_config()
+            return law
+        if self._mode == "pid":
+            return self._pid.step(reference.position, position, reference.velocity,
+                                  reference.acceleration, samples * self._period)
+        if self._mode == "lqr" and self._lqg is not None:
+            return self._lqg.step(reference.position, position, reference.velocity,
+                                  reference.acceleration, samples * self._period)
+        return 0.0
+
+    def _tell(self, reference: Any, position: float, voltage: float, added: float,
+              limited: bool) -> bool:
+        """Tell all laws what goes out; return whether the one in force was limited."""
+        pid, lqg, law = self._pid, self._lqg, voltage - added
+        following = (law, reference.position, position, reference.velocity,
+                     reference.acceleration)
+        usable = math.isfinite(sum(following))
+        controls = self._run is None and not self._guard.tripped
+        by_pid, by_lqr = controls and self._mode == "pid", controls and self._mode == "lqr"
+        if by_pid:
+            if limited:
+                pid.applied(law)
+        elif usable:
+            pid.track(*following)
+        if lqg is not None:
+            if not by_lqr and usable:
+                lqg.track(*following)
+            lqg.applied(voltage)
+        return (by_pid and pid.saturated) or (by_lqr and lqg is not None and lqg.saturated)
+
+    def _let_go(self) -> None:
+        if "guard" not in self.warnings_active:
+            self.count("guard_trips")
+            self.warnings_active["guard"] = (f"output is zero until mode is set again: "
+                                             f"{self._guard.tripped}")
+            self.get_logger().warning(self.warnings_active["guard"])
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Return which part of the answer is missing."""

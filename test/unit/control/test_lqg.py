@@ -287,3 +287,33 @@ def test_a_design_for_a_stage_without_force_is_refused() -> None:
     with pytest.raises(ControlError, match="output_limit_v"):
         Lqg(design_lqr(load_model("paper_stage")), output_limit_v=0.0)
     assert isinstance(design_lqr(load_model("paper_stage")), LqrDesign)
+
+
+@pytest.mark.parametrize(("first", "second"), [
+    ("integral", "both"), ("both", "integral"), ("model", "integral"), ("integral", "model"),
+    ("regulator", "disturbance"),
+])
+def test_a_new_design_gives_no_bump(first: str, second: str) -> None:
+    model = load_model("raster_bench").with_parameters({"noise": 0.0})
+    plant, lqg = Plant(model), Lqg(design_lqr(model, VARIANTS[first]))
+    outputs = []
+    for k in range(2600):
+        if k == 1500:
+            lqg.set_design(design_lqr(model, VARIANTS[second].changed(lqr_error_m=2e-4)))
+        outputs.append(lqg.step(1e-3, plant.sample().reading_m))
+        plant.advance(outputs[-1], external_force_n=0.1)
+    change = np.abs(np.diff(outputs))
+    assert change[1499] < 1e-3
+    assert np.max(change[1499:1600]) < 0.02 + 2.0 * np.max(change[-500:])
+    with pytest.raises(ControlError, match="samples every"):
+        lqg.set_design(design_lqr(model, sample_period_s=2e-3))
+
+
+def test_a_design_with_other_states_starts_its_filter_again() -> None:
+    model = load_model("raster_bench")
+    plant, lqg = Plant(model, seed=1), Lqg(design_lqr(model))
+    for k in range(6000):
+        if k == 1500:
+            lqg.set_design(design_lqr(model.without_effect("second_mode")))
+        plant.advance(lqg.step(1e-3, plant.sample().reading_m))
+    assert abs(plant.sample().position_m - 1e-3) < 2e-7
