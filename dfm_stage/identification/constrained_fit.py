@@ -118,7 +118,8 @@ def fit_constrained(measured: FrequencyResponse, *,
     tight = [label for label, each in zip(("underdamped", "gain above", "gain below"),
                                           constraints, strict=False)
              if each["fun"](v) < 1e-9]
-    covariance = _covariance(_jacobian(relative, v), relative(v), measured, blocked) * np.outer(scale, scale)
+    covariance = (_covariance(_jacobian(relative, v), relative(v), measured, blocked)
+                  * np.outer(scale, scale))
     values = v * scale
     unit_b = f"{measured.unit}/s^2"
 

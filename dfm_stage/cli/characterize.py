@@ -1,0 +1,162 @@
+"""characterize: static test, free decay, frequency and step response on the node graph."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dfm_stage.errors import DfmError
+
+if TYPE_CHECKING:
+    from dfm_stage.identification.characterisation import Result
+    from dfm_stage.model import Model
+    from dfm_stage.recording import Record
+
+KINDS = ("static", "decay", "step", "stepped_sine", "multisine")
+EPILOG = """\
+examples:
+  ./run characterize
+  ./run characterize decay --model my_stage.yaml --out tests/decay
+  ./run characterize static --bag runs/static
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run and analyse characterisation experiments; 0 done, 2 unusable input."""
+    parser = argparse.ArgumentParser(prog="characterize", description=__doc__, epilog=EPILOG,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", nargs="?", default="all", choices=(*KINDS, "all"),
+                        help="what to do (default: all)")
+    parser.add_argument("--model", metavar="FILE", help="model.yaml of the simulated stage, a "
+                        "path or a name in config/models (default: paper_stage; with --bag the "
+                        "bag's own)")
+    parser.add_argument("--experiment", metavar="FILE", help="another experiment of that kind "
+                        "than the one in config/experiments")
+    parser.add_argument("--bag", metavar="BAG", help="analyse this bag instead of recording one")
+    parser.add_argument("--axis", metavar="NAME", help="axis, where the bag has several")
+    parser.add_argument("--out", metavar="DIR", help="folder for characterize.json, report.html "
+                        "and the bags (default: characterized/<date and time>)")
+    parser.add_argument("--seed", type=int, default=0, help="fixes the noise (default: 0)")
+    parser.add_argument("--processes", action="store_true",
+                        help="one process per node instead of all in this one")
+    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
+    options = parser.parse_args(argv)
+    try:
+        return _characterize(options)
+    except DfmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 130
+
+
+def _characterize(options: argparse.Namespace) -> int:
+    if options.kind == "all" and (options.bag or options.experiment):
+        raise DfmError("say what the bag or experiment is: characterize "
+                       f"{{{','.join(KINDS)}}} --bag BAG")
+    from dfm_stage.identification.characterisation import characterise
+    from dfm_stage.model import load_model
+
+    out = Path(options.out or f"characterized/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
+    model = load_model(options.model or "paper_stage") if (
+        options.model or not options.bag) else None
+    found: dict[str, tuple[Record, Result]] = {}
+    for kind in KINDS if options.kind == "all" else (options.kind,):
+        record = _record(kind, options, out)
+        used = model or _model_of(record)
+        result = characterise(kind, record, axis=options.axis,
+                              force_constant=used.base.get("force_constant") if used else None)
+        found[kind] = record, result
+        _print(kind, result)
+    content = {"schema": 1, "model": model.name if model else None,
+               "results": {kind: result.to_dict() for kind, (_, result) in found.items()},
+               "records": {kind: record.provenance.source for kind, (record, _) in found.items()}}
+    from dfm_stage.cli.characterize_report import write_report
+    from dfm_stage.cli.identify import _finite, _folder, _write
+
+    folder = _folder(str(out))
+    _write(folder / "characterize.json",
+           json.dumps(_finite(content), indent=1, allow_nan=False) + "\n")
+    if not options.no_report:
+        write_report(found, folder / "report.html", model)
+    print(f"  characterize.json{'' if options.no_report else ', report.html'} in {folder}")
+    return 0
+
+
+def _record(kind: str, options: argparse.Namespace, out: Path) -> Record:
+    if options.bag:
+        from dfm_stage.recording import read_record
+
+        return read_record(options.bag, axis=options.axis)
+    from dfm_stage.cli.graph_run import run_on_graph
+    from dfm_stage.identification.characterisation import EXPERIMENTS
+
+    bag = out / kind
+    if bag.exists():
+        raise DfmError(f"{bag} is already there; choose another folder with --out")
+    return run_on_graph(options.experiment or EXPERIMENTS[kind], bag,
+                        model=options.model or "paper_stage", seed=options.seed,
+                        composed=not options.processes, label=f"  {kind}")
+
+
+def _model_of(record: Record) -> Model | None:
+    """Return the model that the bag carries, if it does."""
+    if not record.provenance.model:
+        return None
+    from dfm_stage.model import parse_model
+
+    model = parse_model(record.provenance.model, record.provenance.source)
+    return model.axis(next(iter(record.axes))) if model.axes else model
+
+
+def summary(kind: str, result: Any) -> list[tuple[str, Any]]:
+    """Return what a result says, as (what, Quantity) pairs."""
+    if kind == "static":
+        return [("stiffness", result.stiffness),
+                ("largest distance from a line", result.linearity),
+                ("hysteresis loop", result.hysteresis),
+                ("hysteresis loop over the travel", result.hysteresis_percent)]
+    if kind == "decay":
+        return [("logarithmic decrement", result.decrement), ("damping ratio", result.damping),
+                ("damping ratio, Eq. 2 as printed", result.damping_as_printed),
+                ("natural frequency", result.natural_frequency),
+                ("decrement of the first half", result.early),
+                ("decrement of the second half", result.late)]
+    if kind == "step":
+        return [("rise time, 10 to 90 %", result.rise_time),
+                (f"settling time, {100 * result.band:g} %", result.settling_time),
+                ("overshoot", result.overshoot), ("time of the peak", result.peak_time),
+                ("damping ratio from the overshoot", result.damping),
+                ("natural frequency from the peak", result.natural_frequency)]
+    fit = result.constrained
+    return [("numerator", fit.numerator), ("damping, 2 zeta w", fit.damping),
+            ("stiffness, w^2", fit.stiffness), ("natural frequency", fit.natural_frequency),
+            ("damping ratio", fit.damping_ratio), ("static gain", fit.static_gain),
+            ("amplifier lag", fit.lag), ("delay", fit.delay)]
+
+
+def _print(kind: str, result: Any) -> None:
+    from dfm_stage.reporting import format_quantity
+
+    print(kind.replace("_", " "))
+    for name, q in summary(kind, result):
+        print(f"  {name:<34} {format_quantity(q.value, q.unit, q.ci95)}")
+    if kind == "decay":
+        print(f"  over {result.cycles:g} cycles; from two extremes alone "
+              f"{result.two_point:.6f}")
+    if kind in ("stepped_sine", "multisine"):
+        print(f"  misfit of one mode {100 * result.constrained.misfit:.2f} % RMS at "
+              f"{result.response.omega.size} frequencies")
+        if len(result.likely.plant.modes) > 1:
+            print("  a second mode stands out at "
+                  f"{result.likely.plant.modes[1].natural_frequency_hz:.3f} Hz")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

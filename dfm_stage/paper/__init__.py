@@ -1,0 +1,1 @@
+"""The paper's numbers and figures beside ours: pure, from records and models to rows and plots."""

@@ -1,0 +1,86 @@
+"""One line of the comparison: the paper's value, ours, the deviation and the reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dfm_stage.identification.quantity import Quantity
+from dfm_stage.paper.printed import PRINTED
+
+
+@dataclass(frozen=True)
+class Row:
+    """`paper` is None where the paper gives no number, `ours` where there is no finite one.
+
+    `kind` says what stands under `paper`: "printed", "derived" (follows from printed numbers by
+    arithmetic) or "none". `place` is where in the paper.
+    """
+
+    id: str
+    what: str
+    place: str
+    paper: float | None
+    ours: float | None
+    unit: str
+    reason: str
+    kind: str = "printed"
+    ci95: tuple[float, float] | None = None
+
+    @property
+    def deviation_percent(self) -> float | None:
+        """Ours against the paper's, in percent of the paper's; None without either or with 0."""
+        if self.paper is None or self.ours is None or self.paper == 0.0:
+            return None
+        return 100.0 * (self.ours - self.paper) / abs(self.paper)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As paper.json keeps it."""
+        return {"id": self.id, "paper": self.paper, "ours": self.ours, "unit": self.unit,
+                "deviation_percent": self.deviation_percent, "reason": self.reason,
+                "what": self.what, "place": self.place, "kind": self.kind,
+                "ci95": list(self.ci95) if self.ci95 is not None else None}
+
+
+def printed(name: str, ours: Quantity | float | None, reason: str) -> Row:
+    """Return the row of a printed number."""
+    entry = PRINTED[name]
+    value, interval = _parts(ours)
+    return Row(name, entry.what, entry.where, entry.value, value, entry.unit, reason, "printed",
+               interval)
+
+
+def derived(name: str, what: str, place: str, paper: float, ours: Quantity | float | None,
+            unit: str, reason: str) -> Row:
+    """Return the row of a number that follows from printed ones."""
+    value, interval = _parts(ours)
+    return Row(name, what, place, float(paper), value, unit, reason, "derived", interval)
+
+
+def ours_only(name: str, what: str, place: str, ours: Quantity | float | None, unit: str,
+              reason: str) -> Row:
+    """Return the row of a number that the paper lacks."""
+    value, interval = _parts(ours)
+    return Row(name, what, place, None, value, unit, reason, "none", interval)
+
+
+def _parts(ours: Quantity | float | None) -> tuple[float | None,
+                                                   tuple[float, float] | None]:
+    if ours is None:
+        return None, None
+    if isinstance(ours, Quantity):
+        limits = ours.ci95
+        known = limits is not None and all(map(math.isfinite, limits))
+        return _finite(ours.value), limits if known else None
+    return _finite(ours), None
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def as_json(rows: list[Row], extra: Mapping[str, Any]) -> dict[str, Any]:
+    """Return paper.json."""
+    return {"schema": 1, **extra, "rows": [row.to_dict() for row in rows]}

@@ -1,0 +1,188 @@
+"""Everything the paper did, done on a stage, and the rows that come out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.errors import DfmError
+from dfm_stage.identification.characterisation import (
+    EXPERIMENTS,
+    DynamicTest,
+    Result,
+    characterise,
+)
+from dfm_stage.identification.ring_down import RingDown
+from dfm_stage.identification.static import StaticTest
+from dfm_stage.identification.step_response import StepResponse
+from dfm_stage.model import Model
+from dfm_stage.paper import dynamics, lqr, pid, static, xy
+from dfm_stage.paper.row import Row
+from dfm_stage.paper.stage import Stage
+from dfm_stage.recording import Record
+from dfm_stage.trajectory import Experiment
+
+Array = NDArray[np.float64]
+XY_EXPERIMENTS: Mapping[str, str] = {"x": "xy_static_x", "y": "xy_static_y"}
+NAMES: tuple[str, ...] = (*(EXPERIMENTS[kind] for kind in ("static", "decay", "step",
+                                                           "stepped_sine")),
+                          *XY_EXPERIMENTS.values())
+"""The experiments of config/experiments that are needed."""
+STEPS = 13
+
+
+class PaperError(DfmError):
+    """The comparison cannot be made with this model."""
+
+
+@dataclass(frozen=True)
+class Models:
+    """The stages: one DFM, the DFM with the mode of sec. 5, the XY stage."""
+
+    stage: Model
+    two_mode: Model
+    xy: Model
+
+    def __post_init__(self) -> None:
+        for model in (self.stage, self.two_mode):
+            missing = [name for name in ("stiffness", "damping", "force_constant")
+                       if not model.base.get(name, 0.0) > 0.0]
+            if model.axes or missing:
+                what = "has several axes" if model.axes else f"lacks {', '.join(missing)}"
+                raise PaperError(f"model {model.name} {what}; the paper's stage is one axis with "
+                                 "spring, damper and force constant")
+        if set(self.xy.axes) != {"x", "y"}:
+            raise PaperError(f"model {self.xy.name} must have the axes x and y for sec. 6")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The records and what was found in them."""
+
+    records: Mapping[str, Record]
+    static: StaticTest
+    decay: RingDown
+    step: StepResponse
+    response: DynamicTest
+    theory: dynamics.BeamTheory
+    step_time: Array
+    step_measured: Array
+    step_theory: Array
+    step_identified: Array
+    pid: pid.PidTest
+    two_mode: DynamicTest
+    convergence: lqr.Convergence
+    regulation: lqr.Regulation
+    xy: xy.XYTest
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All rows, in the order of the paper, and the evidence for the figures."""
+
+    rows: list[Row]
+    evidence: Evidence
+    source: str
+
+
+def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
+            step: Callable[[str], None] = lambda _: None, elements: int = 48) -> Comparison:
+    """Do everything on `stage`; `experiments` holds those of `NAMES`, by name.
+
+    `step` is called with the name of each of `STEPS` steps as it begins; `elements` per blade are
+    used for the XY mechanism.
+
+    Raises
+    ------
+    DfmError
+        If an experiment fails or a record does not hold what it should.
+    """
+    model = models.stage
+    records: dict[str, Record] = {}
+
+    def run(kind: str, name: str, on: Model) -> Record:
+        step(name.replace("_", " "))
+        records[kind] = stage.run(experiments[name], on)
+        return records[kind]
+
+    def analysed(kind: str) -> Result:
+        return characterise(kind, run(kind, EXPERIMENTS[kind], model),
+                            force_constant=model.base["force_constant"])
+
+    held, decay, stepped, response = (analysed(kind) for kind in (
+        "static", "decay", "step", "stepped_sine"))
+    if not (isinstance(held, StaticTest) and isinstance(decay, RingDown)
+            and isinstance(stepped, StepResponse) and isinstance(response, DynamicTest)):
+        raise PaperError("a characterisation gave another result than its own")
+    tuned = pid.run_pid(stage, model, step)
+    two = characterise("stepped_sine", run("two_mode", EXPERIMENTS["stepped_sine"],
+                                           models.two_mode))
+    if not isinstance(two, DynamicTest):
+        raise PaperError("a characterisation gave another result than its own")
+    step("regulators")
+    convergence, gain = lqr.riccati()
+    regulation = lqr.regulate(models.two_mode)
+    plane = {axis: run(name, name, models.xy) for axis, name in XY_EXPERIMENTS.items()}
+    step("finite elements")
+    scanned = xy.xy_test(models.xy, plane, elements)
+    theory = dynamics.beam_theory(model)
+    time, measured, expected, identified = _transient(records["step"], stepped, response, theory,
+                                                      model)
+    found = Evidence(records, held, decay, stepped, response, theory, time, measured, expected,
+                     identified, tuned, two, convergence, regulation, scanned)
+    return Comparison(_rows(found, models, gain), found, stage.description)
+
+
+def _rows(found: Evidence, models: Models, gain: Array) -> list[Row]:
+    model, fit = models.stage, found.response.constrained
+    final = abs(found.step_measured[-1])
+    difference = 100.0 * float(np.sqrt(np.mean(
+        (found.step_theory - found.step_measured)**2))) / final
+    return [
+        *static.table_rows(found.static, model),
+        *static.quasistatic_rows(fit.natural_frequency.value, fit.damping_ratio.value,
+                                 _fastest(found), found.static.travel_m),
+        *static.geometry_rows(),
+        *dynamics.damping_rows(found.decay, found.response),
+        *dynamics.response_rows(found.response, found.static, found.decay,
+                                found.records["stepped_sine"].axis(None), model),
+        *static.mass_and_damping_rows(found.static.stiffness, fit.natural_frequency, fit.damping,
+                                      model),
+        *dynamics.step_rows(found.step, model.sample_period),
+        *dynamics.theory_rows(found.theory, found.response, found.static, difference),
+        *pid.pid_rows(found.pid, model),
+        *lqr.plant_rows(found.two_mode), *lqr.riccati_rows(found.convergence),
+        *lqr.error_dynamics_rows(gain), *lqr.regulation_rows(found.regulation),
+        *xy.xy_rows(found.xy),
+    ]
+
+
+def _fastest(found: Evidence) -> float:
+    """Largest mean speed between two levels of the static test, m/s."""
+    levels = found.static.levels
+    period = found.records["static"].sample_period
+    return max(abs(b.position_m - a.position_m) / (max(b.start - a.stop, 1) * period)
+               for a, b in pairwise(levels))
+
+
+def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
+               theory: dynamics.BeamTheory, model: Model) -> tuple[Array, Array, Array, Array]:
+    """Return time, record, beam equation and identified G(s) after the step (Fig. 8)."""
+    data = record.axis(None)
+    fit = response.constrained
+    late = fit.lag.value + fit.delay.value
+    start = stepped.start
+    time = record.time[start:] - record.time[start]
+    volts = float(data.input[start] - data.input[start - 1])
+    force = volts * model.base["force_constant"]
+    beam = theory.step(time, force, fit.damping_ratio.value, late)
+    mode = fit.plant.modes[0]
+    rate, damped = 0.5 * mode.damping, np.sqrt(mode.stiffness - 0.25 * mode.damping**2)
+    since = np.maximum(time - late, 0.0)
+    identified = volts * mode.numerator / mode.stiffness * (1.0 - np.exp(-rate * since) * (
+        np.cos(damped * since) + rate / damped * np.sin(damped * since)))
+    return time, data.position[start:] - stepped.initial.value, beam, np.asarray(identified)
