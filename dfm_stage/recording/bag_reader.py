@@ -251,7 +251,7 @@ class _Reader:
         list(self.pool.map(self.decode_chunk, tasks))
 
     def decode_chunk(self, task: _Task) -> None:
-        from dfm_stage.recording import kernels
+        from dfm_stage.recording.record_kernels import locate
 
         try:
             data = expand(task.source.handle, task.chunk)
@@ -267,7 +267,7 @@ class _Reader:
         ends = np.cumsum(counts)
         cursors = ends - counts
         offsets = np.empty(int(counts.sum()), np.int64)
-        whole, surplus = kernels.locate(data, task.source.slots, cursors, ends, offsets)
+        whole, surplus = locate(data, task.source.slots, cursors, ends, offsets)
         if surplus or (cursors != ends).any():
             self.miscounted.append(task.chunk)
             return

@@ -83,11 +83,11 @@ def _expand_zstd(data: bytes, chunk: ChunkPlace) -> tuple[bytes, bool]:
 
 def survey_chunk(data: Bytes) -> Survey:
     """Look through the records of a chunk without decoding them."""
-    from dfm_stage.recording import kernels
+    from dfm_stage.recording.record_kernels import survey
 
     counts = np.zeros(1 << 16, np.int64)
     places = np.empty(_MANY_DEFINITIONS, np.int64)
-    whole, found = kernels.survey(data, counts, places)
+    whole, found = survey(data, counts, places)
     definitions = [next(records_in(data[at:at + 9 + _length(data, at)].tobytes()))
                    for at in places[:min(found, _MANY_DEFINITIONS)]]
     return Survey({int(channel): int(counts[channel]) for channel in np.flatnonzero(counts)},

@@ -1,8 +1,8 @@
 """From a message definition to a small program that takes serialised messages apart.
 
 The program is a table of instructions (one row each: operation, element size, count, target) that
-`kernels.decode` runs over every message. Serialised form: CDR as ROS 2 uses it (XCDR1, little
-endian), each primitive aligned to its size, counted from behind the 4-byte header.
+`decode_kernels.decode` runs over all messages. Serialised form: CDR as ROS 2 uses it (XCDR1,
+little endian), each primitive aligned to its size, counted from behind the 4-byte header.
 
 Fields of nested messages get dotted names (`header.stamp`). Times and durations become one int64
 in nanoseconds. A sequence, and every field of a sequence of messages, becomes a ragged column.

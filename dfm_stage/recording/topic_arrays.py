@@ -9,13 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.recording import kernels
 from dfm_stage.recording.bag import Array, Ragged, Topic
+from dfm_stage.recording.decode_kernels import decode
 from dfm_stage.recording.decode_plan import Column, Plan
+from dfm_stage.recording.numba_tools import Bytes, Ints
 
 _RECORD_COLUMNS = (Column("log_time_ns", "i8"), Column("publish_time_ns", "i8"),
                    Column("sequence", "u4"))
 _ALIGNMENT = 64
+
+
+_local = threading.local()
+
+
+def _scratch(rows: int) -> Ints:
+    """Return (at least `rows`, 2) int64 that this thread may write on."""
+    held: Ints | None = getattr(_local, "entries", None)
+    if held is None or len(held) < rows:
+        held = _local.entries = np.empty((rows, 2), np.int64)
+    return held
 
 
 @dataclass
@@ -50,15 +62,15 @@ class TopicArrays:
         self._parts: list[_RaggedPart] = []
         self._lock = threading.Lock()
 
-    def decode(self, data: kernels.Bytes, offsets: kernels.Ints, row: int) -> None:
+    def decode(self, data: Bytes, offsets: Ints, row: int) -> None:
         """Decode the messages whose records stand at `offsets` in `data`, from `row` on."""
         count = len(offsets)
         n_ragged = len(self.plan.ragged)
         ragged = np.empty((n_ragged, -(-len(data) // 8) * 8), np.uint8)
         ends = np.empty((n_ragged, count), np.int64)
-        entries = np.empty((len(data) // 4 + 1, 2), np.int64)
+        entries = _scratch(len(data) // 4 + 1)
         bad = np.empty(count, np.int64)
-        n_bad, n_texts = kernels.decode(data, offsets, row, self._program, self._arena,
+        n_bad, n_texts = decode(data, offsets, row, self._program, self._arena,
                                         self._bases, ragged, ends, entries, bad)
         if n_bad:
             self.bad_rows += (row + bad[:n_bad]).tolist()
@@ -68,8 +80,8 @@ class TopicArrays:
             values = [ragged[index, :ends[index, -1]].copy() for index in range(n_ragged)]
             self._parts.append(_RaggedPart(row, values, ends))
 
-    def _translate(self, data: kernels.Bytes, entries: kernels.Ints, row: int, count: int,
-                   ragged: NDArray[np.uint8], ends: kernels.Ints) -> None:
+    def _translate(self, data: Bytes, entries: Ints, row: int, count: int,
+                   ragged: NDArray[np.uint8], ends: Ints) -> None:
         """Replace the codes of this chunk's texts by those of the topic."""
         with self._lock:
             codes = [self._texts.setdefault(data[start:start + size].tobytes(), len(self._texts))

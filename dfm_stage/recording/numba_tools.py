@@ -1,0 +1,52 @@
+"""What the compiled loops share; importing this imports numba.
+
+The loops are compiled on their first call and kept on disk. They run without the interpreter lock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias, TypeVar, cast
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+Bytes: TypeAlias = NDArray[np.uint8]
+Ints: TypeAlias = NDArray[np.int64]
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+RECORD_HEAD = 9         # opcode, length
+MESSAGE_HEAD = 31       # and channel, sequence, log time, publish time
+CDR_HEAD = 4
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function whose types numba can find by itself."""
+    return cast("Function", numba.njit(cache=True, nogil=True)(function))
+
+
+def _loader(bits: int) -> Any:
+    """Return a compiled `load(data, at)`: the little-endian integer of `bits` at byte `at`."""
+    word = ir.IntType(bits)
+    result = getattr(types, f"uint{bits}")
+
+    def load(_typing: Any, data: Any, _at: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            array = context.make_array(signature.args[0])(context, builder, arguments[0])
+            place = builder.gep(array.data, [arguments[1]])
+            value = builder.load(builder.bitcast(place, word.as_pointer()))
+            value.align = 1
+            return value
+
+        return result(data, types.int64), generate
+
+    return intrinsic(load)
+
+
+u16 = _loader(16)
+u32 = _loader(32)
+u64 = _loader(64)

@@ -1,0 +1,98 @@
+"""Compiled loops over the records of a chunk; every read is inside the bounds of the data."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.recording.numba_tools import (
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    Bytes,
+    Ints,
+    compiled,
+    u16,
+    u64,
+)
+
+MESSAGE = 5
+SCHEMA = 3
+CHANNEL = 4
+
+
+@compiled
+def survey(data: Bytes, counts: Ints, definitions: Ints) -> tuple[int, int]:
+    """Count the messages of each channel and list where schemas and channels stand.
+
+    Parameters
+    ----------
+    counts : (65536,) int64
+        Increased, by channel id.
+    definitions : (n,) int64
+        Filled with the offsets of schema and channel records; more than n are not listed.
+
+    Returns
+    -------
+    (where the last whole record ends, how many definitions were found)
+    """
+    at = 0
+    found = 0
+    size = len(data)
+    while size - at >= RECORD_HEAD:
+        opcode = data[at]
+        length = np.int64(u64(data, at + 1))
+        if length < 0 or length > size - at - RECORD_HEAD:
+            break
+        if opcode == MESSAGE:
+            if length < MESSAGE_HEAD - RECORD_HEAD:
+                break
+            counts[np.int64(u16(data, at + RECORD_HEAD))] += 1
+        elif opcode in (SCHEMA, CHANNEL):
+            if found < len(definitions):
+                definitions[found] = at
+            found += 1
+        elif opcode == 0:
+            break
+        at += RECORD_HEAD + length
+    return at, found
+
+
+@compiled
+def locate(data: Bytes, slots: NDArray[np.int32], cursors: Ints, ends: Ints,
+           offsets: Ints) -> tuple[int, int]:
+    """Write the offset of every message of a wanted channel into its slot's part of `offsets`.
+
+    Parameters
+    ----------
+    slots : (65536,) int32
+        Slot of each channel id, -1 if not wanted.
+    cursors, ends : (n_slots,) int64
+        Where the next offset of a slot goes (advanced), and where its part ends.
+
+    Returns
+    -------
+    (where the last whole record ends, messages that found no room)
+    """
+    at = 0
+    surplus = 0
+    size = len(data)
+    while size - at >= RECORD_HEAD:
+        length = np.int64(u64(data, at + 1))
+        if length < 0 or length > size - at - RECORD_HEAD:
+            break
+        opcode = data[at]
+        if opcode == MESSAGE:
+            if length < MESSAGE_HEAD - RECORD_HEAD:
+                break
+            slot = slots[np.int64(u16(data, at + RECORD_HEAD))]
+            if slot >= 0:
+                cursor = cursors[slot]
+                if cursor < ends[slot]:
+                    offsets[cursor] = at
+                    cursors[slot] = cursor + 1
+                else:
+                    surplus += 1
+        elif opcode == 0:
+            break
+        at += RECORD_HEAD + length
+    return at, surplus
