@@ -16,17 +16,17 @@ from dfm_stage.model.parameter import Parameter, ParameterError
 from dfm_stage.model.registry import EFFECTS
 
 if TYPE_CHECKING:
-    from dfm_stage.model.plant import Plant, Sample
+    from dfm_stage.model.plant import CoupledPlant, Plant, Sample
     from dfm_stage.model.simulator import SimulationResult, Simulator
 
 __all__ = [
-    "BASE_PARAMETERS", "EFFECTS", "AxisModel", "Effect", "EffectUse", "Equivalence", "Model",
-    "ModelError", "Parameter", "ParameterError", "Plant", "Prior", "Reparametrisation", "Sample",
-    "SimulationError", "SimulationResult", "Simulator", "load_model", "model_text",
-    "parse_model", "save_model",
+    "BASE_PARAMETERS", "EFFECTS", "AxisModel", "CoupledPlant", "Effect", "EffectUse",
+    "Equivalence", "Model", "ModelError", "Parameter", "ParameterError", "Plant", "Prior",
+    "Reparametrisation", "Sample", "SimulationError", "SimulationResult", "Simulator",
+    "load_model", "model_text", "parse_model", "save_model",
 ]
 
-_LAZY = {"Plant": "plant", "Sample": "plant", "Simulator": "simulator",
+_LAZY = {"CoupledPlant": "plant", "Plant": "plant", "Sample": "plant", "Simulator": "simulator",
          "SimulationResult": "simulator"}
 
 

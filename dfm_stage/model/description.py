@@ -28,7 +28,7 @@ class Frozen(dict[str, Any]):
         raise ModelError("a model is immutable: use Model.with_parameters or Model.with_effect")
 
     __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _refuse
-    __ior__ = _refuse  # type: ignore[assignment]
+    __ior__ = _refuse
 
     def __reduce__(self) -> tuple[type[Frozen], tuple[dict[str, Any]]]:
         return Frozen, (dict(self),)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -27,6 +28,7 @@ from dfm_stage.model.errors import ModelError
 from dfm_stage.model.parameter import Parameter
 from dfm_stage.model.registry import EFFECTS
 
+T = TypeVar("T")
 _AXIS_KEYS = ("base", "effects")
 _TOP_KEYS = ("dfm_model", "name", "sample_period", "position_unit", "drive", *_AXIS_KEYS, "axes",
              "coupling", "origin")
@@ -164,8 +166,7 @@ def _axis(node: _Node, default_drive: object) -> AxisModel:
         listed = node.get("effects")
         if listed is not None and not _is_list(listed):
             node.fail("effects must be a list of items with name and parameters", "effects")
-        for index in range(len(listed or ())):
-            effects.append(_effect(node.child("effects", index)))
+        effects = [_effect(node.child("effects", index)) for index in range(len(listed or ()))]
     checked_drive: Drive = drive
     return base_node.build(lambda: AxisModel(base, tuple(effects), checked_drive))
 
@@ -188,9 +189,7 @@ def _values(node: _Node, effect: str) -> dict[str, float]:
 def _origin(node: _Node) -> Mapping[str, Any] | None:
     if node.get("origin") is None:
         return None
-    plain = _to_plain(node.child("origin").data)
-    assert isinstance(plain, dict)
-    return plain
+    return {str(k): _to_plain(v) for k, v in node.child("origin").data.items()}
 
 
 class _Node:
@@ -232,22 +231,20 @@ class _Node:
     def number(self, parameter: Parameter, key: str) -> float:
         value = self.get(key)
         if isinstance(value, str):
-            try:
+            with contextlib.suppress(ValueError):
                 value = float(value)
-            except ValueError:
-                pass
         try:
             return parameter.checked(value, ".".join(str(p) for p in self.path))
         except DfmError as error:
             self.fail(str(error), key)
 
-    def build(self, make: Any, key: str | None = None) -> Any:
+    def build(self, make: Callable[[], T], key: str | None = None) -> T:
         try:
             return make()
         except DfmError as error:
             self.fail(str(error), key)
 
-    def fail(self, message: str, key: Any = None) -> Any:
+    def fail(self, message: str, key: Any = None) -> NoReturn:
         line = _line(self.root, self.path if key is None else (*self.path, key))
         raise ModelError(f"{self.where}{f':{line}' if line else ''}: {message}")
 

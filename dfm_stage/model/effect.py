@@ -4,9 +4,9 @@ Each module of `dfm_stage.model.effects` holds one `EFFECT`. Nothing else has to
 an effect: the registry finds it, the kernel compiles its hooks in, validation, fitting and the
 documentation read its data.
 
-Hooks are plain functions of floats and arrays that numba can compile. `p` is the tuple
-of the effect's own parameters, in the order of `parameters`; `x` (m) and `v` (m/s) are position and velocity of
-the driven point, `actuator` (N) the force of an actuator of constant force constant.
+Hooks are plain functions of floats and arrays that numba can compile. `p` is the tuple of the
+effect's own parameters, in the order of `parameters`; `x` (m) and `v` (m/s) are position and
+velocity of the driven point, `actuator` (N) the force of an actuator of constant force constant.
 
 `force(x, v, actuator, p) -> N`
     A smooth force on the driven point.
@@ -35,6 +35,8 @@ from typing import Any, Literal
 
 from dfm_stage.model.parameter import Parameter
 
+Values = tuple[float, ...]
+"""The values of an effect's parameters, as its hooks get them."""
 Side = Literal["mechanical", "actuator", "sensor"]
 Parity = Literal["linear", "even", "odd", "both", "none"]
 

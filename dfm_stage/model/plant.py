@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from dfm_stage.model.description import Model
+from dfm_stage.model.description import COUPLING_EFFECT, Model
+from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import peek, run
 from dfm_stage.model.kernel.setup import prepare, reset
@@ -16,6 +17,7 @@ from dfm_stage.model.plan import Plan, place
 _NONE = np.empty((0, 4))
 _NOWHERE = np.full(len(slots.SIGNALS), -1)
 _DRAWS = 1024
+_SEED_STEP = 1000
 FINEST_COUNT_M = 1e-12
 
 
@@ -45,9 +47,14 @@ class Plant:
 
     `sample()` and `advance(input, external_force_n=0.0)` cost a few microseconds. The same seed
     gives the same noise, sample by sample, as `SimulationResult.measured(seed)`; the motion is
-    bit for bit that of `Simulator.run`. `external_force_n` (N) acts on the moving mass over the
-    sample, undelayed. `reset(position=, velocity=, states=, past_input=)` starts again at k = 0,
-    with the noise from its beginning.
+    bit for bit that of `Simulator.run`. Without encoder_resolution a count is 1 pm.
+
+    `cross_axis_coupling` is felt in a `CoupledPlant` only; here the other axis is at rest.
+
+    Raises
+    ------
+    ModelError
+        If the model has several axes and `axis` names none of them.
     """
 
     def __init__(self, model: Model, axis: str | None = None, seed: int = 0) -> None:
@@ -57,10 +64,10 @@ class Plant:
         self._work = self._plan.work()
         self._theta = self._plan.theta.copy()
         self._held, self._out = np.zeros(1), np.zeros((len(slots.SIGNALS), 1))
-        self._force = np.zeros((1, 4))
+        self._force, self._other = np.zeros((1, 4)), _NONE
         self._noise = float(self._theta[slots.NOISE])
         step = self.model.effect("encoder_quantization")
-        self._step = step.parameters["step"] if step else 0.0
+        self._round = step.parameters["step"] if step else 0.0
         resolution = float(self._theta[slots.RESOLUTION])
         self.count_size_m = resolution if resolution > 0.0 else FINEST_COUNT_M
         prepare(self._plan.on, self._plan.layout, self._theta, self._work)
@@ -73,7 +80,11 @@ class Plant:
 
     def reset(self, position: float = 0.0, velocity: float = 0.0,
               states: Mapping[str, float] | None = None, past_input: float = 0.0) -> None:
-        """Go back to k = 0 with the given state and a constant input before it."""
+        """Go back to k = 0, with the noise from its beginning.
+
+        `states` are further initial states by name, as `Simulator.states` lists them;
+        `past_input` is the constant input before, which a delay still brings in.
+        """
         theta = self._theta
         theta[slots.FIRST_INITIAL:] = 0.0
         for name, value in {"position": position, "velocity": velocity, **(states or {})}.items():
@@ -89,27 +100,127 @@ class Plant:
             self._sample = self._look()
         return self._sample
 
-    def _look(self) -> Sample:
-        peek(self._plan.on, self._plan.layout, self._theta, self._work, _NONE, self._out)
-        position, velocity, current, force, reading, _ = self._out[:, 0].tolist()
-        if self._noise > 0.0:
-            if not self._draws:
-                self._draws = self._generator.standard_normal(_DRAWS)[::-1].tolist()
-            reading += self._noise * self._draws.pop()
-        if self._step > 0.0:
-            reading = round(reading / self._step) * self._step
-        counts = round(reading / self.count_size_m)
-        return Sample(position, velocity, current, force, counts, counts * self.count_size_m)
+    def advance(self, input: float, external_force_n: float = 0.0) -> None:  # noqa: A002
+        """Hold `input` (V, or A) for one sample period.
 
-    def advance(self, input: float, external_force_n: float = 0.0) -> None:
-        """Hold `input` (V, or A) for one sample period."""
+        `external_force_n` acts on the driven point over the sample, undelayed.
+
+        Raises
+        ------
+        SimulationError
+            If the input or the force is not finite.
+        """
+        if not -1e300 < input + external_force_n < 1e300:
+            raise SimulationError(f"the plant was given the input {input!r} and the force "
+                                  f"{external_force_n!r}; both must be finite")
         if self._sample is None:
             self.sample()
-        self._held[0] = input
+        self._sample = None
+        self._step(input, external_force_n)
+
+    def _step(self, value: float, external_force_n: float) -> None:
+        self._held[0] = value
         force = _NONE
         if external_force_n != 0.0:
             self._force[0, 0] = external_force_n
             force = self._force
         run(self._plan.on, self._plan.layout, self._theta, self._work, self._held, force,
-                _NONE, _NOWHERE, self._out)
-        self._sample = None
+            self._other, _NOWHERE, self._out)
+
+    def _look(self) -> Sample:
+        peek(self._plan.on, self._plan.layout, self._theta, self._work, self._other, self._out)
+        position, velocity, current, force, reading, _ = self._out[:, 0].tolist()
+        if self._noise > 0.0:
+            if not self._draws:
+                self._draws = self._generator.standard_normal(_DRAWS)[::-1].tolist()
+            reading += self._noise * self._draws.pop()
+        if self._round > 0.0:
+            reading = round(reading / self._round) * self._round
+        counts = round(reading / self.count_size_m)
+        return Sample(position, velocity, current, force, counts, counts * self.count_size_m)
+
+
+class CoupledPlant:
+    """All axes of a model in time, acting on each other where the model says so.
+
+    >>> stage = CoupledPlant(load_model("xy_stage"), seed=1)
+    >>> x, y = stage.sample()          # in the order of `stage.axes`
+    >>> stage.advance([0.1, 0.0])
+
+    Axis number i has the noise of seed + 1000 i. Between samples an axis sees the motion of its
+    neighbour as the cubic through its positions and velocities at both ends of the sample, found
+    by advancing all axes twice.
+    """
+
+    def __init__(self, model: Model, seed: int = 0) -> None:
+        self.model = model
+        self.axes: tuple[str, ...] = model.axis_names
+        names: list[str | None] = [*self.axes] if self.axes else [None]
+        self.plants = tuple(Plant(model, name, seed + _SEED_STEP * index)
+                            for index, name in enumerate(names))
+        neighbours = [model.neighbour(name) for name in names]
+        self._sources = [None if name is None else names.index(name) for name in neighbours]
+        self._twice = False
+        for plant, source in zip(self.plants, self._sources, strict=True):
+            if source is not None:
+                plant._other = np.zeros((1, 4))
+                coupling = plant.model.effect(COUPLING_EFFECT)
+                self._twice |= coupling is not None and coupling.parameters["stiffness"] != 0.0
+
+    def reset(self) -> None:
+        """Go back to k = 0 and rest; use the `reset` of single `plants` for another state."""
+        for plant in self.plants:
+            plant.reset()
+
+    def sample(self) -> tuple[Sample, ...]:
+        """All axes at the present sample."""
+        if all(plant._sample is None for plant in self.plants):
+            self._meet()
+        return tuple(plant.sample() for plant in self.plants)
+
+    def _meet(self) -> None:
+        """Tell each axis where its neighbour is now."""
+        for plant, source in zip(self.plants, self._sources, strict=True):
+            if source is not None:
+                there = self.plants[source]
+                peek(there._plan.on, there._plan.layout, there._theta, there._work, there._other,
+                     there._out)
+                plant._other[0] = there._out[slots.POSITION, 0], 0.0, 0.0, 0.0
+
+    def advance(self, inputs: Sequence[float],
+                external_forces_n: Sequence[float] | None = None) -> None:
+        """Hold one input per axis (V, or A) for one sample period.
+
+        Raises
+        ------
+        SimulationError
+            If the number of inputs is wrong or one is not finite.
+        """
+        forces = external_forces_n if external_forces_n is not None else [0.0] * len(self.plants)
+        if len(inputs) != len(self.plants) or len(forces) != len(self.plants):
+            raise SimulationError(f"the plant has {len(self.plants)} axes, but was given "
+                                  f"{len(inputs)} inputs and {len(forces)} forces")
+        before = self.sample()
+        if self._twice:
+            period = self.model.sample_period
+            saved = [plant._work[:plant._plan.layout[slots.AT_A]].copy() for plant in self.plants]
+            for plant, source in zip(self.plants, self._sources, strict=True):
+                if source is not None:
+                    plant._other[0, 1] = before[source].velocity * period
+            for plant, value, force in zip(self.plants, inputs, forces, strict=True):
+                plant._step(value, force)
+            after = []
+            for plant, kept in zip(self.plants, saved, strict=True):
+                peek(plant._plan.on, plant._plan.layout, plant._theta, plant._work, plant._other,
+                     plant._out)
+                after.append(plant._out[:, 0].copy())
+                plant._work[:len(kept)] = kept
+            for plant, source in zip(self.plants, self._sources, strict=True):
+                if source is not None:
+                    first, last = before[source], after[source]
+                    rise = last[slots.POSITION] - first.position_m
+                    v0, v1 = first.velocity * period, last[slots.VELOCITY] * period
+                    plant._other[0] = (first.position_m, v0, 3.0 * rise - 2.0 * v0 - v1,
+                                       v0 + v1 - 2.0 * rise)
+        for plant, value, force in zip(self.plants, inputs, forces, strict=True):
+            plant.advance(value, force)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,12 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from dfm_stage.model.description import COUPLING_EFFECT, Model, unknown_name
 from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
-from dfm_stage.model.kernel.batch import DRIFTS, UNSETTLED, many, settle
 from dfm_stage.model.kernel.record import run
 from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.plan import Plan, parameter_table, place
+from dfm_stage.model.registry import EFFECTS
+from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
 
 Array = NDArray[np.float64]
+RELATIVE_STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -97,10 +100,10 @@ class Simulator:
         """Names of the states an initial value can be given for."""
         return self._plan.states
 
-    def run(self, input: ArrayLike, *, initial: Mapping[str, float] | None = None,
-            past_input: float = 0.0, external_force: ArrayLike | None = None,
-            other: ArrayLike | None = None, dither: float | None = None,
-            steady_state: bool = False) -> SimulationResult:
+    def run(self, input: ArrayLike, *,  # noqa: A002
+            initial: Mapping[str, float] | None = None, past_input: float = 0.0,
+            external_force: ArrayLike | None = None, other: ArrayLike | None = None,
+            dither: float | None = None, steady_state: bool = False) -> SimulationResult:
         """Simulate one record; see the class for the arguments.
 
         Raises
@@ -108,37 +111,59 @@ class Simulator:
         ModelError, SimulationError
             If an argument is malformed, or there is no periodic motion.
         """
-        inputs, force, neighbour = self._signals(input, external_force, other, steady_state)
+        inputs, force, neighbour = self._arguments(input, external_force, other, steady_state)
         plan, work = self._plan, self._plan.work()
-        theta = plan.theta.copy()
-        for name, value in (initial or {}).items():
-            theta[place(self.model, plan.states, f"initial.{name}")] = value
-        resolution, noise = float(theta[slots.RESOLUTION]), float(theta[slots.NOISE])
-        if dither is not None:
-            theta[slots.NOISE] = dither
-        prepare(plan.on, plan.layout, theta, work)
-        reset(plan.on, plan.layout, theta, float(past_input), work)
-        if steady_state:
-            _check(settle(plan.on, plan.layout, theta, work, inputs, force, neighbour))
-        out = np.empty((len(slots.SIGNALS), len(inputs)))
-        run(plan.on, plan.layout, theta, work, inputs, force, neighbour,
-            np.arange(len(slots.SIGNALS)), out)
+        theta = self._theta(initial, dither)
+        _check(_begin(plan, theta, work, float(past_input), inputs, force, neighbour,
+                      steady_state))
+        rows = np.arange(len(slots.SIGNALS))
+        if not plan.on & slots.ENCODED:
+            rows[slots.OUTPUT] = -1
+        if not plan.on & slots.SENSED and theta[slots.ZERO] == 0.0:
+            rows[slots.READING] = -1
+        out = np.empty((int(rows.max()) + 1, len(inputs)))
+        run(plan.on, plan.layout, theta, work, inputs, force, neighbour, rows, out)
+        reading = out[slots.READING] if rows[slots.READING] >= 0 else out[slots.POSITION]
         step = self.model.effect("encoder_quantization")
-        return SimulationResult(np.arange(len(inputs)) * self.model.sample_period, *out,
-                                step=step.parameters["step"] if step else 0.0,
-                                resolution=resolution, noise=noise)
+        return SimulationResult(
+            time=self.model.sample_period * np.arange(len(inputs), dtype=float),
+            position=out[slots.POSITION], velocity=out[slots.VELOCITY],
+            current=out[slots.CURRENT], force=out[slots.FORCE], reading=reading,
+            output=out[slots.OUTPUT] if rows[slots.OUTPUT] >= 0 else reading,
+            step=step.parameters["step"] if step else 0.0,
+            resolution=float(plan.theta[slots.RESOLUTION]), noise=float(plan.theta[slots.NOISE]))
 
-    def run_many(self, input: ArrayLike, parameter_names: Sequence[str],
+    def output(self, input: ArrayLike, *,  # noqa: A002
+               initial: Mapping[str, float] | None = None, past_input: float = 0.0,
+               external_force: ArrayLike | None = None, other: ArrayLike | None = None,
+               dither: float | None = None, steady_state: bool = False) -> Array:
+        """The signal `output` alone, (N,), as `run` gives it but faster.
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As `run`.
+        """
+        inputs, force, neighbour = self._arguments(input, external_force, other, steady_state)
+        out = np.empty((1, len(inputs)))
+        theta = self._theta(initial, dither)
+        _check(_one_signal(self._plan, theta, self._plan.work(), float(past_input), inputs, force,
+                           neighbour, slots.OUTPUT, steady_state, out))
+        signal: Array = out[0]
+        return signal
+
+    def run_many(self, input: ArrayLike, parameter_names: Sequence[str],  # noqa: A002
                  parameter_matrix: ArrayLike, *, signal: str = "output",
                  past_input: float = 0.0, external_force: ArrayLike | None = None,
                  other: ArrayLike | None = None, dither: float | None = None,
-                 steady_state: bool = False, threads: int | None = None) -> Array:
+                 steady_state: bool = False, partial: bool = False,
+                 threads: int | None = None) -> Array:
         """One signal for each row of `parameter_matrix` (P, n); returns (P, N).
 
         `parameter_names` (n) are addresses such as `mass`, `cubic_stiffness.k3` or, for the state
         at t_0, `initial.position`; `encoder_zero` is the output offset. Rows are spread over
         `threads` threads, by default one per available core. Values are not checked against the
-        limits of the parameters.
+        limits of the parameters. With `partial` a row without periodic motion becomes NaN.
 
         Raises
         ------
@@ -147,7 +172,7 @@ class Simulator:
         """
         if signal not in slots.SIGNALS:
             raise SimulationError(unknown_name("signal", signal, slots.SIGNALS))
-        inputs, force, neighbour = self._signals(input, external_force, other, steady_state)
+        inputs, force, neighbour = self._arguments(input, external_force, other, steady_state)
         matrix = np.atleast_2d(np.asarray(parameter_matrix, dtype=float))
         if matrix.ndim != 2 or matrix.shape[1] != len(parameter_names):
             raise SimulationError(f"the parameter matrix has shape {matrix.shape}; "
@@ -160,23 +185,89 @@ class Simulator:
         out = np.empty((len(table), len(inputs)))
         status = np.zeros(len(table), dtype=np.int64)
 
-        def part(rows: slice) -> None:
-            many(plan.on, plan.layout, table[rows], float(past_input), inputs, force, neighbour,
-                 slots.SIGNALS.index(signal), steady_state, plan.work(), out[rows], status[rows])
+        def part(rows: range) -> None:
+            work = plan.work()
+            for row in rows:
+                status[row] = _one_signal(plan, table[row], work, float(past_input), inputs,
+                                          force, neighbour, slots.SIGNALS.index(signal),
+                                          steady_state, out[row:row + 1])
 
         workers = max(1, min(threads or _cores(), len(table)))
         bounds = np.linspace(0, len(table), workers + 1).astype(int)
-        parts = [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        parts = [range(a, b) for a, b in pairwise(bounds)]
         if workers == 1:
             part(parts[0])
         else:
             with ThreadPoolExecutor(workers) as pool:
                 list(pool.map(part, parts))
-        _check(int(status.max(initial=0)))
+        if partial:
+            out[status != 0] = np.nan
+        else:
+            _check(int(status.max(initial=0)))
         return out
 
-    def _signals(self, input: ArrayLike, force: ArrayLike | None, other: ArrayLike | None,
-                 steady_state: bool) -> tuple[Array, Array, Array]:
+    def sensitivities(self, input: ArrayLike, free_names: Sequence[str], *,  # noqa: A002
+                      initial: Mapping[str, float] | None = None, signal: str = "output",
+                      past_input: float = 0.0, external_force: ArrayLike | None = None,
+                      other: ArrayLike | None = None, dither: float | None = None,
+                      steady_state: bool = False,
+                      threads: int | None = None) -> tuple[Array, Array]:
+        """A signal (N,) and its derivatives (P, N) by the P free parameters.
+
+        At the values of the model and of `initial`; names as in `run_many`. Central differences
+        with steps of 1e-4 of the value (of a typical value, where it is zero), one-sided of
+        second order at a limit, all parameter sets simulated together. The derivatives are good
+        to about 1e-5 of their size, those by delays of nonlinear models to 1e-4.
+
+        Raises
+        ------
+        ModelError, SimulationError
+            As `run_many`.
+        """
+        states = {f"initial.{name}": value for name, value in (initial or {}).items()}
+        names = [*free_names, *(name for name in states if name not in free_names)]
+        values = self.model.parameters()
+        centre = np.array([states.get(name, values.get(name, 0.0)) for name in names])
+        rows, weights = [centre], []
+        for column in range(len(free_names)):
+            offsets, share = self._differences(names[column], float(centre[column]))
+            for offset in offsets:
+                row = centre.copy()
+                row[column] += offset
+                rows.append(row)
+            weights.append((len(rows) - len(offsets), share))
+        found = self.run_many(input, names, np.array(rows), signal=signal, past_input=past_input,
+                              external_force=external_force, other=other, dither=dither,
+                              steady_state=steady_state, threads=threads)
+        slopes = np.zeros((len(free_names), found.shape[1]))
+        for column, (first, share) in enumerate(weights):
+            slopes[column] = share[0] * found[0] + share[1] * found[first] \
+                + share[2] * found[first + 1]
+        return found[0], slopes
+
+    def _differences(self, name: str, value: float) -> tuple[tuple[float, ...], Array]:
+        """Offsets of a parameter, and the weights of [centre, *offsets] in its derivative."""
+        low, high, typical = -np.inf, np.inf, 1e-6
+        if not name.startswith("initial."):
+            limits = self.model.parameter(name)
+            low, high, typical = limits.low, limits.high, _typical(name, self.model)
+        step = RELATIVE_STEP * (abs(value) or typical)
+        if low <= value - step and value + step <= high:
+            return (-step, step), np.array([0.0, -0.5, 0.5]) / step
+        if value + 2.0 * step > high:
+            step = -step
+        return (step, 2.0 * step), np.array([-1.5, 2.0, -0.5]) / step
+
+    def _theta(self, initial: Mapping[str, float] | None, dither: float | None) -> Array:
+        theta: Array = self._plan.theta.copy()
+        for name, value in (initial or {}).items():
+            theta[place(self.model, self._plan.states, f"initial.{name}")] = value
+        if dither is not None:
+            theta[slots.NOISE] = dither
+        return theta
+
+    def _arguments(self, input: ArrayLike, force: ArrayLike | None,  # noqa: A002
+                   other: ArrayLike | None, steady_state: bool) -> tuple[Array, Array, Array]:
         inputs = _record(input, "input")
         pushes, others = np.empty((0, 4)), np.empty((0, 4))
         if force is not None:
@@ -197,6 +288,37 @@ class Simulator:
                 raise SimulationError("there is no periodic motion: periodic_disturbance does "
                                       f"{cycles:g} cycles in one period of the input")
         return inputs, pushes, others
+
+
+def _typical(name: str, model: Model) -> float:
+    """A size a parameter that is zero may take."""
+    mass, period = model.base["mass"], model.sample_period
+    rate = max(np.sqrt(model.base.get("stiffness", 0.0) / mass), 1e-3 / period)
+    natural = {"stiffness": mass * rate ** 2, "damping": mass * rate, "delay": period,
+               "amplifier_time_constant": period, "encoder_zero": 1e-6}
+    effect, _, own = name.partition(".")
+    if effect in EFFECTS and own in EFFECTS[effect].priors:
+        prior = EFFECTS[effect].priors[own]
+        return max(abs(prior.low), abs(prior.high)) if not prior.log else \
+            float(np.sqrt(prior.low * prior.high))
+    return float(natural.get(name, 1.0))
+
+
+def _begin(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,
+           force: Array, other: Array, steady_state: bool) -> int:
+    prepare(plan.on, plan.layout, theta, work)
+    reset(plan.on, plan.layout, theta, past_input, work)
+    return settle(plan, theta, work, inputs, force, other) if steady_state else SETTLED
+
+
+def _one_signal(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,
+                force: Array, other: Array, signal: int, steady_state: bool, out: Array) -> int:
+    status = _begin(plan, theta, work, past_input, inputs, force, other, steady_state)
+    if status == SETTLED:
+        rows = np.full(len(slots.SIGNALS), -1)
+        rows[signal] = 0
+        run(plan.on, plan.layout, theta, work, inputs, force, other, rows, out)
+    return status
 
 
 def hermite(values: Array, periodic: bool = False) -> Array:
@@ -250,4 +372,6 @@ def _check(status: int) -> None:
 
 
 def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -12,13 +12,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 
-def stamp(a: Array, rows: Array, first: int, p: Array) -> None:
+def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
     """Row 2 is the drive."""
     for j in range(rows.shape[1]):
         a[first, j] = rows[2, j] / p[0]

@@ -13,13 +13,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 
-def stamp(a: Array, rows: Array, first: int, p: Array) -> None:
+def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
     """Row 0 is the position, row 3 the force input."""
     n = a.shape[0]
     for j in range(n):

@@ -8,23 +8,19 @@ resonance only the ratio remains.
 Source: Awtar, Synthesis and Analysis of Parallel Kinematic XY Flexure Mechanisms (2004), ch. 2.
 """
 
+# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
-Array = NDArray[np.float64]
 
-
-def sense(x: float, t: float, other: float, p: Array) -> float:
+def sense(x: float, t: float, other: float, p: Values) -> float:
     """m"""
     return p[0] * other
 
 
-def other_force(p: Array) -> float:
+def other_force(p: Values) -> float:
     """N/m"""
     return -p[1]
 

@@ -8,16 +8,14 @@ Source: Nayfeh and Mook, Nonlinear Oscillations (1979), ch. 4; Kerschen et al., 
 Signal Process. 20 (2006) 505.
 """
 
+# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
-def force(x: float, v: float, actuator: float, p: NDArray[np.float64]) -> float:
+def force(x: float, v: float, actuator: float, p: Values) -> float:
     """N"""
     return -p[0] * x * x * x
 

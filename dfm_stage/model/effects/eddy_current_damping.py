@@ -7,16 +7,14 @@ largest, damping critical_velocity / 2, at the critical speed.
 Source: Wouterse, IEE Proc. B 138 (1991) 153; Smythe, Trans. AIEE 61 (1942) 681.
 """
 
+# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
-def force(x: float, v: float, actuator: float, p: NDArray[np.float64]) -> float:
+def force(x: float, v: float, actuator: float, p: Values) -> float:
     """N"""
     ratio = v / p[1]
     return -p[0] * v / (1.0 + ratio * ratio)

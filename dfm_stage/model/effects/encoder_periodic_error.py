@@ -7,6 +7,7 @@ for errors of their gains and of their quadrature.
 Source: Heydemann, Appl. Opt. 20 (1981) 3382; Ellin and Dolsak, Sensor Review 28 (2008) 150.
 """
 
+# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 import math
@@ -14,13 +15,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 
-def sense(x: float, t: float, other: float, p: Array) -> float:
+def sense(x: float, t: float, other: float, p: Values) -> float:
     """m"""
     return p[0] * math.sin(2.0 * math.pi * x / p[1] + p[2])
 

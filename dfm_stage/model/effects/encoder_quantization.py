@@ -11,14 +11,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
-def encode(reading: float, dither: float, p: NDArray[np.float64]) -> float:
+def encode(reading: float, dither: float, p: Values) -> float:
     """Mean of the rounded reading with normal noise of RMS `dither`, m."""
     step = p[0]
     if dither > step:

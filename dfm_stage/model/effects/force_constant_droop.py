@@ -6,16 +6,14 @@ Source: Schmidt, Schitter and Rankers, The Design of High Performance Mechatroni
 ch. 5.
 """
 
+# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
-def force(x: float, v: float, actuator: float, p: NDArray[np.float64]) -> float:
+def force(x: float, v: float, actuator: float, p: Values) -> float:
     """N beyond that of a constant force constant"""
     return -p[0] * x * x * actuator
 

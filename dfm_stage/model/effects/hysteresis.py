@@ -9,6 +9,7 @@ Source: Bouc (1967); Wen, J. Eng. Mech. Div. ASCE 102 (1976) 249; normalised for
 Rodellar, Systems with Hysteresis (2007), ch. 2.
 """
 
+# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 import math
@@ -16,13 +17,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 
-def advance(z: float, dx: float, v0: float, v1: float, p: Array) -> float:
+def advance(z: float, dx: float, v0: float, v1: float, p: Values) -> float:
     """w after a motion by dx in one direction; exact for the exponents 1 and 2."""
     if dx == 0.0:
         return z
@@ -53,7 +54,7 @@ def advance(z: float, dx: float, v0: float, v1: float, p: Array) -> float:
         gained = math.tanh(path)
         return sign * (w + gained) / (1.0 + w * gained)
     path = min(path, 50.0)
-    steps = int(math.ceil(path / 0.05))
+    steps = math.ceil(path / 0.05)
     step = path / steps
     for _ in range(steps):
         a = 1.0 - abs(w) ** p[3] * (p[2] * np.sign(w) + 1.0 - p[2])
@@ -67,7 +68,7 @@ def advance(z: float, dx: float, v0: float, v1: float, p: Array) -> float:
     return sign * w
 
 
-def bristle_force(z: float, v: float, p: Array) -> float:
+def bristle_force(z: float, v: float, p: Values) -> float:
     """N"""
     return -p[0] * p[1] * z
 

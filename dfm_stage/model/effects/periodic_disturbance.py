@@ -13,13 +13,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Prior, Reparametrisation
+from dfm_stage.model.effect import Effect, Prior, Reparametrisation, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 
-def stamp(a: Array, rows: Array, first: int, p: Array) -> None:
+def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
     """Row 3 is the force input."""
     w = 2.0 * math.pi * p[1]
     a[first, first + 1] = w
@@ -28,7 +28,7 @@ def stamp(a: Array, rows: Array, first: int, p: Array) -> None:
         a[i, first] += rows[3, i]
 
 
-def start(state: Array, first: int, p: Array) -> None:
+def start(state: Array, first: int, p: Values) -> None:
     """Force and its quadrature at t = 0, N."""
     state[first] = p[0] * math.sin(p[2])
     state[first + 1] = p[0] * math.cos(p[2])

@@ -10,6 +10,7 @@ Source: Canudas de Wit, Olsson, Astrom and Lischinsky, IEEE Trans. Autom. Contro
 Dahl, Aerospace Corp. TOR-0158 (1968).
 """
 
+
 from __future__ import annotations
 
 import math
@@ -17,13 +18,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 
-def advance(z: float, dx: float, v0: float, v1: float, p: Array) -> float:
+def advance(z: float, dx: float, v0: float, v1: float, p: Values) -> float:
     """z (m) after a motion by dx in one direction while the speed goes from v0 to v1.
 
     Exact where g is constant: z relaxes over the distance g / stiffness. With the Stribeck term
@@ -43,7 +44,7 @@ def advance(z: float, dx: float, v0: float, v1: float, p: Array) -> float:
     return last + (z - first) * (1.0 - lost) - (last - first) * lost / decay
 
 
-def bristle_force(z: float, v: float, p: Array) -> float:
+def bristle_force(z: float, v: float, p: Values) -> float:
     """N"""
     if p[4] == 0.0:
         return -p[1] * z

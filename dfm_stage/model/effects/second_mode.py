@@ -20,13 +20,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Prior
+from dfm_stage.model.effect import Effect, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 
-def stamp(a: Array, rows: Array, first: int, p: Array) -> None:
+def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
     """Rows 0, 1 and 3 are position, velocity and force input."""
     share, w = p[0], 2.0 * math.pi * p[1]
     a[first, first + 1] = 1.0

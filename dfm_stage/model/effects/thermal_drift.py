@@ -7,18 +7,16 @@ Source: Slocum, Precision Machine Design (1992); Incropera, Fundamentals of Heat
 Mass Transfer, sec. 5.1 (lumped capacitance).
 """
 
+# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
-def sense(x: float, t: float, other: float, p: NDArray[np.float64]) -> float:
+def sense(x: float, t: float, other: float, p: Values) -> float:
     """m"""
     if p[1] == 0.0:
         return p[0] * t

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.compiled import compiled, inlined
+from dfm_stage.model.kernel.memory import at
 
 Array = NDArray[np.float64]
 
@@ -13,16 +14,17 @@ Array = NDArray[np.float64]
 @inlined
 def row_value(work: Array, row: int, state: int, n: int, u: float) -> float:
     """work[row:] . [work[state:], u] for a state of order n"""
-    total = work[row + n] * u
+    total = at(work, row + n) * u
     for j in range(n):
-        total += work[row + j] * work[state + j]
+        total += at(work, row + j) * at(work, state + j)
     return total
 
 
 @inlined
 def cubic_at(coefficients: Array, r: float) -> float:
     """c0 + c1 r + c2 r^2 + c3 r^3"""
-    return coefficients[0] + r * (coefficients[1] + r * (coefficients[2] + r * coefficients[3]))
+    return float(coefficients[0]
+                 + r * (coefficients[1] + r * (coefficients[2] + r * coefficients[3])))
 
 
 @compiled
@@ -95,39 +97,3 @@ def exponential(a: Array, out: Array) -> None:
     for i in range(n):
         for j in range(n):
             out[i, j] *= scale[i] / scale[j]
-
-
-@compiled
-def solve(a: Array, b: Array) -> bool:
-    """b = a^-1 b by elimination with row pivots, a is spoilt; False if a is as good as singular.
-
-    Rows are scaled to their largest element first.
-    """
-    n = b.shape[0]
-    for i in range(n):
-        largest = np.max(np.abs(a[i]))
-        if largest == 0.0:
-            return False
-        for j in range(n):
-            a[i, j] /= largest
-        b[i] /= largest
-    for i in range(n):
-        pivot = i
-        for j in range(i + 1, n):
-            if abs(a[j, i]) > abs(a[pivot, i]):
-                pivot = j
-        if abs(a[pivot, i]) < 1e-14:
-            return False
-        for j in range(n):
-            a[i, j], a[pivot, j] = a[pivot, j], a[i, j]
-        b[i], b[pivot] = b[pivot], b[i]
-        for j in range(i + 1, n):
-            ratio = a[j, i] / a[i, i]
-            for k in range(i, n):
-                a[j, k] -= ratio * a[i, k]
-            b[j] -= ratio * b[i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            b[i] -= a[i, k] * b[k]
-        b[i] /= a[i, i]
-    return True

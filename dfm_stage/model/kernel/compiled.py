@@ -17,27 +17,29 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import config
+import numba.core.config
 
 F = TypeVar("F", bound=Callable[..., Any])
+_config: Any = numba.core.config
+_njit: Any = numba.njit
 
 
 def compiled(function: F) -> F:
     """`function` as machine code that runs without the interpreter lock, not cached itself."""
-    result: F = numba.njit(nogil=True, error_model="numpy")(function)
+    result: F = _njit(nogil=True, error_model="numpy")(function)
     return result
 
 
 def lean(function: F) -> F:
     """As `compiled`, for functions that allocate nothing: without reference counts, which cost
     more than the arithmetic in short functions of arrays."""
-    result: F = numba.njit(nogil=True, error_model="numpy", _nrt=False)(function)
+    result: F = _njit(nogil=True, error_model="numpy", _nrt=False)(function)
     return result
 
 
 def inlined(function: F) -> F:
     """As `lean`, and part of the code of whoever calls it."""
-    result: F = numba.njit(nogil=True, error_model="numpy", _nrt=False,
+    result: F = _njit(nogil=True, error_model="numpy", _nrt=False,
                            forceinline=True)(function)
     return result
 
@@ -45,18 +47,18 @@ def inlined(function: F) -> F:
 def entry(function: F) -> F:
     """As `compiled`, with its machine code, and all it calls, kept on disk."""
     with _cache_folder():
-        result: F = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
+        result: F = _njit(nogil=True, error_model="numpy", cache=True)(function)
     return result
 
 
 @contextmanager
 def _cache_folder() -> Iterator[None]:
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(_folder())
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = str(_folder())
     try:
         yield
     finally:
-        config.CACHE_DIR = before
+        _config.CACHE_DIR = before
 
 
 @lru_cache

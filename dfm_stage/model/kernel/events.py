@@ -39,7 +39,7 @@ def pushed(on: int, theta: Array, work: Array, n: int, rows: int, state: int, z:
     """Force beyond what holds the point at rest, without dry friction, N; it moves that way."""
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
-    push = (theta[CONSTANT_FORCE] + bristle_force(on, theta, work, z, 0.0)
+    push: float = (theta[CONSTANT_FORCE] + bristle_force(on, theta, work, z, 0.0)
             + point_force(on, theta, x, 0.0, drive)
             - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u))
     if force.shape[0] > 0:

@@ -5,13 +5,14 @@ machine code. `on` is the bit mask of effects, in registry order. Effects that a
 of one bit.
 """
 
+# ruff: noqa: ARG001
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from typing import Any
 
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.kernel.compiled import inlined
+from dfm_stage.model.kernel.compiled import inlined, lean
 from dfm_stage.model.kernel.slots import (
     BIT,
     BRISTLE_NAMES,
@@ -23,6 +24,7 @@ from dfm_stage.model.registry import EFFECTS
 
 # mypy: disable-error-code="no-untyped-def"
 Hook = Callable[..., Any]
+Force = Callable[..., float]
 
 
 @inlined
@@ -59,11 +61,12 @@ def _with(hook: str) -> list[Effect]:
 
 def _place(effect: Effect, hook: str) -> tuple[Hook, int, Hook, int]:
     """The compiled hook, its bit, and how to take its parameters out of theta and where."""
-    return (inlined(getattr(effect, hook)), BIT[effect.name],
+    shape = lean if hook == "advance" else inlined
+    return (shape(getattr(effect, hook)), BIT[effect.name],
             _TAKE[len(effect.parameters) - 1], FIRST_PARAMETER[effect.name])
 
 
-def _summed(hook: str, effects: Iterable[Effect] | None = None) -> Hook:
+def _summed(hook: str, effects: Iterable[Effect] | None = None) -> Force:
     """chain(on, theta, *args) -> sum of hook(*args, p)"""
     @inlined
     def chain(on, theta, *args):
@@ -109,7 +112,7 @@ def _states(hook: str, effects: Iterable[Effect]) -> Hook:
     return chain
 
 
-def _bristle_forces() -> Hook:
+def _bristle_forces() -> Force:
     """chain(on, theta, work, z, v) -> N, with the states at work[z:]"""
     @inlined
     def chain(on, theta, work, z, v):

@@ -1,11 +1,18 @@
-"""Whole records of linear models: one exact step per sample, unrolled for small orders.
+"""Whole records of linear models: one exact step per sample.
 
 p[k] is the input that acts before the switch inside sample k, p[k + 1] the one after it:
 s[k + 1] = a s[k] + old p[k] + new p[k + 1] + constant + (ext f[k] for a force from outside).
-Each function writes the states before every step to `out`, shape (n, N).
+Each function advances `state` by `count` samples and writes the states before every step to the
+columns of `out`, shape (n, count or more).
+
+The loops for orders up to six are written out by a small generator, with all coefficients in
+registers, sums as balanced trees and exact zeros left out: modes do not act on each other, nor on
+the amplifier, unless something couples them.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,91 +20,84 @@ from numpy.typing import NDArray
 from dfm_stage.model.kernel.compiled import compiled
 
 Array = NDArray[np.float64]
+Steps = Callable[[Array, Array, Array, Array, Array, Array, int, int, Array], None]
+
+
+def _tree(terms: list[str]) -> str:
+    if len(terms) == 1:
+        return terms[0]
+    half = (len(terms) + 1) // 2
+    return f"({_tree(terms[:half])} + {_tree(terms[half:])})"
+
+
+def _unrolled(order: int, blocks: tuple[tuple[int, ...], ...] = ()) -> Steps:
+    """`steps` for one order; each block (i, ...) says that row i uses these columns only."""
+    used = {i: range(order) for i in range(order)}
+    used.update({columns[0]: columns[1:] for columns in blocks})  # type: ignore[misc]
+    lines = ["def steps(a, old, new, constant, state, p, first, count, out):"]
+    for i in range(order):
+        lines += [f"    a{i}{j} = a[{i}, {j}]" for j in used[i]]
+        lines += [f"    o{i}, w{i}, c{i}, s{i} = old[{i}], new[{i}], constant[{i}], state[{i}]"]
+    lines += ["    v = p[first]", "    for k in range(count):"]
+    lines += [f"        out[{i}, k] = s{i}" for i in range(order)]
+    lines += ["        u = v", "        v = p[first + k + 1]"]
+    for i in range(order):
+        terms = [f"a{i}{j} * s{j}" for j in used[i]]
+        lines += [f"        z{i} = {_tree(terms)} + (o{i} * u + (w{i} * v + c{i}))"]
+    lines += [f"        s{i} = z{i}" for i in range(order)]
+    lines += [f"    state[{i}] = s{i}" for i in range(order)]
+    scope: dict[str, Steps] = {}
+    exec("\n".join(lines), scope)  # noqa: S102 (text of our own)
+    return compiled(scope["steps"])
+
+
+_steps_2, _steps_3, _steps_4, _steps_5, _steps_6 = (_unrolled(n) for n in range(2, 7))
+_lagged = _unrolled(3, ((2, 2),))
+_two_modes = _unrolled(4, ((0, 0, 1), (1, 0, 1), (2, 2, 3), (3, 2, 3)))
+_two_modes_lagged = _unrolled(5, ((0, 0, 1, 2), (1, 0, 1, 2), (2, 2), (3, 2, 3, 4), (4, 2, 3, 4)))
 
 
 @compiled
 def steps(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array, first: int,
-          out: Array) -> None:
-    """Advance `state` by out.shape[1] samples."""
+          count: int, out: Array) -> None:
+    """Advance by `count` samples with the fastest loop that fits `a`."""
     n = state.shape[0]
     if n == 2:
-        _steps_2(a, old, new, constant, state, p, first, out)
+        _steps_2(a, old, new, constant, state, p, first, count, out)
+    elif n == 3 and _none(a[2:, :2]):
+        _lagged(a, old, new, constant, state, p, first, count, out)
     elif n == 3:
-        _steps_3(a, old, new, constant, state, p, first, out)
+        _steps_3(a, old, new, constant, state, p, first, count, out)
+    elif n == 4 and _none(a[:2, 2:]) and _none(a[2:, :2]):
+        _two_modes(a, old, new, constant, state, p, first, count, out)
     elif n == 4:
-        _steps_4(a, old, new, constant, state, p, first, out)
+        _steps_4(a, old, new, constant, state, p, first, count, out)
+    elif (n == 5 and _none(a[:2, 3:]) and _none(a[3:, :2]) and _none(a[2:3, :2])
+          and _none(a[2:3, 3:])):
+        _two_modes_lagged(a, old, new, constant, state, p, first, count, out)
+    elif n == 5:
+        _steps_5(a, old, new, constant, state, p, first, count, out)
+    elif n == 6:
+        _steps_6(a, old, new, constant, state, p, first, count, out)
     else:
-        _steps_n(a, old, new, constant, state, p, first, out)
+        _steps_n(a, old, new, constant, state, p, first, count, out)
 
 
 @compiled
-def _steps_2(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array,
-             first: int, out: Array) -> None:
-    a00, a01, a10, a11 = a[0, 0], a[0, 1], a[1, 0], a[1, 1]
-    o0, o1, w0, w1, c0, c1 = old[0], old[1], new[0], new[1], constant[0], constant[1]
-    s0, s1 = state[0], state[1]
-    for k in range(out.shape[1]):
-        out[0, k] = s0
-        out[1, k] = s1
-        u, v = p[first + k], p[first + k + 1]
-        z0 = (a00 * s0 + a01 * s1) + (o0 * u + (w0 * v + c0))
-        s1 = (a10 * s0 + a11 * s1) + (o1 * u + (w1 * v + c1))
-        s0 = z0
-    state[0], state[1] = s0, s1
-
-
-@compiled
-def _steps_3(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array,
-             first: int, out: Array) -> None:
-    a00, a01, a02 = a[0, 0], a[0, 1], a[0, 2]
-    a10, a11, a12 = a[1, 0], a[1, 1], a[1, 2]
-    a20, a21, a22 = a[2, 0], a[2, 1], a[2, 2]
-    o0, o1, o2, w0, w1, w2 = old[0], old[1], old[2], new[0], new[1], new[2]
-    c0, c1, c2 = constant[0], constant[1], constant[2]
-    s0, s1, s2 = state[0], state[1], state[2]
-    for k in range(out.shape[1]):
-        out[0, k] = s0
-        out[1, k] = s1
-        out[2, k] = s2
-        u, v = p[first + k], p[first + k + 1]
-        z0 = (a00 * s0 + a01 * s1) + (a02 * s2 + (o0 * u + (w0 * v + c0)))
-        z1 = (a10 * s0 + a11 * s1) + (a12 * s2 + (o1 * u + (w1 * v + c1)))
-        s2 = (a20 * s0 + a21 * s1) + (a22 * s2 + (o2 * u + (w2 * v + c2)))
-        s0, s1 = z0, z1
-    state[0], state[1], state[2] = s0, s1, s2
-
-
-@compiled
-def _steps_4(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array,
-             first: int, out: Array) -> None:
-    a00, a01, a02, a03 = a[0, 0], a[0, 1], a[0, 2], a[0, 3]
-    a10, a11, a12, a13 = a[1, 0], a[1, 1], a[1, 2], a[1, 3]
-    a20, a21, a22, a23 = a[2, 0], a[2, 1], a[2, 2], a[2, 3]
-    a30, a31, a32, a33 = a[3, 0], a[3, 1], a[3, 2], a[3, 3]
-    o0, o1, o2, o3 = old[0], old[1], old[2], old[3]
-    w0, w1, w2, w3 = new[0], new[1], new[2], new[3]
-    c0, c1, c2, c3 = constant[0], constant[1], constant[2], constant[3]
-    s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
-    for k in range(out.shape[1]):
-        out[0, k] = s0
-        out[1, k] = s1
-        out[2, k] = s2
-        out[3, k] = s3
-        u, v = p[first + k], p[first + k + 1]
-        z0 = (a00 * s0 + a01 * s1) + (a02 * s2 + a03 * s3) + (o0 * u + (w0 * v + c0))
-        z1 = (a10 * s0 + a11 * s1) + (a12 * s2 + a13 * s3) + (o1 * u + (w1 * v + c1))
-        z2 = (a20 * s0 + a21 * s1) + (a22 * s2 + a23 * s3) + (o2 * u + (w2 * v + c2))
-        s3 = (a30 * s0 + a31 * s1) + (a32 * s2 + a33 * s3) + (o3 * u + (w3 * v + c3))
-        s0, s1, s2 = z0, z1, z2
-    state[0], state[1], state[2], state[3] = s0, s1, s2, s3
+def _none(part: Array) -> bool:
+    for i in range(part.shape[0]):
+        for j in range(part.shape[1]):
+            if part[i, j] != 0.0:
+                return False
+    return True
 
 
 @compiled
 def _steps_n(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array,
-             first: int, out: Array) -> None:
+             first: int, count: int, out: Array) -> None:
     n = state.shape[0]
     after = np.empty(n)
-    for k in range(out.shape[1]):
+    for k in range(count):
         u, v = p[first + k], p[first + k + 1]
         for i in range(n):
             out[i, k] = state[i]
@@ -110,11 +110,12 @@ def _steps_n(a: Array, old: Array, new: Array, constant: Array, state: Array, p:
 
 @compiled
 def steps_with_force(a: Array, old: Array, new: Array, constant: Array, ext: Array, state: Array,
-                     p: Array, force: Array, first: int, out: Array) -> None:
-    """As `steps`, with the force force[k] . [1, r, r^2, r^3] at r = (t - t_k) / T in sample k."""
+                     p: Array, force: Array, first: int, count: int,
+                     out: Array) -> None:
+    """As `steps`, with the force force[k] . [1, r, r^2, r^3], r = (t - t_k) / T, in sample k."""
     n = state.shape[0]
     after = np.empty(n)
-    for k in range(out.shape[1]):
+    for k in range(count):
         u, v = p[first + k], p[first + k + 1]
         for i in range(n):
             out[i, k] = state[i]

@@ -15,16 +15,21 @@ located in the same way.
 Everything lives in the flat array `work`; arguments called node, state, z, ... are first indices.
 """
 
+# ruff: noqa: ARG001
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
-from dfm_stage.model.kernel.compiled import lean
+from dfm_stage.model.kernel.compiled import inlined, lean
 from dfm_stage.model.kernel.events import cell, pushed
 from dfm_stage.model.kernel.hooks import bristle_force, bristle_steps, point_force
+from dfm_stage.model.kernel.memory import at
 from dfm_stage.model.kernel.slots import (
+    ACTUATOR_FORCES,
     AT_BRISTLE,
     AT_END,
     AT_HEAD,
@@ -58,8 +63,8 @@ from dfm_stage.model.kernel.tables import CUBIC, FROM_VALUES, POINT_1, POINT_2
 Array = NDArray[np.float64]
 Layout = NDArray[np.int64]
 
-UNRESOLVED = 3e-4      # cubic part of the force, over the largest force so far
-UNSETTLED = 1e-11      # expected change in the next iteration, over the largest force so far
+UNRESOLVED = 2e-3      # cubic part of the force, over the largest force so far
+UNSETTLED = 1e-9      # expected change in the next iteration, over the largest force so far
 FAINT = 1e-5           # forces this small beside the actuator's need not be resolved
 ITERATIONS = 8
 ACCEPTED, TOO_COARSE, REVERSAL = 0, 1, 2
@@ -70,114 +75,166 @@ S0, S1, S2, S3 = _SLOPE
 B0, B1, B2, B3 = _BEND
 
 
-@lean
-def slip(on: int, theta: Array, work: Array, n: int, head: int, rows: int, node: int, end: int,
-         state: int, z: int, scratch: int, direction: int, directed: bool, u: float,
-         force: Array, r0: float, dr: float, length: float, last: bool) -> int:
-    """Try one step of moving, of `length` (s); its end goes to scratch, bristles behind it.
+@inlined
+def _plain_force(on: int, theta: Array, work: Array, x: float, v: float, d: float,
+                 z: int) -> float:
+    return point_force(on, theta, x, v, d)
 
-    `force` are the coefficients of the outside force in the sample, of which the step covers
-    [r0, r0 + dr]; `last` says that it cannot be halved. What step control needs goes to the head.
-    """
-    bristled = on & BRISTLED != 0
+
+@inlined
+def _whole_force(on: int, theta: Array, work: Array, x: float, v: float, d: float,
+                 z: int) -> float:
+    return point_force(on, theta, x, v, d) + bristle_force(on, theta, work, z, v)
+
+
+@inlined
+def _no_bristles(on: int, theta: Array, work: Array, z: int, dx: float, v0: float, v1: float,
+                 after: int) -> None:
+    pass
+
+
+def _slip(force_at: Callable[..., float], move: Callable[..., None]) -> Callable[..., int]:
+
+    @lean
+    def slip(on: int, theta: Array, work: Array, n: int, head: int, rows: int, node: int,
+             end: int, state: int, z: int, scratch: int, direction: int, directed: bool,
+             u: float, force: Array, r0: float, dr: float, length: float, last: bool) -> int:
+        """Try one step of moving, of `length` (s); its end goes to scratch, bristles behind it.
+
+        `force` are the coefficients of the outside force in the sample, of which the step covers
+        [r0, r0 + dr]; `last` says that it cannot be halved. What step control needs goes to the
+        head.
+        """
+        e0, e1, e2, e3 = _given(theta, direction, force, r0, dr)
+        x0 = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
+        v0 = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
+        driven = on & ACTUATOR_FORCES != 0
+        d0 = d1 = d2 = d3 = 0.0
+        if driven:
+            d0 = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
+        f0 = e0 + force_at(on, theta, work, x0, v0, d0, z)
+        xa, va, xb, vb, xc, vc = _six(work, n, node, state, u, f0)
+        slope = at(work, head + SLOPE) * length
+        curvature = at(work, head + CURVATURE) * length * length
+        f1 = f0 + POINT_1 * (slope + POINT_1 * curvature)
+        f2 = f0 + POINT_2 * (slope + POINT_2 * curvature)
+        f3 = f0 + (slope + curvature)
+        largest, settled, before = at(work, head + SCALE), False, 0.0
+        p, q, w = node + 9 * (n + 2), node + 9 * (n + 3), node + 9 * (n + 4)
+        z1, z2, z3 = scratch + n + BRISTLES, scratch + n + 2 * BRISTLES, scratch + n
+        v1 = v2 = v3 = 0.0
+        for _ in range(ITERATIONS):
+            x1 = xa + (at(work, p) * f1 + at(work, q) * f2 + at(work, w) * f3)
+            v1 = va + (at(work, p + 1) * f1 + at(work, q + 1) * f2 + at(work, w + 1) * f3)
+            if driven:
+                d1 = _drive(work, n, node + 6, state, u, f0, f1, f2, f3)
+            move(on, theta, work, z, x1 - x0, v0, v1, z1)
+            g = e1 + force_at(on, theta, work, x1, v1, d1, z1)
+            change = abs(g - f1)
+            f1 = g
+            x2 = xb + (at(work, p + 2) * f1 + at(work, q + 2) * f2 + at(work, w + 2) * f3)
+            v2 = vb + (at(work, p + 3) * f1 + at(work, q + 3) * f2 + at(work, w + 3) * f3)
+            if driven:
+                d2 = _drive(work, n, node + 7, state, u, f0, f1, f2, f3)
+            move(on, theta, work, z1, x2 - x1, v1, v2, z2)
+            g = e2 + force_at(on, theta, work, x2, v2, d2, z2)
+            change = max(change, abs(g - f2))
+            f2 = g
+            x3 = xc + (at(work, p + 4) * f1 + at(work, q + 4) * f2 + at(work, w + 4) * f3)
+            v3 = vc + (at(work, p + 5) * f1 + at(work, q + 5) * f2 + at(work, w + 5) * f3)
+            if driven:
+                d3 = _drive(work, n, node + 8, state, u, f0, f1, f2, f3)
+            move(on, theta, work, z2, x3 - x2, v2, v3, z3)
+            g = e3 + force_at(on, theta, work, x3, v3, d3, z3)
+            change = max(change, abs(g - f3))
+            f3 = g
+            largest = max(largest, abs(f0), abs(f1), abs(f2), abs(f3))
+            ratio = min(change / before, 1.0) if before > 0.0 else 0.1
+            if change * ratio <= UNSETTLED * largest:
+                settled = True
+                break
+            before = change
+        if directed and _reverses(direction * v0, direction * v1, direction * v2, direction * v3):
+            return REVERSAL
+        unresolved = abs(C0 * f0 + C1 * f1 + C2 * f2 + C3 * f3)
+        if not last and not (settled and unresolved <= UNRESOLVED * largest):
+            return TOO_COARSE
+        work[head + CUBIC_PART] = unresolved
+        work[head + SCALE] = largest
+        work[head + SLOPE] = (S0 * f0 + S1 * f1 + S2 * f2 + S3 * f3) / length
+        work[head + CURVATURE] = (B0 * f0 + B1 * f1 + B2 * f2 + B3 * f3) / (length * length)
+        _finish(work, n, end, state, scratch, u, f0, f1, f2, f3)
+        return ACCEPTED
+
+    return slip
+
+
+@inlined
+def _given(theta: Array, direction: int, force: Array, r0: float,
+           dr: float) -> tuple[float, float, float, float]:
+    """The forces at the four points that do not depend on the motion, N."""
     e0 = theta[CONSTANT_FORCE] - direction * theta[DRY_FRICTION]
-    e1, e2, e3 = e0, e0, e0
-    if force.shape[0] > 0:
-        e0 += cubic_at(force, r0)
-        e1 += cubic_at(force, r0 + POINT_1 * dr)
-        e2 += cubic_at(force, r0 + POINT_2 * dr)
-        e3 += cubic_at(force, r0 + dr)
-    x0 = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
-    v0 = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
-    d0 = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
-    f0 = e0 + point_force(on, theta, x0, v0, d0)
-    if bristled:
-        f0 += bristle_force(on, theta, work, z, v0)
+    if force.shape[0] == 0:
+        return e0, e0, e0, e0
+    return (e0 + cubic_at(force, r0), e0 + cubic_at(force, r0 + POINT_1 * dr),
+            e0 + cubic_at(force, r0 + POINT_2 * dr), e0 + cubic_at(force, r0 + dr))
 
-    t = node + 9 * n
-    xa, va, xb, vb = work[t] * u, work[t + 1] * u, work[t + 2] * u, work[t + 3] * u
-    xc, vc, da, db, dc = (work[t + 4] * u, work[t + 5] * u, work[t + 6] * u, work[t + 7] * u,
-                          work[t + 8] * u)
+
+@inlined
+def _six(work: Array, n: int, node: int, state: int, u: float,
+         f0: float) -> tuple[float, float, float, float, float, float]:
+    """Position and velocity at the three points, but for the forces there."""
+    t = node + 9 * (n + 1)
+    xa, va, xb = at(work, t) * f0, at(work, t + 1) * f0, at(work, t + 2) * f0
+    vb, xc, vc = at(work, t + 3) * f0, at(work, t + 4) * f0, at(work, t + 5) * f0
     for j in range(n + 1):
         t = node + 9 * j
-        s = work[state + j]
-        if j == n:
-            t += 9
-            s = f0
-        xa += work[t] * s
-        va += work[t + 1] * s
-        xb += work[t + 2] * s
-        vb += work[t + 3] * s
-        xc += work[t + 4] * s
-        vc += work[t + 5] * s
-        da += work[t + 6] * s
-        db += work[t + 7] * s
-        dc += work[t + 8] * s
+        s = u if j == n else at(work, state + j)
+        xa += at(work, t) * s
+        va += at(work, t + 1) * s
+        xb += at(work, t + 2) * s
+        vb += at(work, t + 3) * s
+        xc += at(work, t + 4) * s
+        vc += at(work, t + 5) * s
+    return xa, va, xb, vb, xc, vc
 
-    slope, curvature = work[head + SLOPE] * length, work[head + CURVATURE] * length * length
-    f1 = f0 + POINT_1 * (slope + POINT_1 * curvature)
-    f2 = f0 + POINT_2 * (slope + POINT_2 * curvature)
-    f3 = f0 + (slope + curvature)
-    largest, settled, before = work[head + SCALE], False, 0.0
-    p, q, w = node + 9 * (n + 2), node + 9 * (n + 3), node + 9 * (n + 4)
-    z1, z2, z3 = scratch + n + BRISTLES, scratch + n + 2 * BRISTLES, scratch + n
-    v1 = v2 = v3 = 0.0
-    for _ in range(ITERATIONS):
-        x1 = xa + (work[p] * f1 + work[q] * f2 + work[w] * f3)
-        v1 = va + (work[p + 1] * f1 + work[q + 1] * f2 + work[w + 1] * f3)
-        d1 = da + (work[p + 6] * f1 + work[q + 6] * f2 + work[w + 6] * f3)
-        g = e1 + point_force(on, theta, x1, v1, d1)
-        if bristled:
-            bristle_steps(on, theta, work, z, x1 - x0, v0, v1, z1)
-            g += bristle_force(on, theta, work, z1, v1)
-        change = abs(g - f1)
-        f1 = g
-        x2 = xb + (work[p + 2] * f1 + work[q + 2] * f2 + work[w + 2] * f3)
-        v2 = vb + (work[p + 3] * f1 + work[q + 3] * f2 + work[w + 3] * f3)
-        d2 = db + (work[p + 7] * f1 + work[q + 7] * f2 + work[w + 7] * f3)
-        g = e2 + point_force(on, theta, x2, v2, d2)
-        if bristled:
-            bristle_steps(on, theta, work, z1, x2 - x1, v1, v2, z2)
-            g += bristle_force(on, theta, work, z2, v2)
-        change = max(change, abs(g - f2))
-        f2 = g
-        x3 = xc + (work[p + 4] * f1 + work[q + 4] * f2 + work[w + 4] * f3)
-        v3 = vc + (work[p + 5] * f1 + work[q + 5] * f2 + work[w + 5] * f3)
-        d3 = dc + (work[p + 8] * f1 + work[q + 8] * f2 + work[w + 8] * f3)
-        g = e3 + point_force(on, theta, x3, v3, d3)
-        if bristled:
-            bristle_steps(on, theta, work, z2, x3 - x2, v2, v3, z3)
-            g += bristle_force(on, theta, work, z3, v3)
-        change = max(change, abs(g - f3))
-        f3 = g
-        largest = max(largest, max(max(abs(f0), abs(f1)), max(abs(f2), abs(f3))))
-        ratio = min(change / before, 1.0) if before > 0.0 else 0.1
-        if change * ratio <= UNSETTLED * largest:
-            settled = True
-            break
-        before = change
-    if directed:
-        a0, a1, a2, a3 = direction * v0, direction * v1, direction * v2, direction * v3
-        least = min(a1, a2)
-        if (least < 0.0 or a3 < 0.0
-                or (least < a0 and least < a3 and least < 0.5 * (max(a0, a3) - least))):
-            return REVERSAL
-    unresolved = abs(C0 * f0 + C1 * f1 + C2 * f2 + C3 * f3)
-    if not last and not (settled and unresolved <= UNRESOLVED * largest):
-        return TOO_COARSE
-    work[head + CUBIC_PART] = unresolved
-    work[head + SCALE] = largest
-    work[head + SLOPE] = (S0 * f0 + S1 * f1 + S2 * f2 + S3 * f3) / length
-    work[head + CURVATURE] = (B0 * f0 + B1 * f1 + B2 * f2 + B3 * f3) / (length * length)
-    t = end + n * (n + 1)
+
+@inlined
+def _finish(work: Array, n: int, end: int, state: int, scratch: int, u: float, f0: float,
+            f1: float, f2: float, f3: float) -> None:
+    """The state at the end of the step."""
+    t = end + n * n
     for i in range(n):
-        work[scratch + i] = (work[end + n * n + i] * u + (work[t + i] * f0 + work[t + n + i] * f1)
-                             + (work[t + 2 * n + i] * f2 + work[t + 3 * n + i] * f3))
+        total = at(work, t + i) * u + (at(work, t + n + i) * f0 + at(work, t + 2 * n + i) * f1)
+        total += at(work, t + 3 * n + i) * f2 + at(work, t + 4 * n + i) * f3
+        for j in range(n):
+            total += at(work, end + n * j + i) * at(work, state + j)
+        work[scratch + i] = total
+
+
+@inlined
+def _drive(work: Array, n: int, column: int, state: int, u: float, f0: float, f1: float,
+           f2: float, f3: float) -> float:
+    """The actuator's force at one point, N."""
+    t = column + 9 * n
+    total = at(work, t) * u + at(work, t + 9) * f0 + at(work, t + 18) * f1
+    total += at(work, t + 27) * f2 + at(work, t + 36) * f3
     for j in range(n):
-        s = work[state + j]
-        for i in range(n):
-            work[scratch + i] += work[end + n * j + i] * s
-    return ACCEPTED
+        total += at(work, column + 9 * j) * at(work, state + j)
+    return total
+
+
+@inlined
+def _reverses(v0: float, v1: float, v2: float, v3: float) -> bool:
+    """True if the speed falls below zero, or has a minimum between its ends that may."""
+    least = min(v1, v2)
+    if least < 0.0 or v3 < 0.0:
+        return True
+    return least < v0 and least < v3 and least < 0.5 * (max(v0, v3) - least)
+
+
+smooth_slip = _slip(_plain_force, _no_bristles)
+bristle_slip = _slip(_whole_force, bristle_steps)
 
 
 @lean
@@ -223,7 +280,8 @@ def advance_piece(on: int, layout: Layout, theta: Array, work: Array, which: int
     units, position = 1 << depth, 0
     while position < units:
         size = units >> level
-        r, dr = r0 + span * position / units, span * size / units
+        fraction = size / units
+        r, dr = r0 + span * (position / units), span * fraction
         table = tables + level
         if directed and mode == 0:
             push = pushed(on, theta, work, n, rows, state, z, u, force, r)
@@ -235,15 +293,21 @@ def advance_piece(on: int, layout: Layout, theta: Array, work: Array, which: int
                             layout[AT_STICK_END] + n * (n + 1) * table, state, z, scratch, u,
                             force, r, dr)
             work[head + CUBIC_PART] = 0.0
+        elif on & BRISTLED:
+            outcome = bristle_slip(
+                on, theta, work, n, head, rows, layout[AT_NODE] + 9 * (n + 5) * table,
+                layout[AT_END] + n * (n + 5) * table, state, z, scratch, mode, directed, u, force,
+                r, dr, length * fraction, level == depth)
         else:
-            outcome = slip(on, theta, work, n, head, rows, layout[AT_NODE] + 9 * (n + 5) * table,
-                           layout[AT_END] + n * (n + 5) * table, state, z, scratch, mode,
-                           directed, u, force, r, dr, length * size / units, level == depth)
+            outcome = smooth_slip(
+                on, theta, work, n, head, rows, layout[AT_NODE] + 9 * (n + 5) * table,
+                layout[AT_END] + n * (n + 5) * table, state, z, scratch, mode, directed, u, force,
+                r, dr, length * fraction, level == depth)
         if outcome != ACCEPTED and level < depth:
             level += 1
             continue
         if outcome == REVERSAL:
-            mode = cell(on, theta, work, layout, u, force, r, dr, length * size / units, mode)
+            mode = cell(on, theta, work, layout, u, force, r, dr, length * fraction, mode)
             work[head + SLOPE] = work[head + CURVATURE] = 0.0
         else:
             for i in range(n):

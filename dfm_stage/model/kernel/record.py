@@ -70,16 +70,17 @@ def run(on: int, layout: Layout, theta: Array, work: Array, inputs: Array, force
     discrete = block(work, layout, AT_DISCRETE, n, n + 7)
     a, old, new = discrete[:, :n], discrete[:, n].copy(), discrete[:, n + 1].copy()
     constant, ext = discrete[:, n + 2].copy(), discrete[:, n + 3:]
-    buffer = np.empty((n, min(BLOCK, samples)))
+    states = np.empty((n, min(BLOCK, samples)))
     for first in range(0, samples, BLOCK):
-        states = buffer[:, :min(BLOCK, samples - first)]
+        count = min(BLOCK, samples - first)
         if layout[CURVED] == 1:
-            _curved_steps(on, layout, theta, work, applied, pushed, first, states)
+            _curved_steps(on, layout, theta, work, applied, pushed, first, count, states)
         elif pushed.shape[0] > 0:
-            steps_with_force(a, old, new, constant, ext, state, applied, pushed, first, states)
+            steps_with_force(a, old, new, constant, ext, state, applied, pushed, first, count,
+                             states)
         else:
-            steps(a, old, new, constant, state, applied, first, states)
-        _signals(on, rows, theta, states, applied, first, rows_out, out)
+            steps(a, old, new, constant, state, applied, first, count, states)
+        _signals(on, rows, theta, states, applied, first, count, rows_out, out)
     _readings(on, theta, head[PERIOD], head[SAMPLE], other, rows_out, out)
     head[SAMPLE] += samples
 
@@ -92,8 +93,9 @@ def peek(on: int, layout: Layout, theta: Array, work: Array, other: Array, out: 
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
     applied = work[layout[AT_HISTORY]:layout[AT_HISTORY] + 1].copy()
     applied[0] = min(max(applied[0], -theta[LIMIT]), theta[LIMIT])
-    everything = np.arange(len(SIGNALS))
-    _signals(on, rows, theta, block(work, layout, AT_STATE, n, 1), applied, 0, everything, out)
+    everything, first = np.arange(len(SIGNALS)), int(layout[ORDER] * 0)
+    _signals(on, rows, theta, block(work, layout, AT_STATE, n, 1), applied, first, 1, everything,
+             out)
     _readings(on, theta, head[PERIOD], head[SAMPLE], other, everything, out)
 
 
@@ -125,43 +127,44 @@ def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
 
 @compiled
 def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: Array,
-                  force: Array, first: int, out: Array) -> None:
+                  force: Array, first: int, count: int, out: Array) -> None:
     """As `linear.steps_with_force`, with nonlinear forces; `force` may be empty."""
     n, state = layout[ORDER], layout[AT_STATE]
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
     push = force[0] if force.shape[0] > 0 else np.empty(0)
-    for k in range(out.shape[1]):
+    for k in range(count):
         for i in range(n):
             out[i, k] = work[state + i]
         if force.shape[0] > 0:
             push = force[first + k]
-        if fraction > 0.0:
-            advance_piece(on, layout, theta, work, 0, applied[first + k], push, 0.0, fraction,
-                          fraction * period)
-        advance_piece(on, layout, theta, work, 1, applied[first + k + 1], push, fraction,
-                      1.0 - fraction, (1.0 - fraction) * period)
+        for which in range(2):
+            begin = 0.0 if which == 0 else fraction
+            span = fraction if which == 0 else 1.0 - fraction
+            if span > 0.0:
+                advance_piece(on, layout, theta, work, which, applied[first + k + which], push,
+                              begin, span, span * period)
 
 
 @compiled
 def _signals(on: int, rows: Array, theta: Array, states: Array, applied: Array, first: int,
-             rows_out: Layout, out: Array) -> None:
+             count: int, rows_out: Layout, out: Array) -> None:
     if rows_out[POSITION] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, out[rows_out[POSITION]])
+        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[POSITION]])
     if rows_out[VELOCITY] >= 0:
-        _signal(rows[ROW_VELOCITY], 1.0, states, applied, first, out[rows_out[VELOCITY]])
+        _signal(rows[ROW_VELOCITY], 1.0, states, applied, first, count, out[rows_out[VELOCITY]])
     if rows_out[READING] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, out[rows_out[READING]])
+        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[READING]])
     if rows_out[OUTPUT] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, out[rows_out[OUTPUT]])
+        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[OUTPUT]])
     if rows_out[CURRENT] >= 0:
         per_ohm = 1.0 / theta[RESISTANCE] if theta[RESISTANCE] > 0.0 else 1.0
-        _signal(rows[ROW_DRIVE], per_ohm, states, applied, first, out[rows_out[CURRENT]])
+        _signal(rows[ROW_DRIVE], per_ohm, states, applied, first, count, out[rows_out[CURRENT]])
     if rows_out[FORCE] >= 0:
         force = out[rows_out[FORCE]]
-        _signal(rows[ROW_DRIVE], theta[FORCE_CONSTANT], states, applied, first, force)
+        _signal(rows[ROW_DRIVE], theta[FORCE_CONSTANT], states, applied, first, count, force)
         if on & ACTUATOR_FORCES:
-            for k in range(states.shape[1]):
+            for k in range(count):
                 x = v = 0.0
                 for j in range(states.shape[0]):
                     x += rows[ROW_POSITION, j] * states[j, k]
@@ -170,20 +173,28 @@ def _signals(on: int, rows: Array, theta: Array, states: Array, applied: Array, 
 
 
 @compiled
-def _signal(row: Array, factor: float, states: Array, applied: Array, first: int,
+def _signal(row: Array, factor: float, states: Array, applied: Array, first: int, count: int,
             out: Array) -> None:
     """out[first:] = factor row . [states, applied], skipping columns of zeros."""
-    n, samples = states.shape
-    out[first:first + samples] = 0.0
+    n = states.shape[0]
+    started = False
     for j in range(n + 1):
         gain = row[j] * factor
-        if gain != 0.0:
-            if j < n:
-                for k in range(samples):
-                    out[first + k] += gain * states[j, k]
-            else:
-                for k in range(samples):
-                    out[first + k] += gain * applied[first + k]
+        if gain == 0.0:
+            continue
+        column = states[j] if j < n else applied[first:first + count]
+        if started:
+            for k in range(count):
+                out[first + k] += gain * column[k]
+        elif gain == 1.0:
+            for k in range(count):
+                out[first + k] = column[k]
+        else:
+            for k in range(count):
+                out[first + k] = gain * column[k]
+        started = True
+    if not started:
+        out[first:first + count] = 0.0
 
 
 @compiled

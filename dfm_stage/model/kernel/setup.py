@@ -171,7 +171,7 @@ def reset(on: int, layout: Layout, theta: Array, past_input: float, work: Array)
     restart(layout, work)
 
 
-@compiled
+@entry
 def restart(layout: Layout, work: Array) -> None:
     """Make step control forget the motion before, after the state has been set from outside."""
     n = layout[ORDER]

@@ -30,6 +30,7 @@ def _mask(*hooks: str) -> int:
 
 BRISTLED = _mask("advance")
 SENSED = _mask("sense", "encode")
+ENCODED = _mask("encode")
 FORCED = _mask("force", "advance") | sum(1 << BIT[n] for n, e in EFFECTS.items()
                                          if e.adds_to == "dry_friction")
 REVERSING = _mask("advance") | (FORCED & ~_mask("force"))

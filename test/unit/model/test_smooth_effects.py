@@ -1,6 +1,6 @@
 """Every smooth effect, alone and in combinations, against SciPy's DOP853 on equations of our own.
 
-The reference is restarted at every jump of the input; see reference.py.
+The reference is restarted at every jump of the input; see stage_equations.py.
 """
 
 from __future__ import annotations
@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from reference import integrate
+from stage_equations import integrate
 
-from dfm_stage.model import EFFECTS, Model, Simulator
+from dfm_stage.model import Model, Simulator
 
 PERIOD = 1e-3
 BASE = {"mass": 1.082, "damping": 1.845, "stiffness": 650.0, "force_constant": 1.082,

@@ -78,7 +78,7 @@ class Equations:
 def hold_segments(inputs: np.ndarray, period: float, delay: float,
                   limit: float = math.inf) -> list[list[tuple[float, float, float]]]:
     """For each sample the pieces (begin, end, input) in absolute time."""
-    whole = int(math.floor(delay / period + 1e-9))
+    whole = math.floor(delay / period + 1e-9)
     part = delay - whole * period
     pieces = []
     for k in range(len(inputs)):

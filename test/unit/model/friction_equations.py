@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from reference import Equations, hold_segments
 from scipy.integrate import solve_ivp
+from stage_equations import Equations, hold_segments
 
 
 def coulomb(given: dict[str, float], friction: float, inputs: np.ndarray, period: float,
