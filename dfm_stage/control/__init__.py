@@ -1,15 +1,18 @@
 """Controllers, one sample per call, and the methods that choose their parameters."""
 
 from dfm_stage.control.errors import ControlError
+from dfm_stage.control.feedforward import inverse_input, periodic_input
 from dfm_stage.control.gains import PID_PARAMETERS, PidGains
 from dfm_stage.control.guard import GUARD_PARAMETERS, Guard
 from dfm_stage.control.kalman import KalmanDesign, kalman
+from dfm_stage.control.learning import Learner, LearningDesign, design_learning
 from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
 from dfm_stage.control.sampled import Margins, loop_margins, margins
+from dfm_stage.control.shaping import Notch, shape, shaper
 from dfm_stage.control.stage import (
     LinearStage,
     Sampled,
@@ -29,9 +32,10 @@ from dfm_stage.control.ziegler_nichols import (
 
 __all__ = [
     "GUARD_PARAMETERS", "LQR_PARAMETERS", "PID_PARAMETERS", "TUNING_PARAMETERS", "ControlError",
-    "GainRaising", "Guard", "KalmanDesign", "LinearStage", "Lqg", "LqrDesign", "LqrSpec",
-    "Margins", "Oscillation", "Pid", "PidDesign", "PidGains", "RelayRun", "Sampled", "TuningRun",
-    "Ultimate", "algebraic", "design_lqr", "feedback_gain", "finite_horizon", "kalman",
-    "linear_stage", "loop_margins", "margins", "oscillation", "pid_for", "pid_with_margin",
-    "sample_model", "sample_stage", "ultimate", "ultimate_from_relays", "ziegler_nichols",
+    "GainRaising", "Guard", "KalmanDesign", "Learner", "LearningDesign", "LinearStage", "Lqg",
+    "LqrDesign", "LqrSpec", "Margins", "Notch", "Oscillation", "Pid", "PidDesign", "PidGains",
+    "RelayRun", "Sampled", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
+    "feedback_gain", "finite_horizon", "inverse_input", "kalman", "linear_stage", "loop_margins",
+    "margins", "oscillation", "periodic_input", "pid_for", "pid_with_margin", "sample_model",
+    "sample_stage", "shape", "shaper", "ultimate", "ultimate_from_relays", "ziegler_nichols",
 ]
