@@ -17,6 +17,7 @@ SETTLED, DRIFTS, UNSETTLED = 0, 1, 2
 PERIODS = 400
 TOLERANCE = 1e-10
 MEMORY = 6
+LARGEST_CONDITION = 1e12
 _NOWHERE = np.full(len(slots.SIGNALS), -1)
 
 
@@ -50,7 +51,9 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
     propagator = work[first:first + n * (n + 7)].reshape(n, n + 7)[:, :n]
     left = np.eye(n) - np.linalg.matrix_power(propagator, len(inputs))
     outcome, begin = SETTLED, np.zeros(n + slots.BRISTLES)
-    if np.linalg.cond(left / np.abs(left).max(axis=1, keepdims=True)) < 1e12:
+    largest = np.abs(left).max(axis=1, keepdims=True)
+    if np.all(np.isfinite(left)) and np.all(largest > 0.0) \
+            and np.linalg.cond(left / largest) < LARGEST_CONDITION:
         begin[:n] = np.linalg.solve(left, forced)
     elif not curved:
         outcome = DRIFTS
