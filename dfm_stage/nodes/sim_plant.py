@@ -8,6 +8,7 @@ one acts a sample later and is counted.
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -15,35 +16,49 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from dfm_stage.errors import DfmError
-from dfm_stage.model import Model, Plant, load_model, model_text
+from dfm_stage.model import CoupledPlant, Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher, run_node
 from dfm_stage.nodes.parameters import Setting
 
 _GIVE_UP_SAMPLES = 100
 
 
+class _Stage(CoupledPlant):
+    """A plant with the inputs that are to be held over the next sample."""
+
+    def __init__(self, model: Model, seed: int) -> None:
+        super().__init__(model, seed)
+        self.inputs = [0.0] * len(self.plants)
+
+    def step(self) -> None:
+        """Hold the inputs for one sample period."""
+        self.advance(self.inputs)
+
+
 class _Axis:
     """The wires of one axis."""
 
-    def __init__(self, node: SimPlant, name: str, stage: Plant) -> None:
+    def __init__(self, node: SimPlant, name: str, stage: _Stage, index: int) -> None:
         prefix = f"{name}/" if name else ""
         self.stage = stage
+        self.plant = stage.plants[index]
         self.topic = f"{prefix}sim/drive"
         self.counts: Publisher = node.link_publisher("sim/position_counts", prefix)
-        self.plant: Publisher = node.link_publisher("plant", prefix)
+        self.truth: Publisher = node.link_publisher("plant", prefix)
         self.current = (node.link_publisher("sim/current", prefix)
-                        if _measures_current(stage.model) else None)
-        self.input = 0.0
+                        if _measures_current(self.plant.model) else None)
         self.answered = -1
         node.link_subscription("sim/drive", self._on_drive, prefix)
         self._node = node
+        self._index = index
 
     def _on_drive(self, drive: Any) -> None:
         if drive.measurement_seq == self._node.seq:
             self.answered = drive.measurement_seq
         else:
             self._node.count("late_drives")
-        self.input = drive.voltage if drive.enabled else 0.0
+        usable = drive.enabled and math.isfinite(drive.voltage)
+        self.stage.inputs[self._index] = drive.voltage if usable else 0.0
         if self._node.lockstep:
             self._node.step_when_answered()
 
@@ -64,13 +79,12 @@ class SimPlant(LoopNode):
         super().__init__(**kwargs)
         self._model = load_model(self.settings["model"])
         names = self.settings["axes"].split() or list(self._model.axis_names) or [""]
-        self._plants = self._make_plants(names)
         self._period_ns = round(self._model.sample_period * 1e9)
         self.seq = 0
         self._published = False
         self._clock_out = self.create_publisher(ClockMessage, "/clock", QoSProfile(depth=100))
-        self._axes = [_Axis(self, name, plant)
-                      for name, plant in zip(names, self._plants, strict=True)]
+        self._axes = self._wire(names)
+        self._stages = list({id(axis.stage): axis.stage for axis in self._axes}.values())
         self._next_ns: int | None = None
         if self.lockstep:
             self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
@@ -78,15 +92,19 @@ class SimPlant(LoopNode):
             self.create_timer(self._model.sample_period, self._tick, clock=self.steady)
         self.publish_config()
 
-    def _make_plants(self, names: list[str]) -> list[Plant]:
+    def _wire(self, names: list[str]) -> list[_Axis]:
+        """Connect each named axis to its place in a plant; axes of one model share one plant."""
         known = self._model.axis_names
+        seed = self.settings["seed"]
+        if not known:
+            return [_Axis(self, name, _Stage(self._model, seed + 1000 * index), 0)
+                    for index, name in enumerate(names)]
         for name in names:
-            if known and name not in known:
+            if name not in known:
                 raise DfmError(f"model {self._model.name} has the axes {' '.join(known)}, "
                                f"not {name!r}; set the parameter axes")
-        return [Plant(self._model, axis=name if known else None,
-                      seed=self.settings["seed"] + 1000 * index)
-                for index, name in enumerate(names)]
+        stage = _Stage(self._model, seed)
+        return [_Axis(self, name, stage, known.index(name)) for name in names]
 
     def config(self) -> dict[str, Any]:
         """Return the model that is simulated."""
@@ -138,19 +156,21 @@ class SimPlant(LoopNode):
     # Both
 
     def _advance(self) -> None:
-        for axis in self._axes:
-            axis.stage.advance(axis.input)
+        for stage in self._stages:
+            stage.step()
         self.seq = (self.seq + 1) & 0xFFFFFFFF
 
     def _publish_samples(self, stamp_ns: int) -> None:
         self._published = True
         self.counters["samples"] = self.seq
+        for stage in self._stages:
+            stage.sample()
         for axis in self._axes:
-            sample = axis.stage.sample()
-            axis.counts.send(stamp_ns, self.seq, sample.counts, axis.stage.count_size_m)
+            sample = axis.plant.sample()
+            axis.counts.send(stamp_ns, self.seq, sample.counts, axis.plant.count_size_m)
             if axis.current is not None:
                 axis.current.send(stamp_ns, self.seq, sample.current)
-            axis.plant.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
+            axis.truth.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
                             sample.current, sample.force_n)
 
     def waiting_for(self) -> tuple[str, int] | None:
