@@ -16,8 +16,9 @@ from dfm_stage.identification.model_fit import (
     linear_plant,
 )
 from dfm_stage.identification.noise import NoiseModel, fit_noise
-from dfm_stage.identification.output_error import Problem, Segment, Unknown, estimate
+from dfm_stage.identification.output_error import estimate
 from dfm_stage.identification.plant import LinearPlant, Mode
+from dfm_stage.identification.problem import Problem, Segment, Unknown
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import (
     ResidualTest,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from dfm_stage.identification.identifiability import Identifiability
-from dfm_stage.identification.output_error import limit_message
+from dfm_stage.identification.inference import limit_message
 from dfm_stage.identification.quantity import t95
 from dfm_stage.identification.result import Estimate
 from dfm_stage.model import EFFECTS, Model

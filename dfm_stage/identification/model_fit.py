@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from dfm_stage.identification.coordinates import LAGS, group, to_physical
 from dfm_stage.identification.errors import IdentificationError
-from dfm_stage.identification.output_error import Problem, Segment, Unknown, estimate
+from dfm_stage.identification.output_error import estimate
 from dfm_stage.identification.plant import LinearPlant, Mode
+from dfm_stage.identification.problem import Problem, Segment, Unknown
 from dfm_stage.identification.result import Estimate, SegmentFit
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 

@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from dfm_stage.identification import IdentificationError, Run, evaluate, fit_model
-from dfm_stage.identification.output_error import Problem, Segment, Unknown, estimate
+from dfm_stage.identification import (
+    IdentificationError,
+    Problem,
+    Run,
+    Segment,
+    Unknown,
+    estimate,
+    evaluate,
+    fit_model,
+)
 from dfm_stage.model import Model
 
 LINES = np.arange(1, 301, 2)

@@ -1,0 +1,205 @@
+"""The weighted, whitened residual of a problem and its sensitivities."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.identification.least_squares import Solution, minimise
+from dfm_stage.identification.noise import fit_noise, whiten
+from dfm_stage.identification.problem import Problem, Segment
+
+Array = NDArray[np.float64]
+
+ROUGH, ACCURATE = 1e-2, 1e-5
+"""A search ends when the next step would lower chi-square by less than this."""
+
+
+class Criterion:
+    """The weighted, whitened residual over (unknowns, trends, noise coefficients)."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.count = len(problem.unknowns)
+        self.scale = np.array([u.scale for u in problem.unknowns], dtype=float)
+        self.low = np.array([u.low for u in problem.unknowns], dtype=float)
+        self.high = np.array([u.high for u in problem.unknowns], dtype=float)
+        self.steps = 1e-4 * self.scale
+        self.orders = [0] * len(problem.segments)
+        self.sigma = [1.0] * len(problem.segments)
+        self.noise: list[Array] = [np.empty(0)] * len(problem.segments)
+        self.frozen = False
+        self.trends = [_trend_columns(s) for s in problem.segments]
+        spread = max(float(np.std(s.output[s.skip:])) for s in problem.segments)
+        self.output_scale = spread if spread > 0.0 else 1.0
+
+    def layout(self) -> tuple[list[slice], list[slice], int]:
+        """Return the slices of trend and noise coefficients per segment, and the total."""
+        at, trends, noises = self.count, [], []
+        for columns in self.trends:
+            trends.append(slice(at, at + columns.shape[0]))
+            at += columns.shape[0]
+        for order in self.orders:
+            free = 0 if self.frozen else order
+            noises.append(slice(at, at + free))
+            at += free
+        return trends, noises, at
+
+    def start(self, values: Array) -> Array:
+        """Return the full starting vector for unknowns `values`, trends fitted linearly."""
+        trends, _, total = self.layout()
+        x = np.zeros(total)
+        x[: self.count] = values
+        for i, (segment, columns) in enumerate(zip(self.problem.segments, self.trends,
+                                                   strict=True)):
+            if not columns.shape[0]:
+                continue
+            gap = segment.output - self.simulated(i, values[None, :])[0]
+            if np.all(np.isfinite(gap)):
+                x[trends[i]] = np.linalg.lstsq(columns[:, segment.skip:].T, gap[segment.skip:],
+                                               rcond=None)[0]
+        return x
+
+    def start_from(self, x: Array) -> Array:
+        """Carry unknowns and trends of an earlier vector over to the present noise orders."""
+        trends, noises, total = self.layout()
+        fresh = np.zeros(total)
+        kept = trends[-1].stop if trends else self.count
+        fresh[:kept] = x[:kept]
+        for place, coefficients in zip(noises, self.noise, strict=True):
+            if not self.frozen:
+                fresh[place] = coefficients
+        return fresh
+
+    def whitener(self, index: int, x: Array) -> Array:
+        """Return the polynomial A of one segment: part of `x`, or as it was last set."""
+        if self.frozen:
+            return np.concatenate(([1.0], self.noise[index]))
+        _, noises, _ = self.layout()
+        return np.concatenate(([1.0], x[noises[index]]))
+
+    def simulated(self, index: int, rows: Array) -> Array:
+        return np.asarray(self.problem.simulate(index, rows), dtype=float)
+
+    def gap(self, index: int, x: Array) -> Array:
+        """Return measured minus simulated (N - skip,) of one segment."""
+        trends, _, _ = self.layout()
+        segment = self.problem.segments[index]
+        simulated = self.simulated(index, x[None, : self.count])[0]
+        total = simulated + x[trends[index]] @ self.trends[index]
+        return np.asarray(segment.output - total)[segment.skip:]
+
+    def closest(self, index: int, x: Array) -> Array:
+        """Return the gap of one segment with its own unknowns fitted to it as if noise were white.
+
+        Whitening hardly sees how a body without a spring starts to drift; this is for looking at
+        the simulated output, not for inference.
+        """
+        gap = self.gap(index, x)
+        if not self.orders[index]:
+            return gap
+        trends, _, _ = self.layout()
+        segment = self.problem.segments[index]
+        own = [j for j, u in enumerate(self.problem.unknowns) if u.segment == index]
+        columns = np.vstack([self._sensitivities(index, x[: self.count], own),
+                             self.trends[index]])[:, segment.skip:]
+        norms = np.linalg.norm(columns, axis=1)
+        columns, norms = columns[norms > 0.0], norms[norms > 0.0]
+        places = np.array([*own, *range(trends[index].start, trends[index].stop)])
+        if not norms.size or norms.size != places.size:
+            return gap
+        change = np.linalg.lstsq((columns / norms[:, None]).T, gap, rcond=1e-9)[0] / norms
+        moved = x.copy()
+        moved[places] += change
+        closer = self.gap(index, moved)
+        return closer if float(closer @ closer) < float(gap @ gap) else gap
+
+    def residual(self, x: Array) -> Array:
+        return np.concatenate([
+            whiten(self.gap(i, x), self.whitener(i, x)) / self.sigma[i]
+            for i in range(len(self.problem.segments))])
+
+    def jacobian(self, x: Array, _: Array) -> Array:
+        trends, noises, total = self.layout()
+        blocks = []
+        for i, segment in enumerate(self.problem.segments):
+            polynomial = self.whitener(i, x)
+            columns = np.zeros((total, segment.output.size - segment.skip))
+            active = [j for j, u in enumerate(self.problem.unknowns) if u.segment in (None, i)]
+            columns[active] = -self._sensitivities(i, x[: self.count], active)[:, segment.skip:]
+            columns[trends[i]] = -self.trends[i][:, segment.skip:]
+            white = np.zeros((total, columns.shape[1] - self.orders[i]))
+            moved = [*active, *range(trends[i].start, trends[i].stop)]
+            white[moved] = whiten(columns[moved], polynomial)
+            if self.orders[i] and not self.frozen:
+                gap = self.gap(i, x)
+                lagged = np.lib.stride_tricks.sliding_window_view(gap[:-1], self.orders[i])
+                white[noises[i]] = lagged[:, ::-1].T
+            blocks.append(white.T / self.sigma[i])
+        jacobian = np.vstack(blocks)
+        self._choose_steps(jacobian)
+        return jacobian
+
+    def _sensitivities(self, index: int, values: Array, active: list[int]) -> Array:
+        """Return the derivative (len(active), N) of the simulated output by central differences.
+        """
+        if not active:
+            return np.empty((0, self.problem.segments[index].output.size))
+        count = len(active)
+        rows = np.repeat(values[None, :], 2 * count + 1, axis=0)
+        for k, j in enumerate(active):
+            rows[k, j] = min(values[j] + self.steps[j], self.high[j])
+            rows[count + k, j] = max(values[j] - self.steps[j], self.low[j])
+        outputs = self.simulated(index, rows)
+        for k, j in enumerate(active):
+            for side in (k, count + k):
+                if not np.isfinite(outputs[side, -1]):
+                    rows[side, j], outputs[side] = values[j], outputs[-1]
+        width = np.array([rows[k, j] - rows[count + k, j] for k, j in enumerate(active)])
+        return np.asarray((outputs[:count] - outputs[count:-1]) / width[:, None])
+
+    def _choose_steps(self, jacobian: Array) -> None:
+        """Set each step to half of what the data could resolve with all else known."""
+        norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))[: self.count]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            wanted = 0.5 / norms
+        wanted = np.where(np.isfinite(wanted), wanted, np.inf)
+        if all(s == 1.0 for s in self.sigma):
+            wanted = wanted * self.output_scale * 1e-2
+        self.steps = np.clip(wanted, 1e-7 * self.scale, 1e-2 * self.scale)
+
+    def minimise(self, start: Array, max_iterations: int,
+                 tolerance: float = ACCURATE) -> Solution:
+        _, noises, total = self.layout()
+        scale = np.full(total, self.output_scale)
+        scale[: self.count] = self.scale
+        low, high = np.full(total, -np.inf), np.full(total, np.inf)
+        low[: self.count], high[: self.count] = self.low, self.high
+        for place in noises:
+            scale[place] = 1.0
+        return minimise(self.residual, self.jacobian, start, scale, low, high,
+                        max_iterations=max_iterations, tolerance=tolerance)
+
+    def renew_noise(self, x: Array, max_order: int | None) -> bool:
+        """Fit a noise model to each residual; return whether the fit has to be repeated."""
+        changed = False
+        for i in range(len(self.problem.segments)):
+            model = fit_noise(self.gap(i, x), max_order)
+            sigma = model.sigma if model.sigma > 0.0 else self.output_scale * 1e-9
+            ratio = sigma / self.sigma[i]
+            if model.order != self.orders[i] or not 0.99 < ratio < 1.01:
+                changed = True
+            self.orders[i], self.sigma[i] = model.order, sigma
+            self.noise[i] = model.coefficients
+        return changed
+
+    def renew_weights(self, x: Array) -> None:
+        for i in range(len(self.problem.segments)):
+            rms = float(np.sqrt(np.mean(self.gap(i, x) ** 2)))
+            self.sigma[i] = max(rms, 1e-9 * self.output_scale)
+
+
+def _trend_columns(segment: Segment) -> Array:
+    """Return Legendre-like columns (trend + 1, N) in time from -1 to 1."""
+    time = np.linspace(-1.0, 1.0, segment.output.size)
+    return np.array([time**k for k in range(segment.trend + 1)]).reshape(-1, time.size)
