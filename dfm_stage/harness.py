@@ -48,6 +48,9 @@ from dfm_stage.trajectory import Experiment, load_experiment
 if TYPE_CHECKING:
     from dfm_stage.recording import Record
 
+__all__ = ["AXIS_NODES", "STAGE_NODES", "HarnessError", "RunResult", "StageGraph",
+           "find_experiment"]
+
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 STAGE_NODES = ("sim_plant", "recorder")
 _PR_SET_PDEATHSIG = 1

@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
     from dfm_stage.cli import identify
-    from dfm_stage.nodes.share import find_experiment
+    from dfm_stage.harness import find_experiment
     from dfm_stage.trajectory import load_experiment
 
     if out.exists() and any(out.iterdir()):

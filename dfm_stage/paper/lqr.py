@@ -4,7 +4,7 @@ dynamics, the steady-state error and its cure."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,13 +17,16 @@ from dfm_stage.control import (
     design_lqr,
     feedback_gain,
     finite_horizon,
+    sample_model,
 )
-from dfm_stage.control.lqg import Lqg
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.plant import LinearPlant
-from dfm_stage.model import Model, Plant
+from dfm_stage.model import Model
 from dfm_stage.paper.printed import LQR_A, LQR_B, LQR_C, PRINTED
 from dfm_stage.paper.row import Row, derived, ours_only
+from dfm_stage.paper.stage import Stage
+from dfm_stage.recording import Record
+from dfm_stage.trajectory import Experiment, load_experiment
 
 Array = NDArray[np.float64]
 PLACE = "sec. 5"
@@ -33,6 +36,8 @@ MODEL_ERROR = 0.05
 ZERO_SHIFT_N = 0.05
 """A constant force, the paper's 'zero shifting'; chosen."""
 DISTURBANCE_N, DISTURBANCE_HZ = 0.2, 0.5
+DURATION_S = 3.0
+JUMP = {"kind": "steps", "levels_m": [0.0, STEP_M], "dwell_s": 0.5}
 HORIZONS_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
@@ -243,6 +248,7 @@ class Regulation:
     expected: dict[str, float]
 
 
+KEYS = ("plain", "feedforward", "integral")
 LAWS: dict[str, LqrSpec] = {
     "u = L (x_ref - x)": LqrSpec(lqr_integral=False, lqr_feedforward=False),
     "with input from the model": LqrSpec(lqr_integral=False, lqr_feedforward=True),
@@ -250,42 +256,47 @@ LAWS: dict[str, LqrSpec] = {
 }
 
 
-def regulate(model: Model, seed: int = 0) -> Regulation:
-    """Run each law on a stage 5 % stiffer than the model it is designed on, with a constant force.
+def regulate(stage: Stage, model: Model, step: Callable[[str], None]) -> Regulation:
+    """Run each law on a stage 5 % stiffer than the model it is designed on, with a constant force,
+    and then under a swinging one.
 
     Raises
     ------
-    ControlError
-        If no regulator can be designed.
+    DfmError
+        If no regulator can be designed or a run fails.
     """
-    stiffer = {**model.base, "stiffness": model.base["stiffness"] * (1.0 + MODEL_ERROR)}
-    real = replace(model, base=stiffer, document=None)
-    period = model.sample_period
-    count = round(4.0 / period)
-    time = np.asarray(np.arange(count) * period)
-    reference = np.where(time >= 0.5, STEP_M, 0.0)
-    still = np.zeros(count)
-    push = np.where(time >= 0.5, DISTURBANCE_N * np.sin(2.0 * math.pi * DISTURBANCE_HZ * time),
-                    0.0)
+    stiffer = replace(model.with_parameters(
+        {"stiffness": model.base["stiffness"] * (1.0 + MODEL_ERROR)}), document=None)
+    shifted = stiffer.with_effect("force_offset", {"force": ZERO_SHIFT_N})
+    pushed = stiffer.with_effect("periodic_disturbance", {
+        "amplitude": DISTURBANCE_N, "frequency": DISTURBANCE_HZ})
     laws, disturbed, expected = {}, {}, {}
-    from dfm_stage.control import sample_model
+    for key, (name, spec) in zip(KEYS, LAWS.items(), strict=True):
+        step(f"LQR {name}")
+        record = stage.run(_experiment(f"lqr_{key}", JUMP, spec), shifted, model)
+        laws[name] = _position(record)
+        reference = record.axis(None).reference
+        expected[name] = design_lqr(model, spec).steady_error(sample_model(stiffer), STEP_M,
+                                                              ZERO_SHIFT_N)
+        if key != "feedforward":
+            step(f"LQR {name}, disturbed")
+            disturbed[name] = _position(stage.run(
+                _experiment(f"lqr_{key}_disturbed", {"kind": "hold"}, spec), pushed, model))
+    time = record.time
+    push = DISTURBANCE_N * np.sin(2.0 * math.pi * DISTURBANCE_HZ * time)
+    return Regulation(time, np.zeros(time.size) if reference is None else reference, laws, push,
+                      disturbed, expected)
 
-    for name, spec in LAWS.items():
-        design = design_lqr(model, spec)
-        laws[name] = _run(design, real, reference, np.full(count, ZERO_SHIFT_N), seed)
-        disturbed[name] = _run(design, real, still, push, seed + 1)
-        expected[name] = design.steady_error(sample_model(real), STEP_M, ZERO_SHIFT_N)
-    return Regulation(time, reference, laws, push, disturbed, expected)
+
+def _experiment(name: str, reference: Mapping[str, Any], spec: LqrSpec) -> Experiment:
+    return load_experiment({"name": name, "mode": "lqr", "duration_s": DURATION_S,
+                            "axes": {"x": {"reference": dict(reference)}},
+                            "controller": spec.to_dict()})
 
 
-def _run(design: Any, model: Model, reference: Array, force: Array, seed: int) -> Array:
-    plant, law = Plant(model, seed=seed), Lqg(design)
-    position = np.empty(reference.size)
-    for k, (r, f) in enumerate(zip(reference.tolist(), force.tolist(), strict=True)):
-        sample = plant.sample()
-        position[k] = sample.position_m
-        plant.advance(law.step(r, sample.reading_m), f)
-    return position
+def _position(record: Record) -> Array:
+    axis = record.axis(None)
+    return axis.extra.get("plant_position", axis.position)
 
 
 def regulation_rows(found: Regulation) -> list[Row]:
@@ -293,9 +304,9 @@ def regulation_rows(found: Regulation) -> list[Row]:
     names: Sequence[str] = list(found.laws)
     last = found.time_s >= found.time_s[-1] - 0.5
     why = (f"on a stage {100 * MODEL_ERROR:g} % stiffer than the model, under a constant "
-           f"{ZERO_SHIFT_N:g} N; simulated with the Kalman filter")
+           f"{ZERO_SHIFT_N:g} N, with the Kalman filter")
     rows = []
-    for key, name in zip(("plain", "feedforward", "integral"), names, strict=True):
+    for key, name in zip(KEYS, names, strict=True):
         error = float(np.mean((found.reference - found.laws[name])[last]))
         rows.append(ours_only(
             f"lqr.steady_error_{key}", f"error at rest on 1 mm, {name}", "Fig. 11", error, "m",

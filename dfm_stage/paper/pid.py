@@ -163,8 +163,8 @@ def pid_rows(test: PidTest, model: Model) -> list[Row]:
                 "smallest step between readings of the record; the maker's encoders of that kind "
                 "count in 50 nm, so 50 µm is taken for a misprint"),
         derived("encoder.coarse", "error at rest if the encoder did resolve 50 µm", "sec. 3",
-                claim, coarse_peak, "m", f"same loop, held at {1e3 * COARSE_M:g} mm, no multiple of "
-                "50 µm: such readings cannot carry 5 µm"),
+                claim, coarse_peak, "m", f"same loop, held at {1e3 * COARSE_M:g} mm, no multiple "
+                "of 50 µm, simulated directly: such readings cannot carry 5 µm"),
     ]
 
 

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.control import Pid, PidGains
+from dfm_stage.control import Lqg, LqrSpec, Pid, PidGains, design_lqr
 from dfm_stage.model import Model, Plant, Simulator
 from dfm_stage.recording import AxisRecord, Provenance, Record
-from dfm_stage.trajectory import Experiment
+from dfm_stage.trajectory import Experiment, Reference
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ class Stage(Protocol):
     def description(self) -> str:
         """What the records come from, for the page."""
 
-    def run(self, experiment: Experiment, model: Model) -> Record:
-        """Return the record of every axis of the experiment."""
+    def run(self, experiment: Experiment, model: Model, design: Model | None = None) -> Record:
+        """Return the record of every axis; an LQR is designed on `design`, else on `model`."""
 
 
 @dataclass(frozen=True)
@@ -43,51 +43,68 @@ class DirectStage:
         """What the records come from."""
         return "simulated directly, without the node graph"
 
-    def run(self, experiment: Experiment, model: Model) -> Record:
+    def run(self, experiment: Experiment, model: Model, design: Model | None = None) -> Record:
         """Simulate every axis of the experiment."""
         period = model.sample_period
         axes, parameters = {}, {}
         for index, name in enumerate(experiment.axes):
             one = model.axis(name) if model.axes else model
+            other = _neighbour(experiment, model, name)
             seed = self.seed + 1000 * index
             excitation = experiment.excitation(name, period)
             parameters[f"/stage/{name}/trajectory_generator"] = {
                 "run": {"excitation": excitation.metadata()}}
             if experiment.mode == "open_loop":
-                axes[name] = _open_loop(one, excitation.voltage, seed)
+                axes[name] = _open_loop(one, excitation.voltage, seed, other)
             else:
-                gains = gains_of(experiment)
                 reference = experiment.reference(name, period)
-                axes[name] = _closed_loop(one, gains, reference, excitation.voltage, seed)
+                axes[name] = _closed_loop(one, _law(experiment, design or one), reference,
+                                          excitation.voltage, seed)
         count = round(experiment.duration_s / period)
         return Record(np.asarray(np.arange(count) * period), period, axes,
                       Provenance("direct simulation", "simulation", parameters=parameters))
 
 
-def gains_of(experiment: Experiment) -> PidGains:
-    """Return the PID gains that an experiment brings along."""
+def _law(experiment: Experiment, design: Model) -> Pid | Lqg:
+    """Return the controller an experiment asks for."""
     given = experiment.controller if isinstance(experiment.controller, Mapping) else {}
+    if experiment.mode == "lqr":
+        return Lqg(design_lqr(design, LqrSpec.from_mapping(given)))
     known = {field.name for field in fields(PidGains)}
-    return PidGains.from_mapping({name: value for name, value in given.items() if name in known})
+    gains = PidGains.from_mapping({name: value for name, value in given.items() if name in known})
+    return Pid(gains, design.sample_period)
 
 
-def _open_loop(model: Model, voltage: Array, seed: int) -> AxisRecord:
-    result = Simulator(model).run(voltage)
+def _neighbour(experiment: Experiment, model: Model, name: str) -> Array | None:
+    """Return the position of the axis that acts on `name`, itself moved by its input alone."""
+    sources = model.coupling.get(name, {})
+    if not sources:
+        return None
+    other = next(iter(sources))
+    alone = model.axis(other)
+    if alone.effect("cross_axis_coupling"):
+        alone = alone.without_effect("cross_axis_coupling")
+    voltage = (experiment.excitation(other, model.sample_period).voltage
+               if other in experiment.axes else np.zeros(round(experiment.duration_s
+                                                               / model.sample_period)))
+    return Simulator(alone).run(voltage).position
+
+
+def _open_loop(model: Model, voltage: Array, seed: int, other: Array | None) -> AxisRecord:
+    result = Simulator(model).run(voltage, other=other)
     return AxisRecord(voltage, result.measured(seed), extra={"plant_position": result.position})
 
 
-def _closed_loop(model: Model, gains: PidGains, reference: Any, excitation: Array,
+def _closed_loop(model: Model, law: Pid | Lqg, reference: Reference, excitation: Array,
                  seed: int) -> AxisRecord:
-    plant, law = Plant(model, seed=seed), Pid(gains, model.sample_period)
+    plant = Plant(model, seed=seed)
     count = reference.position.size
     position, truth, volts = np.empty(count), np.empty(count), np.empty(count)
-    limit = gains.output_limit_v
     for k, (r, v, a) in enumerate(zip(reference.position.tolist(), reference.velocity.tolist(),
                                       reference.acceleration.tolist(), strict=True)):
         sample = plant.sample()
         position[k], truth[k] = sample.reading_m, sample.position_m
-        u = law.step(r, sample.reading_m, v, a) + float(excitation[k])
-        volts[k] = min(limit, max(-limit, u))
+        volts[k] = law.step(r, sample.reading_m, v, a) + float(excitation[k])
         plant.advance(float(volts[k]))
     return AxisRecord(volts, position, reference=reference.position,
                       extra={"plant_position": truth})

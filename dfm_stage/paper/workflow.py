@@ -32,7 +32,7 @@ NAMES: tuple[str, ...] = (*(EXPERIMENTS[kind] for kind in ("static", "decay", "s
                                                            "stepped_sine")),
                           *XY_EXPERIMENTS.values())
 """The experiments of config/experiments that are needed."""
-STEPS = 13
+STEPS = 17
 
 
 class PaperError(DfmError):
@@ -123,9 +123,8 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
                                            models.two_mode))
     if not isinstance(two, DynamicTest):
         raise PaperError("a characterisation gave another result than its own")
-    step("regulators")
     convergence, gain = lqr.riccati()
-    regulation = lqr.regulate(models.two_mode)
+    regulation = lqr.regulate(stage, models.two_mode, step)
     plane = {axis: run(name, name, models.xy) for axis, name in XY_EXPERIMENTS.items()}
     step("finite elements")
     scanned = xy.xy_test(models.xy, plane, elements)

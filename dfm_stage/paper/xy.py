@@ -98,10 +98,9 @@ def xy_rows(found: XYTest) -> list[Row]:
         rows += [
             derived(f"xy.stiffness_{axis}", f"stiffness in {axis}, slope of force over "
                     "deflection", f"{PLACE}, Fig. {16 if axis == 'x' else 17}", k_paper, k,
-                    "N/m", "35 N at 7.5 mm; static test on the graph with the model of the XY "
-                    "stage"),
+                    "N/m", "35 N at 7.5 mm; static test of the XY stage's model"),
             derived(f"xy.travel_{axis}", f"displacement in {axis} under the largest load", PLACE,
-                    travel, test.deflection_at(load), "m", "static test on the graph")]
+                    travel, test.deflection_at(load), "m", "static test of the XY stage's model")]
     first = next(iter(found.tests.values()))
     largest = float(np.max(first.force_n))
     step = PRINTED["xy.increment"].value * STANDARD_GRAVITY

@@ -1,0 +1,180 @@
+"""paper: everything the paper did, on the simulated stage; its numbers beside ours, row by row."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dfm_stage.errors import DfmError
+
+if TYPE_CHECKING:
+    from dfm_stage.model import Model
+    from dfm_stage.paper.row import Row
+    from dfm_stage.paper.workflow import Comparison
+    from dfm_stage.recording import Record
+    from dfm_stage.trajectory import Experiment
+
+EPILOG = """\
+examples:
+  ./run paper
+  ./run paper --quick --out quick
+  ./run paper --model my_stage.yaml
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Compare with the paper; 0 done, 2 unusable input."""
+    parser = argparse.ArgumentParser(prog="paper", description=__doc__, epilog=EPILOG,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    for option, default, what in (
+            ("--model", "paper_stage", "the stage"),
+            ("--two-mode-model", "paper_two_mode", "the stage of the LQR section"),
+            ("--xy-model", "xy_stage", "the XY stage")):
+        parser.add_argument(option, default=default, metavar="FILE", help=f"model.yaml of {what}, "
+                            "a path or a name in config/models (default: %(default)s)")
+    parser.add_argument("--out", metavar="DIR", help="new folder for paper.json, report.html and "
+                        "the bags (default: paper/<date and time>)")
+    parser.add_argument("--seed", type=int, default=0, help="fixes the noise (default: 0)")
+    parser.add_argument("--quick", action="store_true", help="simulate the stage directly instead "
+                        "of through the node graph: same signals and analysis, no bags")
+    parser.add_argument("--processes", action="store_true",
+                        help="one process per node instead of all in this one")
+    options = parser.parse_args(argv)
+    try:
+        return _paper(options)
+    except DfmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 130
+
+
+def _paper(options: argparse.Namespace) -> int:
+    from dfm_stage.cli.identify import _folder, _write
+    from dfm_stage.harness import find_experiment
+    from dfm_stage.model import load_model
+    from dfm_stage.paper.report import write_page
+    from dfm_stage.paper.row import as_json
+    from dfm_stage.paper.stage import DirectStage
+    from dfm_stage.paper.workflow import NAMES, STEPS, Models, compare
+    from dfm_stage.trajectory import load_experiment
+
+    out = Path(options.out or f"paper/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
+    if out.exists() and any(out.iterdir()):
+        raise DfmError(f"{out} is not empty; choose another folder with --out")
+    models = Models(load_model(options.model), load_model(options.two_mode_model),
+                    load_model(options.xy_model))
+    experiments = {name: load_experiment(find_experiment(name)) for name in NAMES}
+    folder = _folder(str(out))
+    stage = (DirectStage(options.seed) if options.quick else
+             GraphStage(folder, options.seed, not options.processes))
+    started = time.monotonic()
+    count = 0
+
+    def step(name: str) -> None:
+        nonlocal count
+        count += 1
+        print(f"[{count:2d}/{STEPS}, {time.monotonic() - started:4.0f} s] {name}",
+              file=sys.stderr, flush=True)
+
+    found = compare(stage, models, experiments, step)
+    seconds = time.monotonic() - started
+    used = {"model": models.stage.name, "two_mode_model": models.two_mode.name,
+            "xy_model": models.xy.name, "records": stage.description}
+    _write(folder / "paper.json",
+           json.dumps(as_json(found.rows, used), indent=1, allow_nan=False) + "\n")
+    write_page(found, folder / "report.html",
+               {**used, "Seed": options.seed, "Took": f"{seconds:.0f} s"})
+    _print(found, seconds)
+    print(f"paper.json, report.html{'' if options.quick else ' and the bags'} in {folder}")
+    return 0
+
+
+@dataclass
+class GraphStage:
+    """Runs every experiment on a node graph of its own, in lockstep, into a bag."""
+
+    folder: Path
+    seed: int = 0
+    composed: bool = True
+
+    @property
+    def description(self) -> str:
+        """What the records come from."""
+        return "bags of the node graph in lockstep" + ("" if self.composed else
+                                                       ", one process per node")
+
+    def run(self, experiment: Experiment, model: Model, design: Model | None = None) -> Record:
+        """Run the experiment on `model` and return the record of its bag."""
+        from dfm_stage.cli.graph_run import run_on_graph
+
+        controller: dict[str, Any] = (dict(experiment.controller)
+                                      if not isinstance(experiment.controller, str) else {})
+        if experiment.mode == "lqr":
+            controller["model"] = self._saved(design or model)
+        content = {
+            "name": experiment.name, "mode": experiment.mode, "seed": experiment.seed,
+            "duration_s": experiment.duration_s, "controller": controller,
+            "axes": {axis: {part: dict(signal) for part, signal in (
+                ("reference", spec.reference), ("excitation", spec.excitation))
+                if signal is not None} for axis, spec in experiment.axes.items()}}
+        return run_on_graph(content, self._free(experiment.name), model=self._saved(model),
+                            seed=self.seed, axes=tuple(experiment.axes), composed=self.composed)
+
+    def _free(self, name: str) -> Path:
+        """Return a folder for a bag that is not there yet."""
+        path, number = self.folder / "bags" / name, 1
+        while path.exists():
+            number += 1
+            path = self.folder / "bags" / f"{name}_{number}"
+        path.parent.mkdir(exist_ok=True)
+        return path
+
+    def _saved(self, model: Model) -> str:
+        """Write a model beside the bags, once for each different one, and return its path."""
+        from dfm_stage.model import load_model, save_model
+
+        models = self.folder / "models"
+        models.mkdir(exist_ok=True)
+        number = 1
+        while True:
+            path = models / f"{model.name}{'' if number == 1 else f'_{number}'}.yaml"
+            if not path.exists():
+                save_model(replace(model, document=None), path)
+                return str(path.resolve())
+            if replace(load_model(path), document=None) == replace(model, document=None):
+                return str(path.resolve())
+            number += 1
+
+
+def _print(found: Comparison, seconds: float) -> None:
+    from dfm_stage.paper.report import tally
+    from dfm_stage.reporting import format_number, format_quantity
+
+    def shown(value: float | None, unit: str) -> str:
+        return "-" if value is None else format_quantity(value, unit)
+
+    def line(row: Row) -> str:
+        off = row.deviation_percent
+        deviation = "" if off is None else f"{format_number(off, 3)} %"
+        paper = shown(row.paper, row.unit) + ("*" if row.kind == "derived" else "")
+        return f"{row.id:<30} {paper:>16} {shown(row.ours, row.unit):>16} {deviation:>11}"
+
+    print(f"{'row':<30} {'paper':>16} {'ours':>16} {'deviation':>11}   reason")
+    for row in found.rows:
+        print(f"{line(row)}   {row.reason}")
+    within, outside, without = tally(found.rows)
+    print(f"* follows from printed numbers. {len(found.rows)} rows: {within} within 1 %, "
+          f"{outside} further off, {without} without a number in the paper; {seconds:.0f} s")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

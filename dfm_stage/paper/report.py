@@ -1,0 +1,216 @@
+"""The page: every row beside the paper's, and the counterpart of each figure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dfm_stage.identification.paper import PAPER_MODE
+from dfm_stage.identification.plant import LinearPlant
+from dfm_stage.paper.figures import (
+    curves_figure,
+    decay_figure,
+    response_figure,
+    static_figure,
+)
+from dfm_stage.paper.lqr import DISTURBANCE_HZ, DISTURBANCE_N
+from dfm_stage.paper.printed import PRINTED, TABLE_1
+from dfm_stage.paper.row import Row
+from dfm_stage.paper.workflow import Comparison
+from dfm_stage.recording import Record
+from dfm_stage.reporting import Page, Quantity, Response, format_number
+from dfm_stage.reporting.table import Cell
+
+CONTRADICTIONS = (
+    ("pid.accuracy_sine", "encoder.resolution"), ("damping.factor_as_printed",),
+    ("lqr.state_names", "lqr.damping_1"), ("zn.without_delay",), ("lqr.steady_error_plain",),
+    ("theory.frequency",), ("xy.blocks",), ("quasistatic.limit",),
+    ("lqr.error_sign", "lqr.solvable_moving"), ("xy.fea_x",), ("lqr.modes", "lqr.gain_ratio"),
+)
+SECTIONS: tuple[tuple[str, tuple[str, ...], str], ...] = (
+    ("3A Stiffness (Table 1)", ("table1", "quasistatic", "geometry"), ""),
+    ("3B Damping (Eq. 1 and 2)", ("damping", "step"), ""),
+    ("3C Frequency response and G(s) (Eq. 3)", ("response", "eq3", "derived"), ""),
+    ("Theory against experiment", ("theory",), ""),
+    ("4 PID control (Eq. 4, Ziegler and Nichols)", ("zn", "pid", "encoder"), ""),
+    ("5 LQR", ("lqr",), ""),
+    ("6 XY mechanism", ("xy",), ""),
+)
+
+
+def write_page(found: Comparison, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write the page to `path`, whole or not at all.
+
+    Raises
+    ------
+    ReportError
+        If the folder cannot be written.
+    """
+    page = Page("The paper, row by row")
+    within, outside, without = tally(found.rows)
+    page.lead(f"{len(found.rows)} rows: {within} within 1 % of the paper, {outside} further off "
+              f"for the reason beside them, {without} that the paper has no number for. Records "
+              f"are {found.source}.")
+    page.text("'Printed' numbers stand in the paper; 'derived' ones follow from printed ones by "
+              "arithmetic. Intervals are 95 %.")
+    draw = _Figures(page, found)
+    for title, prefixes, text in SECTIONS:
+        page.section(title, text)
+        rows = [row for row in found.rows if row.id.split(".")[0] in prefixes]
+        page.table(("quantity", "place", "paper", "ours", "deviation (%)", "reason"),
+                   [_cells(row) for row in rows])
+        for prefix in prefixes:
+            draw.of(prefix)
+    page.provenance(provenance)
+    page.write(path)
+
+
+def tally(rows: Sequence[Row]) -> tuple[int, int, int]:
+    """Return how many rows are within 1 %, further off, and without a number to compare."""
+    off = [row.deviation_percent for row in rows]
+    within = sum(1 for each in off if each is not None and abs(each) <= 1.0)
+    return within, sum(1 for each in off if each is not None) - within, off.count(None)
+
+
+def _cells(row: Row) -> list[Cell]:
+    paper: Cell = Quantity(row.paper, row.unit) if row.paper is not None else None
+    ours: Cell = Quantity(row.ours, row.unit, row.ci95) if row.ours is not None else None
+    place = f"{row.place} ({row.kind})" if row.kind == "derived" else row.place
+    off = row.deviation_percent
+    return [row.what, place, paper, ours, format_number(off, 3) if off is not None else None,
+            row.reason]
+
+
+class _Figures:
+    """Draws the figures that belong to a section."""
+
+    def __init__(self, page: Page, found: Comparison) -> None:
+        self._page, self._found = page, found.evidence
+
+    def of(self, prefix: str) -> None:
+        """Draw what belongs to the rows that begin with `prefix`."""
+        draw: dict[str, Callable[[], None]] = {
+            "table1": self._stiffness, "damping": self._decay, "step": self._transient,
+            "response": self._response, "pid": self._tracking, "lqr": self._regulator,
+            "xy": self._plane}
+        if prefix in draw:
+            draw[prefix]()
+
+    def _stiffness(self) -> None:
+        loads = np.array([row[0] for row in TABLE_1])
+        printed = np.array([1e-3 * row[2] for row in TABLE_1])
+        self._page.figure(
+            static_figure(self._found.static, PRINTED["table1.theory"].value, (loads, printed)),
+            "Fig. 6: stiffness characteristics, force up and down; below, how far each level is "
+            "off the straight line through all of ours")
+
+    def _decay(self) -> None:
+        record = self._found.records["decay"]
+        self._page.figure(
+            decay_figure(record.axis(None).position, record.sample_period, self._found.decay),
+            "Fig. 7: logarithmic decrement curve (the text also calls the frequency response "
+            "Fig. 7)")
+
+    def _transient(self) -> None:
+        e = self._found
+        shown = e.step_time <= 4.0
+        time = e.step_time[shown]
+        measured, beam = e.step_measured[shown], e.step_theory[shown]
+        fitted = e.step_identified[shown]
+        self._page.figure(curves_figure(
+            {"measured": (time, measured), "identified G(s)": (time, fitted),
+             "beam equation": (time, beam)}, "position (mm)",
+            difference={"G(s) less measured": (time, fitted - measured),
+                        "beam equation less measured": (time, beam - measured)},
+            difference_label="difference (µm)"),
+            "Fig. 8: transient response, experiment and models")
+
+    def _response(self) -> None:
+        test = self._found.response
+        frequency = np.geomspace(test.response.frequency_hz[0], test.response.frequency_hz[-1],
+                                 500)
+        fit = test.constrained
+        paper = LinearPlant((PAPER_MODE,), fit.lag.value, fit.delay.value)
+        self._page.figure(
+            response_figure(test, [Response(
+                "paper's G(s) behind our lag and delay", frequency, paper.sampled_response(
+                    2.0 * np.pi * frequency, test.response.sample_period))]),
+            "The frequency response of sec. 3C, stepped sine at 0.08 V")
+
+    def _tracking(self) -> None:
+        test = self._found.pid
+        time = test.sine.time
+        curves = {"reference": (time, _reference(test.sine)),
+                  "Ziegler-Nichols": (time, test.sine.axis(None).position),
+                  "placed, feedforward": (time, test.placed.axis(None).position)}
+        self._page.figure(curves_figure(curves, "position (mm)"),
+                          "Fig. 9: actual and reference position")
+        self._page.figure(curves_figure(
+            {"Ziegler-Nichols": (time, _error(test.sine))}, "error (µm)", scale=1e6,
+            difference={"placed, feedforward": (time, _error(test.placed))},
+            difference_label="error, placed (µm)"),
+            "Fig. 10: error on the sine; above under Ziegler-Nichols, below with gains placed on "
+            "the model and feedforward")
+        step = test.step
+        self._page.figure(curves_figure(
+            {"reference": (step.time, _reference(step)),
+             "Ziegler-Nichols": (step.time, step.axis(None).position)}, "position (mm)"),
+            "The 1 mm step under Ziegler-Nichols")
+
+    def _regulator(self) -> None:
+        found, e = self._found.regulation, self._found
+        curves = {"reference": (found.time_s, found.reference),
+                  **{name: (found.time_s, y) for name, y in found.laws.items()}}
+        late = found.time_s >= 0.5
+        errors = {name: (found.time_s[late], (found.reference - y)[late])
+                  for name, y in found.laws.items()}
+        self._page.figure(curves_figure(curves, "position (mm)", difference=errors,
+                                        difference_label="error (µm)"),
+                          "Fig. 11: regulation under LQR, its steady-state error and the cure")
+        gain = _likest(e.regulation.disturbance, next(iter(found.disturbed.values())))
+        self._page.figure(curves_figure(
+            {f"disturbance times {1e6 * gain:.0f} µm/N": (found.time_s, gain * found.disturbance),
+             **{name: (found.time_s, y) for name, y in found.disturbed.items()}},
+            "position (µm)", scale=1e6),
+            f"Fig. 12: response to a disturbance of {DISTURBANCE_N:g} N at {DISTURBANCE_HZ:g} Hz")
+        c = e.convergence
+        self._page.figure(curves_figure(
+            {f"L{i + 1}": (c.time_s, c.gain[:, i]) for i in range(4)},
+            "gain over its limit", scale=1.0, xlabel="time (s); the end is at 4 s, P_f = 0"),
+            "The finite-horizon gain L(t) on the printed plant: constant but for the last second")
+
+    def _plane(self) -> None:
+        found = self._found.xy
+        for axis, test in found.tests.items():
+            curve = found.elements[axis]
+            order = np.argsort(test.force_n, kind="stable")
+            x = test.position_m[order]
+            k = found.mechanism.stiffness_n_m()
+            curves = {"static test": (1e3 * x, test.force_n[order]),
+                      "closed form": (1e3 * x, k * x)}
+            off = {"static test": (1e3 * x, test.force_n[order] - k * x)}
+            if curve is not None:
+                curves["finite elements"] = (1e3 * curve.along_m, curve.force_n)
+                off["finite elements"] = (1e3 * curve.along_m, curve.force_n - k * curve.along_m)
+            self._page.figure(curves_figure(
+                curves, "force (N)", scale=1.0, difference=off,
+                difference_label="less closed form (N)", difference_scale=1.0,
+                xlabel="deflection (mm)"),
+                f"Fig. {16 if axis == 'x' else 17}: {axis.upper()} direction; the paper's figure "
+                "is not legible as numbers")
+
+
+def _reference(record: Record) -> np.ndarray:
+    reference = record.axis(None).reference
+    return np.zeros(len(record)) if reference is None else reference
+
+
+def _error(record: Record) -> np.ndarray:
+    axis = record.axis(None)
+    return np.asarray(axis.extra.get("plant_position", axis.position) - _reference(record))
+
+
+def _likest(force: np.ndarray, position: np.ndarray) -> float:
+    return float(force @ position / (force @ force))
