@@ -20,6 +20,14 @@ from dfm_stage.control.stage import (
     sample_model,
     sample_stage,
 )
+from dfm_stage.control.tuning import (
+    Tuned,
+    predicted_errors,
+    run_on_model,
+    tune_lqr,
+    tune_pid,
+    tune_ziegler_nichols,
+)
 from dfm_stage.control.tuning_runs import TUNING_PARAMETERS, GainRaising, RelayRun, TuningRun
 from dfm_stage.control.ziegler_nichols import (
     Oscillation,
@@ -34,8 +42,10 @@ __all__ = [
     "GUARD_PARAMETERS", "LQR_PARAMETERS", "PID_PARAMETERS", "TUNING_PARAMETERS", "ControlError",
     "GainRaising", "Guard", "KalmanDesign", "Learner", "LearningDesign", "LinearStage", "Lqg",
     "LqrDesign", "LqrSpec", "Margins", "Notch", "Oscillation", "Pid", "PidDesign", "PidGains",
-    "RelayRun", "Sampled", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
-    "feedback_gain", "finite_horizon", "inverse_input", "kalman", "linear_stage", "loop_margins",
-    "margins", "oscillation", "periodic_input", "pid_for", "pid_with_margin", "sample_model",
-    "sample_stage", "shape", "shaper", "ultimate", "ultimate_from_relays", "ziegler_nichols",
+    "RelayRun", "Sampled", "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning",
+    "design_lqr", "feedback_gain", "finite_horizon", "inverse_input", "kalman", "linear_stage",
+    "loop_margins", "margins", "oscillation", "periodic_input", "pid_for", "pid_with_margin",
+    "predicted_errors", "run_on_model", "sample_model", "sample_stage", "shape", "shaper",
+    "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate", "ultimate_from_relays",
+    "ziegler_nichols",
 ]

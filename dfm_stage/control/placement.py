@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
 from dfm_stage.control.sampled import Margins, margins
-from dfm_stage.control.stage import sample_stage
+from dfm_stage.control.stage import Sampled, sample_model, sample_stage
+from dfm_stage.model import Model
 
 _FILTER_RATIO = 8.0
 
@@ -23,7 +24,8 @@ class PidDesign:
     reason: str
 
 
-def pid_for(base: Mapping[str, float], bandwidth_hz: float, *, sample_period_s: float = 1e-3,
+def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
+            sample_period_s: float = 1e-3,
             damping_ratio: float = 0.8, integral_ratio: float = 0.3, output_limit_v: float = 10.0,
             feedforward: bool = True) -> PidDesign:
     """Return PID gains that put the poles of a mass on a spring where they are wanted.
@@ -39,9 +41,10 @@ def pid_for(base: Mapping[str, float], bandwidth_hz: float, *, sample_period_s: 
 
     Parameters
     ----------
-    base : mapping
+    base : mapping or Model
         As in a model.yaml: mass, force_constant; damping, stiffness, delay,
-        amplifier_time_constant where there are such.
+        amplifier_time_constant where there are such. The margins of a one-axis Model count its
+        second mode too.
     bandwidth_hz : float
         Distance of the complex poles from the origin over 2 pi.
     damping_ratio, integral_ratio : float
@@ -62,7 +65,7 @@ def pid_for(base: Mapping[str, float], bandwidth_hz: float, *, sample_period_s: 
                         ("damping_ratio", damping_ratio), ("integral_ratio", integral_ratio)):
         if not (math.isfinite(value) and value > 0.0):
             raise ControlError(f"{name} must be a positive number, not {value!r}")
-    stage = sample_stage(base, sample_period_s)
+    base, stage = _stage_of(base, sample_period_s)
     m, gain = base["mass"], base["force_constant"]
     c, k = base.get("damping", 0.0), base.get("stiffness", 0.0)
     w, zeta, alpha = 2.0 * math.pi * bandwidth_hz, damping_ratio, integral_ratio
@@ -97,7 +100,7 @@ def pid_for(base: Mapping[str, float], bandwidth_hz: float, *, sample_period_s: 
     return PidDesign(gains, found, reason)
 
 
-def pid_with_margin(base: Mapping[str, float], modulus_margin: float = 0.5, *,
+def pid_with_margin(base: Mapping[str, float] | Model, modulus_margin: float = 0.5, *,
                     sample_period_s: float = 1e-3, damping_ratio: float = 0.8,
                     integral_ratio: float = 0.3, output_limit_v: float = 10.0,
                     feedforward: bool = True) -> PidDesign:
@@ -116,9 +119,9 @@ def pid_with_margin(base: Mapping[str, float], modulus_margin: float = 0.5, *,
                        damping_ratio=damping_ratio, integral_ratio=integral_ratio,
                        output_limit_v=output_limit_v, feedforward=feedforward)
 
-    sample_stage(base, sample_period_s)
-    spring = math.sqrt(base.get("stiffness", 0.0) / base["mass"])
-    damper = base.get("damping", 0.0) / base["mass"] / (2.0 * damping_ratio + integral_ratio)
+    values, _ = _stage_of(base, sample_period_s)
+    spring = math.sqrt(values.get("stiffness", 0.0) / values["mass"])
+    damper = values.get("damping", 0.0) / values["mass"] / (2.0 * damping_ratio + integral_ratio)
     low = 1.02 * max(spring, damper, 1e-4 / sample_period_s) / (2.0 * math.pi)
     best: PidDesign | None
     try:
@@ -141,3 +144,10 @@ def pid_with_margin(base: Mapping[str, float], modulus_margin: float = 0.5, *,
         else:
             high = middle
     return best
+
+
+def _stage_of(base: Mapping[str, float] | Model,
+              sample_period_s: float) -> tuple[Mapping[str, float], Sampled]:
+    if isinstance(base, Model):
+        return base.base, sample_model(base, sample_period_s)
+    return base, sample_stage(base, sample_period_s)

@@ -1,0 +1,195 @@
+"""From a model to the parameters of a controller, with what they promise and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.control.errors import ControlError
+from dfm_stage.control.gains import PidGains
+from dfm_stage.control.lqg import Lqg
+from dfm_stage.control.lqr import LqrDesign, LqrSpec, design_lqr
+from dfm_stage.control.pid import Pid
+from dfm_stage.control.placement import pid_with_margin
+from dfm_stage.control.sampled import (
+    Margins,
+    closed_loop_poles,
+    controller_response,
+    frequency_grid,
+    loop_margins,
+)
+from dfm_stage.control.stage import sample_model
+from dfm_stage.control.ziegler_nichols import Ultimate, ultimate, ziegler_nichols
+from dfm_stage.model import Model, Plant
+
+Array = NDArray[np.float64]
+_INTEGRAL = 0.08
+_ERROR_M = 2.5e-4
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Parameters of the controller node by name, and what the model says of them.
+
+    `bandwidth_hz` is the highest frequency at which the closed loop L / (1 + L) still follows to
+    -3 dB. `predicted` are errors in m on the model, noise included, measured from its true
+    position.
+    """
+
+    method: str
+    parameters: Mapping[str, Any]
+    margins: Margins
+    bandwidth_hz: float
+    predicted: Mapping[str, float]
+    reasons: tuple[str, ...]
+
+
+def tune_pid(model: Model, modulus_margin: float = 0.5, output_limit_v: float = 10.0) -> Tuned:
+    """Return the fastest PID with feedforward that keeps the modulus margin on the whole model.
+
+    Raises
+    ------
+    ControlError
+        If no bandwidth keeps it.
+    """
+    design = pid_with_margin(model, modulus_margin, sample_period_s=model.sample_period,
+                             output_limit_v=output_limit_v)
+    return _of_pid(model, design.gains, "pid", (
+        design.reason, f"the fastest that keeps the modulus margin of {modulus_margin:g}"))
+
+
+def tune_ziegler_nichols(model: Model, found: Ultimate | None = None,
+                         output_limit_v: float = 10.0) -> Tuned:
+    """Return the classic PID, from a measured ultimate gain or the model's own.
+
+    Raises
+    ------
+    ControlError
+        If the model's loop has no ultimate gain.
+    """
+    where = "measured on the loop" if found else "of the sampled model"
+    found = found or ultimate(sample_model(model))
+    return _of_pid(model, ziegler_nichols(found, output_limit_v=output_limit_v),
+                   "ziegler_nichols", (
+        f"ultimate gain {found.gain_v_m:.5g} V/m and period {found.period_s:.5g} s, {where}",
+        ("kp = 0.6 K_u, ki = kp / (P_u / 2), kd = kp P_u / 8 on the error (Ziegler and Nichols, "
+        "1942); derivative filtered with a tenth of its time")))
+
+
+def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
+             output_limit_v: float = 10.0, **switches: bool) -> Tuned:
+    """Return the fastest LQR with Kalman filter that keeps the modulus margin.
+
+    `model_name` is what the controller node is to load; `switches` are those of `LqrSpec`.
+
+    Raises
+    ------
+    ControlError
+        If no weight between 10 mm and 1 um per volt keeps it.
+    """
+    best: LqrDesign | None = None
+    low, high = math.log(1e-6), math.log(1e-2)
+    for _ in range(14):
+        middle = 0.5 * (low + high)
+        error = math.exp(middle)
+        spec = LqrSpec(lqr_error_m=error, **switches,
+                       lqr_integral_m_s=_INTEGRAL * error * math.sqrt(error / _ERROR_M))
+        try:
+            found: LqrDesign | None = design_lqr(model, spec)
+        except ControlError:
+            found = None
+        if found is not None and found.margins.modulus >= modulus_margin:
+            best, high = found, middle
+        else:
+            low = middle
+    if best is None:
+        raise ControlError(f"lqr: no weight keeps a modulus margin of {modulus_margin:g}; lower "
+                           "it, or raise lqr_force_noise_n for a quicker filter")
+    f = frequency_grid(best.stage)
+    loop = best.stage.response(f) * best.response(f)
+    spec = best.spec
+    reasons = (
+        (f"an error of {spec.lqr_error_m:.3g} m costs as much as {spec.lqr_effort_v:g} V: the "
+        f"fastest that keeps the modulus margin of {modulus_margin:g}"),
+        f"integral of the error weighed with {spec.lqr_integral_m_s:.3g} m s" if spec.lqr_integral
+        else "no integral action: a force or a wrong model leaves an error of "
+             f"{best.steady_error(best.stage, 0.0, 1.0):.3g} m/N",
+        ("delay, amplifier lag and second mode are states of the design model; the filter reckons "
+        f"with {spec.lqr_force_noise_n:g} N of unknown force"))
+    parameters = {"mode": "lqr", "model": model_name, "output_limit_v": output_limit_v,
+                  **spec.to_dict()}
+    return Tuned("lqr", parameters, best.margins, _bandwidth(f, loop),
+                 predicted_errors(model, Lqg(best, output_limit_v)), reasons)
+
+
+def pid_margins(model: Model, gains: PidGains) -> tuple[Margins, float]:
+    """Return margins and bandwidth (Hz) of a PID on the whole model."""
+    stage = sample_model(model)
+    f = frequency_grid(stage)
+    loop = stage.response(f) * controller_response(gains, f, stage.sample_period_s)
+    stable = bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0)
+    return loop_margins(f, loop, stable), _bandwidth(f, loop)
+
+
+def _of_pid(model: Model, gains: PidGains, method: str, reasons: tuple[str, ...]) -> Tuned:
+    found, bandwidth = pid_margins(model, gains)
+    if not found.stable:
+        raise ControlError(f"{method}: the loop with model {model.name} is not stable")
+    return Tuned(method, {"mode": "pid", **gains.to_dict()}, found, bandwidth,
+                 predicted_errors(model, Pid(gains, model.sample_period)), reasons)
+
+
+def _bandwidth(f: Array, loop: NDArray[np.complex128]) -> float:
+    following = np.flatnonzero(np.abs(loop / (1.0 + loop)) >= math.sqrt(0.5))
+    return float(f[following[-1]]) if following.size else 0.0
+
+
+def predicted_errors(model: Model, controller: Pid | Lqg, seed: int = 0) -> dict[str, float]:
+    """Return errors of the true position on the model, m: `step_1mm_after_5s` (largest from 5 s
+    on), `sine_1mm_half_hz_peak` (after two of its periods) and `at_rest_rms`."""
+    h = model.sample_period
+    t = np.arange(round(8.0 / h)) * h
+    step = run_on_model(model, controller, np.full(t.size, 1e-3), seed=seed)
+    w = math.pi
+    ramp = np.clip(t / 2.0, 0.0, 1.0)
+    rise = ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2)
+    slope = 30.0 * ramp**2 * (1.0 - ramp)**2 / 2.0
+    bend = 60.0 * ramp * (1.0 - ramp) * (1.0 - 2.0 * ramp) / 4.0
+    s, c = np.sin(w * t), np.cos(w * t)
+    sine = 1e-3 * rise * s
+    velocity = 1e-3 * (slope * s + rise * w * c)
+    acceleration = 1e-3 * (bend * s + 2.0 * slope * w * c - rise * w * w * s)
+    follow = run_on_model(model, controller, sine, velocity, acceleration, seed=seed)
+    return {"step_1mm_after_5s": float(np.max(np.abs(step[t >= 5.0] - 1e-3))),
+            "sine_1mm_half_hz_peak": float(np.max(np.abs((follow - sine)[t >= 4.0]))),
+            "at_rest_rms": float(np.std(step[t >= 6.0]))}
+
+
+def run_on_model(model: Model, controller: Pid | Lqg, position: Array,
+                 velocity: Array | None = None, acceleration: Array | None = None,
+                 added: Array | None = None, seed: int = 0) -> Array:
+    """Return the true position (N,), m, of the model under a controller, which is reset first.
+
+    `position`, `velocity`, `acceleration` (N,) are the reference, `added` (N,) V what is added to
+    the controller's output.
+    """
+    zero = np.zeros(position.size)
+    reference = np.column_stack([each if each is not None else zero for each in (
+        position, velocity, acceleration, added)]).tolist()
+    plant = Plant(model, seed=seed)
+    controller.reset()
+    known = isinstance(controller, Lqg)
+    out = np.empty(position.size)
+    for k, (r, v, a, extra) in enumerate(reference):
+        sample = plant.sample()
+        out[k] = sample.position_m
+        total = controller.step(r, sample.reading_m, v, a) + extra
+        if known:
+            controller.applied(total)
+        plant.advance(total)
+    return out
