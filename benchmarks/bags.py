@@ -27,12 +27,17 @@ ROUNDS = 5
 ROSBAGS_BAR = 40.0
 MCAP_ROS2_BAR = 80.0
 _PEAK = """
-import resource, sys
+import sys
 from dfm_stage.recording import read_bag
+
+def peak():
+    with open("/proc/self/status") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("VmHWM"))
+
 read_bag(sys.argv[1])
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+before = peak()
 bag = read_bag(sys.argv[2])
-after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+after = peak()
 arrays = sum(column.nbytes for topic in bag.values() for column in (
     topic.log_time_ns, topic.publish_time_ns, topic.sequence, *topic.columns.values()))
 print(before / 1024, after / 1024, arrays / 2**20)
@@ -50,8 +55,8 @@ def figures(quick: bool = False) -> list[Figure]:
         read_ours(small)
         for _ in range(ROUNDS):
             ours.append(seconds(lambda: read_ours(bag)) / count)
-            rosbags.append(seconds(lambda: read_rosbags(bag, peer_count)) / peer_count)
-            mcap_ros2.append(seconds(lambda: read_mcap_ros2(bag, peer_count)) / peer_count)
+            rosbags.append(read_rosbags(bag, peer_count) / peer_count)
+            mcap_ros2.append(read_mcap_ros2(bag, peer_count) / peer_count)
         size = next(bag.glob("*.mcap")).stat().st_size / 2**20
         found = [*_speed(ours, rosbags, mcap_ros2, count, peer_count, size),
                  _peak(small, bag, count)]
@@ -72,8 +77,8 @@ def read_ours(bag: Path) -> int:
     return read_bag(bag).message_count
 
 
-def read_rosbags(bag: Path, count: int) -> None:
-    """Deserialise the first messages with rosbags."""
+def read_rosbags(bag: Path, count: int) -> float:
+    """Deserialise the first messages with rosbags; return the seconds after opening."""
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -82,19 +87,23 @@ def read_rosbags(bag: Path, count: int) -> None:
         for connection in reader.connections:
             store.register(get_types_from_msg(connection.msgdef.data.partition("=" * 80)[0],
                                               connection.msgtype))
+        start = time.perf_counter()
         for connection, _, raw in itertools.islice(reader.messages(), count):
             store.deserialize_cdr(raw, connection.msgtype)
+        return time.perf_counter() - start
 
 
-def read_mcap_ros2(bag: Path, count: int) -> None:
-    """Deserialise the first messages with mcap and mcap_ros2."""
+def read_mcap_ros2(bag: Path, count: int) -> float:
+    """Deserialise the first messages with mcap and mcap_ros2; return the seconds it took."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
     with next(bag.glob("*.mcap")).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        start = time.perf_counter()
         for _ in itertools.islice(reader.iter_decoded_messages(), count):
             pass
+        return time.perf_counter() - start
 
 
 def _speed(ours: list[float], rosbags: list[float], mcap_ros2: list[float], count: int,
