@@ -9,6 +9,7 @@ and the two check each other.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.quantity import Quantity, propagate
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 LATEST = 20.0
 """Bound of lag and of delay, samples."""
 _MAX_DAMPING_RATIO = 0.999
@@ -78,7 +80,7 @@ def fit_constrained(measured: FrequencyResponse, *,
     target = measured.response
 
     def relative(v: Array) -> Array:
-        error = _plant(v * scale).sampled_response(measured.omega, period) / target - 1.0
+        error = _response(v * scale, measured.omega, period) / target - 1.0
         return np.concatenate((error.real, error.imag))
 
     def cost(v: Array) -> float:
@@ -132,6 +134,30 @@ def fit_constrained(measured: FrequencyResponse, *,
         propagate(lambda x: float(x[1]) / (2.0 * math.sqrt(x[2])), values, covariance, ""),
         propagate(lambda x: float(x[0] / x[2]), values, covariance, measured.unit),
         math.sqrt(cost(v)), (*active, *tight), "converged" if found.success else found.message)
+
+
+def _response(x: Array, omega: Array, period: float) -> Complex:
+    """Return what `LinearPlant.sampled_response` gives, by partial fractions instead of matrices.
+
+    A pole p behind a hold and a delay of n samples and a fraction f gives
+    z^-n (b0 + b1 / z) / (z - e^(pT)), b0 = (e^(p (T - f)) - 1) / p, b1 = e^(p (T - f))
+    (e^(p f) - 1) / p.
+    """
+    b, c, k = (float(each) for each in x[:3])
+    lag, delay = max(float(x[3]), 1e-9 * period), max(float(x[4]), 0.0)
+    root = cmath.sqrt(0.25 * c * c - k)
+    poles = (-0.5 * c + root, -0.5 * c - root, complex(-1.0 / lag))
+    whole = math.floor(delay / period)
+    late = delay - whole * period
+    z = np.exp(1j * omega * period)
+    total = np.zeros(omega.size, dtype=np.complex128)
+    for i, p in enumerate(poles):
+        others = [q for j, q in enumerate(poles) if j != i]
+        residue = b / lag / ((p - others[0]) * (p - others[1]))
+        ahead = cmath.exp(p * (period - late))
+        first, second = (ahead - 1.0) / p, ahead * (cmath.exp(p * late) - 1.0) / p
+        total += residue * (first + second / z) / (z - cmath.exp(p * period))
+    return np.asarray(total * z ** (-whole))
 
 
 def _plant(x: Array) -> LinearPlant:

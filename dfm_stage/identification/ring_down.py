@@ -116,7 +116,7 @@ def ring_down(position: Array, sample_period: float, *, input_: Array | None = N
     whole = 2 * ((value.size - 1) // 2)
     apart = (value[0] - values[0]) / (value[whole] - values[0])
     return RingDown(
-        decrement, ratio, printed, _natural_frequency(time, ratio),
+        decrement, ratio, printed, _natural_frequency(time, np.abs(value - values[0]), ratio),
         propagate(lambda v: float(v[0]), values, covariance, "m", dof),
         2.0 / whole * math.log(abs(apart)), _part(value[:half + 1], values[0]),
         _part(value[half:], values[0]), cycles_used, time, value,
@@ -186,12 +186,15 @@ def _part(extreme: Array, offset: float) -> Quantity:
     return Quantity(value, "", interval(value, 2.0 * error, max(count - 2, 1)))
 
 
-def _natural_frequency(time: Array, ratio: Quantity) -> Quantity:
-    """Return the undamped frequency from the times of the extremes, half a period apart."""
+def _natural_frequency(time: Array, size: Array, ratio: Quantity) -> Quantity:
+    """Return the undamped frequency from the times of the extremes, half a period apart.
+
+    The smaller an extreme, the less sure its time: each counts with its `size`.
+    """
     count = time.size
-    design = np.column_stack((np.arange(count), np.ones(count)))
-    line, *_ = np.linalg.lstsq(design, time, rcond=None)
-    rest = time - design @ line
+    design = np.column_stack((np.arange(count), np.ones(count))) * size[:, None]
+    line, *_ = np.linalg.lstsq(design, time * size, rcond=None)
+    rest = time * size - design @ line
     dof = count - 2
     error = math.sqrt(float(rest @ rest) / dof * np.linalg.inv(design.T @ design)[0, 0])
     half = float(line[0])

@@ -18,6 +18,8 @@ from dfm_stage.identification.quantity import Quantity, interval
 
 Array = NDArray[np.float64]
 REPEATS = 60
+LEAST_OVERSHOOT = 1e-3
+"""Share of the step below which there is no overshoot to derive a damping ratio from."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def _figures(before: Array, after: Array, period: float, band: float, final: flo
     top = int(np.argmax(share))
     overshoot, peak = _peak(share, top)
     ratio = natural = math.nan
-    if overshoot > max(0.0, 5.0 * noise / abs(height)) and overshoot < 1.0 and peak > 0.0:
+    if max(LEAST_OVERSHOOT, 5.0 * noise / abs(height)) < overshoot < 1.0 and peak > 0.0:
         log = math.log(overshoot)
         ratio = -log / math.hypot(math.pi, log)
         natural = math.pi / (peak * period * math.sqrt(1.0 - ratio**2))

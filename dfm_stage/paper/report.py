@@ -23,12 +23,6 @@ from dfm_stage.recording import Record
 from dfm_stage.reporting import Page, Quantity, Response, format_number
 from dfm_stage.reporting.table import Cell
 
-CONTRADICTIONS = (
-    ("pid.accuracy_sine", "encoder.resolution"), ("damping.factor_as_printed",),
-    ("lqr.state_names", "lqr.damping_1"), ("zn.without_delay",), ("lqr.steady_error_plain",),
-    ("theory.frequency",), ("xy.blocks",), ("quasistatic.limit",),
-    ("lqr.error_sign", "lqr.solvable_moving"), ("xy.fea_x",), ("lqr.modes", "lqr.gain_ratio"),
-)
 SECTIONS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("3A Stiffness (Table 1)", ("table1", "quasistatic", "geometry"), ""),
     ("3B Damping (Eq. 1 and 2)", ("damping", "step"), ""),
@@ -55,14 +49,17 @@ def write_page(found: Comparison, path: Path, provenance: Mapping[str, object]) 
               f"are {found.source}.")
     page.text("'Printed' numbers stand in the paper; 'derived' ones follow from printed ones by "
               "arithmetic. Intervals are 95 %.")
+    page.section("Where the source contradicts itself")
+    page.table(("quantity", "place", "paper", "ours", "deviation (%)", "reason"),
+               [_cells(row) for row in found.rows if row.contradicts])
     draw = _Figures(page, found)
     for title, prefixes, text in SECTIONS:
         page.section(title, text)
         rows = [row for row in found.rows if row.id.split(".")[0] in prefixes]
-        page.table(("quantity", "place", "paper", "ours", "deviation (%)", "reason"),
-                   [_cells(row) for row in rows])
         for prefix in prefixes:
             draw.of(prefix)
+        page.table(("quantity", "place", "paper", "ours", "deviation (%)", "reason"),
+                   [_cells(row) for row in rows])
     page.provenance(provenance)
     page.write(path)
 

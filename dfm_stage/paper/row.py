@@ -10,6 +10,14 @@ from typing import Any
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.paper.printed import PRINTED
 
+CONTRADICTIONS = frozenset((
+    "damping.factor", "damping.factor_as_printed", "encoder.resolution", "encoder.coarse",
+    "lqr.damping_1", "lqr.end_weight", "lqr.error_sign", "lqr.gain_ratio", "lqr.modes",
+    "lqr.solvable_moving", "lqr.state_names", "lqr.steady_error_plain", "pid.accuracy_sine",
+    "quasistatic.limit", "response.natural", "xy.blocks", "xy.load", "zn.without_delay",
+))
+"""Rows in which the source contradicts itself, or what it says cannot be so."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -36,11 +44,17 @@ class Row:
             return None
         return 100.0 * (self.ours - self.paper) / abs(self.paper)
 
+    @property
+    def contradicts(self) -> bool:
+        """Whether the source contradicts itself here."""
+        return self.id in CONTRADICTIONS
+
     def to_dict(self) -> dict[str, Any]:
         """As paper.json keeps it."""
         return {"id": self.id, "paper": self.paper, "ours": self.ours, "unit": self.unit,
                 "deviation_percent": self.deviation_percent, "reason": self.reason,
                 "what": self.what, "place": self.place, "kind": self.kind,
+                "contradicts": self.contradicts,
                 "ci95": list(self.ci95) if self.ci95 is not None else None}
 
 
