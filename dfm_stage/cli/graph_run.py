@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,11 +19,31 @@ def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, 
                  label: str = "") -> Record:
     """Run an experiment in lockstep on a graph of its own and return the record of its bag.
 
+    Where the nodes do not find each other it is tried once more.
+
     Raises
     ------
     DfmError
         If the graph does not come up, the experiment fails or the bag cannot be read.
     """
+    from dfm_stage.harness import HarnessError
+
+    try:
+        return _once(experiment, bag, model, seed, axes, composed, label)
+    except HarnessError as error:
+        if not any(words in str(error) for words in _DID_NOT_MEET):
+            raise
+        print(f"  once more: {error}", file=sys.stderr)
+        shutil.rmtree(bag, ignore_errors=True)
+        return _once(experiment, bag, model, seed, axes, composed, label)
+
+
+_DID_NOT_MEET = ("not there after", "is not ready", "does not answer")
+"""What the harness says when nodes do not find each other, as happens on a busy machine."""
+
+
+def _once(experiment: str | Mapping[str, Any], bag: Path, model: str, seed: int,
+          axes: Sequence[str], composed: bool, label: str) -> Record:
     from dfm_stage.harness import StageGraph
 
     name = experiment if isinstance(experiment, str) else str(experiment["name"])

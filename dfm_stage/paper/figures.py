@@ -16,6 +16,8 @@ from dfm_stage.reporting import Drawing, Response, Table, bode_figure, new_figur
 
 Array = NDArray[np.float64]
 Curves = Mapping[str, tuple[Array, Array]]
+_LINE = 42
+"""Characters of a legend that fit side by side on a phone."""
 
 
 def static_figure(test: StaticTest, theory_n_m: float | None = None,
@@ -117,7 +119,7 @@ def curves_figure(curves: Curves, ylabel: str, *, difference: Curves | None = No
             axis.margins(x=0.0)
             if len(group) > 1:
                 axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
-                            ncols=min(3, len(group)))
+                            ncols=min(3, len(group)) if sum(map(len, group)) < _LINE else 1)
         axes[-1, 0].set_xlabel(xlabel)
         figure.align_ylabels()
     return Drawing(figure, Table(("curve", "axis", "mean", "RMS", "min", "max"), rows))

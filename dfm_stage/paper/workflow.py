@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +22,7 @@ from dfm_stage.identification.static import StaticTest
 from dfm_stage.identification.step_response import StepResponse
 from dfm_stage.model import Model
 from dfm_stage.paper import dynamics, lqr, pid, static, xy
+from dfm_stage.paper.printed import PRINTED, TABLE_1
 from dfm_stage.paper.row import Row
 from dfm_stage.paper.stage import Stage
 from dfm_stage.recording import Record
@@ -113,6 +115,13 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
         return characterise(kind, run(kind, EXPERIMENTS[kind], model),
                             force_constant=model.base["force_constant"])
 
+    largest = max(abs(load) for load, *_ in TABLE_1)
+    experiments = {**experiments, "static": loaded_to(
+        experiments["static"], "x", largest / model.base["force_constant"])}
+    for axis, name in XY_EXPERIMENTS.items():
+        experiments[name] = loaded_to(experiments[name], axis, PRINTED["xy.load"].value
+                                      / models.xy.axis(axis).base["force_constant"])
+
     held, decay, stepped, response = (analysed(kind) for kind in (
         "static", "decay", "step", "stepped_sine"))
     if not (isinstance(held, StaticTest) and isinstance(decay, RingDown)
@@ -134,6 +143,25 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
     found = Evidence(records, held, decay, stepped, response, theory, time, measured, expected,
                      identified, tuned, two, convergence, regulation, scanned)
     return Comparison(_rows(found, models, gain), found, stage.description)
+
+
+def loaded_to(experiment: Experiment, axis: str, volts: float) -> Experiment:
+    """Return a staircase whose largest level on `axis` is `volts`, the others in proportion.
+
+    The files are for force constants of 1.082 and 5 N/V; the paper's loads are in newtons.
+    """
+    spec = experiment.axes[axis]
+    signal = dict(spec.excitation or {})
+    peak = float(np.max(np.abs(experiment.excitation(axis, 1e-3).voltage)))
+    if signal.get("kind") != "steps" or peak == 0.0:
+        raise PaperError(f"experiment {experiment.name}: axis {axis} must have an excitation of "
+                         "kind steps")
+    if math.isclose(peak, abs(volts), rel_tol=1e-6):
+        return experiment
+    for key in ("start_v", "step_v", "levels_v"):
+        if key in signal:
+            signal[key] = (np.asarray(signal[key]) * (volts / peak)).tolist()
+    return replace(experiment, axes={**experiment.axes, axis: replace(spec, excitation=signal)})
 
 
 def _rows(found: Evidence, models: Models, gain: Array) -> list[Row]:
