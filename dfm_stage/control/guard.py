@@ -26,9 +26,10 @@ class Guard:
     """Watches one axis; `tripped` is empty, or says why the output has to be zero until `reset`.
 
     A stage on a spring that is let go with position x and velocity v gets no further than
-    sqrt(x^2 + (v / w)^2): beyond the travel limit on four samples in a row, the guard trips; one
-    wrong reading does not. v is taken seven samples ahead, for these and the loop's delay. A loop
-    that diverges at a higher frequency first swings between the output's limits: six swings
+    sqrt(x^2 + (v / w)^2): moving outwards with that beyond the travel limit on four samples in a
+    row, the guard trips. One wrong reading does not do it, nor a fast movement inwards, which the
+    law is still to brake. v is taken seven samples ahead, for these four and the loop's delay. A
+    loop that diverges at a higher frequency first swings between the output's limits: six swings
     within the window trip it too. With no output, spring and damper bring the stage to rest.
 
     Raises
@@ -74,7 +75,7 @@ class Guard:
         if self._limit:
             reach = (moved + _AHEAD * (moved - self._moved)) * self._coast
             self._moved = moved
-            if reach != reach:
+            if reach != reach or reach * position_m < 0.0:
                 reach = 0.0
             if position_m * position_m + reach * reach > self._squared:
                 self._outside += 1

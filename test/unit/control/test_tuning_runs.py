@@ -104,6 +104,15 @@ def test_the_guard_lets_a_scan_pass_and_stops_what_would_leave_the_travel() -> N
     assert guard.check(0.0, 0.0, 10.0)
 
 
+def test_a_fast_way_back_from_afar_passes_and_coasting_out_does_not() -> None:
+    guard = Guard(1e-3)
+    y = 5e-3 - 0.25 * np.arange(40) * 1e-3                     # 0.25 m/s inwards, then out again
+    passed = [guard.check(float(each), -10.0, 10.0) for each in y]
+    assert all(passed[:20])
+    assert not passed[-1]
+    assert y[passed.index(False)] > -3e-3
+
+
 def test_one_wrong_reading_does_not_trip_the_guard() -> None:
     guard = Guard(1e-3)
     for k in range(100):
