@@ -9,15 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from dfm_stage.control import PID_PARAMETERS
+from dfm_stage.control import (
+    GUARD_PARAMETERS,
+    LQR_PARAMETERS,
+    PID_PARAMETERS,
+    TUNING_PARAMETERS,
+)
 from dfm_stage.trajectory import EXCITATION_KINDS, REFERENCE_KINDS, load_experiment
 
 DOCS = Path(__file__).parents[3] / "docs"
 
 
-def test_every_pid_parameter_is_in_the_table() -> None:
+def test_every_parameter_of_the_laws_is_in_a_table() -> None:
     text = (DOCS / "control.md").read_text(encoding="utf-8")
-    for p in PID_PARAMETERS:
+    for p in (*PID_PARAMETERS, *LQR_PARAMETERS, *GUARD_PARAMETERS, *TUNING_PARAMETERS):
         assert f"| `{p.name}` | {p.default:g} | {p.unit} | {p.description} |" in text
 
 
