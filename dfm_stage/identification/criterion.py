@@ -11,7 +11,7 @@ from dfm_stage.identification.problem import Problem, Segment
 
 Array = NDArray[np.float64]
 
-ROUGH, ACCURATE = 1e-2, 1e-5
+ROUGH, ACCURATE = 1e-2, 1e-4
 """A search ends when the next step would lower chi-square by less than this."""
 
 
@@ -181,17 +181,23 @@ class Criterion:
                         max_iterations=max_iterations, tolerance=tolerance)
 
     def renew_noise(self, x: Array, max_order: int | None) -> bool:
-        """Fit a noise model to each residual; return whether the fit has to be repeated."""
-        changed = False
-        for i in range(len(self.problem.segments)):
-            model = fit_noise(self.gap(i, x), max_order)
-            sigma = model.sigma if model.sigma > 0.0 else self.output_scale * 1e-9
-            ratio = sigma / self.sigma[i]
-            if model.order != self.orders[i] or not 0.99 < ratio < 1.01:
-                changed = True
-            self.orders[i], self.sigma[i] = model.order, sigma
-            self.noise[i] = model.coefficients
-        return changed
+        """Fit noise models to the residuals anew; return whether they call for another search.
+
+        After a joint search they do only where an order has become too small or far too large, or
+        where records weigh each other by noise that has changed.
+        """
+        models = [fit_noise(self.gap(i, x), max_order)
+                  for i in range(len(self.problem.segments))]
+        tiny = 1e-9 * self.output_scale
+        again = self.frozen
+        for old, model, sigma in zip(self.orders, models, self.sigma, strict=True):
+            again |= model.order > old or 2 * model.order + 5 < old
+            again |= len(models) > 1 and not 0.98 < max(model.sigma, tiny) / sigma < 1.02
+        if again:
+            self.orders = [m.order for m in models]
+            self.sigma = [max(m.sigma, tiny) for m in models]
+            self.noise = [m.coefficients for m in models]
+        return again
 
     def renew_weights(self, x: Array) -> None:
         for i in range(len(self.problem.segments)):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-6
+CREEP = 8
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
 
     `residual(x)` gives (N,), not finite where x cannot be simulated; `jacobian(x, r)` gives
     (N, n). `scale` (n,) is the typical size of each x. The search ends when a step is expected to
-    lower the cost by less than `tolerance` times its variance (cost over N - n).
+    lower the cost by less than `tolerance` times its variance (cost over N - n), or when CREEP
+    steps together lowered it by less than 500 times that.
     """
     x = np.clip(np.asarray(start, dtype=float), low, high)
     r = residual(x)
@@ -53,6 +55,7 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
     j = jacobian(x, r)
     damping, growth = 1e-3, 2.0
     held = np.zeros(x.size, bool)
+    history = [cost]
     for iteration in range(1, max_iterations + 1):
         if not np.all(np.isfinite(j)):
             return Solution(x, r, j, cost, iteration, False, held, "the sensitivities overflow")
@@ -81,6 +84,9 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
         growth = 2.0
         x, r, cost = trial, new, new_cost
         j = jacobian(x, r)
+        history.append(cost)
+        if len(history) > CREEP and history[-1 - CREEP] - cost < 500.0 * tolerance * variance:
+            return Solution(x, r, j, cost, iteration, True, held, "converged slowly")
     return Solution(x, r, j, cost, max_iterations, False,
                     _pushed_out(x, j.T @ r, low, high, scale), "iterations used up")
 

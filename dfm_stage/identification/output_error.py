@@ -67,18 +67,19 @@ def _with_noise(criterion: Criterion, solution: Solution, max_iterations: int,
     """Estimate noise models and unknowns: in turn, which is cheap, and then jointly."""
     spent = 0
     criterion.frozen = True
-    for _ in range(3):
-        if not criterion.renew_noise(solution.x, max_order):
-            break
+    for _ in range(2):
+        criterion.renew_noise(solution.x, max_order)
         solution = criterion.minimise(criterion.start_from(solution.x), max_iterations, ROUGH)
         spent += solution.iterations
+    criterion.renew_noise(solution.x, max_order)
+    criterion.frozen = False
     for _ in range(3):
-        changed = criterion.renew_noise(solution.x, max_order)
-        if not (changed or criterion.frozen):
-            break
-        criterion.frozen = False
         solution = criterion.minimise(criterion.start_from(solution.x), max_iterations)
         spent += solution.iterations
+        if not criterion.renew_noise(solution.x, max_order):
+            break
+    else:
+        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations)
     return solution, spent
 
 

@@ -30,9 +30,10 @@ from dfm_stage.identification.transfer_function import (
     TransferFunctionFit,
     fit_transfer_function,
 )
-from dfm_stage.model import Model
+from dfm_stage.model import BASE_PARAMETERS, Model
 
 Array = NDArray[np.float64]
+LIMITS = {parameter.name: parameter for parameter in BASE_PARAMETERS}
 
 PAPER_MASS = 1.082
 """Moving mass (kg) assumed where no model gives one: 650 N/m over (24.51 rad/s)^2."""
@@ -118,6 +119,8 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     step("frequency response")
     shape = _shape_of(model)
     responses, transfer = _respond(sources, shape, warnings)
+    if model is None and transfer is not None:
+        transfer = _sprung_or_free(responses, transfer, warnings)
     start, names, others = _starting_model(sources[0], model, transfer, free, fixed)
     step("model")
     fit = fit_model(start, [s.run() for s in sources], names, noise=noise, starts=others)
@@ -129,6 +132,9 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     evaluations = tuple(judged(s.name, part, period)
                         for s, part in zip(sources, fit.fits, strict=True))
     tests, lines = residual_tests(sources[0], fit.fits[0], responses[0], period)
+    if not tests[1].passed:
+        warnings.append("what is left over still depends on the input: the model lacks something, "
+                        "which the intervals do not include")
     step("hold-out")
     held_out = hold_out(sources, holdout, fit, names, noise, period)
     frequency, ratio, gain = summary(fit)
@@ -214,6 +220,17 @@ def _respond(sources: Sequence[Source], shape: tuple[int, bool, bool, bool],
     return responses, transfer
 
 
+def _sprung_or_free(responses: Sequence[FrequencyResponse | None], sprung: TransferFunctionFit,
+                    warnings: list[str]) -> TransferFunctionFit:
+    """Return the fit of a body without a spring where a spring explains nothing more."""
+    measured = next(r for r in responses if r is not None)
+    free = fit_transfer_function(measured, free_body=True)
+    if not free.ok or (sprung.ok and sprung.misfit < 0.98 * free.misfit):
+        return sprung
+    warnings.append("no spring shows in the frequency response: identified as a free body")
+    return free
+
+
 def measure_response(source: Source, shape: tuple[int, bool, bool, bool] = (1, False, True, True)
                      ) -> tuple[FrequencyResponse, TransferFunctionFit | None]:
     """Return the frequency response of a record and the transfer function fitted to it.
@@ -250,6 +267,9 @@ def _starting_model(source: Source, model: Model | None, transfer: TransferFunct
                                       "with a multisine, or give a model")
         mass = given.get("mass", PAPER_MASS)
         values = base_values(transfer.plant, mass)
+        if transfer.plant.modes[0].stiffness == 0.0:
+            del values["stiffness"]
+        values = {n: min(max(v, LIMITS[n].low), LIMITS[n].high) for n, v in values.items()}
         current = source.axis.input_unit == "A"
         start = Model("identified", source.sample_period, base={"mass": mass, **values},
                       drive="current" if current else "voltage",
