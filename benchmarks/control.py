@@ -344,7 +344,7 @@ def _random_starts(count: int) -> list[Figure]:
 def _reach(plant: Plant, law: Law, guard: Guard, force_n: float, at: int) -> float:
     law.reset()
     furthest = 0.0
-    for k in range(1000):
+    for k in range(600):
         sample = plant.sample()
         furthest = max(furthest, abs(sample.position_m))
         volts = law.step(0.0, sample.reading_m)
