@@ -36,10 +36,10 @@ class Loop:
         for _ in range(samples):
             sample = self.plant.sample()
             self.position.append(sample.position_m)
-            self.node._next_reference = SimpleNamespace(
+            self.node._on_reference(SimpleNamespace(
                 seq=self.k, position=self.reference[0], velocity=self.reference[1],
-                acceleration=self.reference[2])
-            self.node._next_excitation = SimpleNamespace(seq=self.k, voltage=self.added)
+                acceleration=self.reference[2]))
+            self.node._on_excitation(SimpleNamespace(seq=self.k, voltage=self.added))
             self.node._on_measurement(SimpleNamespace(
                 seq=self.k, stamp_ns=self.k, position=sample.reading_m))
             self.k += 1
