@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
+import gc
 import importlib
 import json
 import os
@@ -126,6 +127,10 @@ class StageGraph:
         self._start_timeout_s = start_timeout_s
         self._launched: list[_Launched] = []
         self._complaints: dict[str, str] = {}
+        self._context: Any = None
+        self._executor: Any = None
+        self._client_node: Any = None
+        self._goals: dict[str, Any] = {}
         self._closing = False
         self._cleanup = contextlib.ExitStack()
 
@@ -418,6 +423,18 @@ class StageGraph:
         with StopRequest():
             self._closing = True
             self._cleanup.close()
+            self._let_go()
+
+    def _let_go(self) -> None:
+        """Drop every handle: only then does the middleware end the participant's threads."""
+        context, self._context = self._context, None
+        if context is None:
+            return
+        self._executor = self._client_node = None
+        self._goals = {}
+        gc.unfreeze()
+        gc.collect()
+        context.destroy()
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
                  traceback: TracebackType | None) -> None:

@@ -42,6 +42,7 @@ from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
     LINKS,
+    RECORDER_TAP,
     publisher_qos,
     subscriber_qos,
 )
@@ -122,7 +123,7 @@ class Publisher:
         if not self._open:
             wanted: list[str] = []
             if self._node.settings["wait_for_recorder"]:
-                wanted.append("recorder")
+                wanted.append(RECORDER_TAP)
             if self._node.lockstep:
                 wanted += self.link.subscribers
             self._open = not wanted or not self.missing(wanted)
@@ -221,7 +222,7 @@ class LoopNode(Node):
         kinds = {name.rpartition("/")[2] for name in request.nodes}
         for publisher in self.publishers_of_links:
             wanted = [kind for kind in publisher.link.subscribers if kind in kinds]
-            wanted += ["recorder"] if "recorder" in kinds else []
+            wanted += [RECORDER_TAP] if "recorder" in kinds else []
             missing = publisher.missing(wanted)
             if missing:
                 reasons.append(f"{publisher.ros.topic_name} has no {', '.join(missing)}")

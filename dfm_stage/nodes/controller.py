@@ -51,6 +51,40 @@ class _AtZero(NamedTuple):
 _AT_ZERO = _AtZero()
 
 
+_KEPT_AHEAD = 64
+
+
+class Ahead:
+    """Messages that are sent ahead, by the sample they are for."""
+
+    def __init__(self) -> None:
+        self._by_seq: dict[int, Any] = {}
+        self.last: Any = None
+
+    def __contains__(self, seq: int) -> bool:
+        return seq in self._by_seq
+
+    def put(self, message: Any) -> None:
+        """Keep a message until its sample comes; of many that never come, the newest."""
+        self._by_seq[message.seq] = message
+        if len(self._by_seq) > _KEPT_AHEAD:
+            del self._by_seq[next(iter(self._by_seq))]
+
+    def take(self, seq: int) -> bool:
+        """Make the message for sample `seq` the `last`, or the newest older one.
+
+        Returns whether it was the one for this very sample; older ones are forgotten.
+        """
+        exact = self._by_seq.pop(seq, None)
+        if exact is None or self._by_seq:
+            older = [each for each in self._by_seq if (seq - each) & 0x80000000 == 0]
+            for each in older:
+                self.last = self._by_seq.pop(each)
+        if exact is not None:
+            self.last = exact
+        return exact is not None
+
+
 class Controller(LoopNode):
     """Answers every `measurement` with a `command`."""
 
@@ -91,10 +125,8 @@ class Controller(LoopNode):
         self._seq = 0
         self._last_seq: int | None = None
         self._measurement: Any = None
-        self._reference: Any = None
-        self._next_reference: Any = None
-        self._excitation: Any = None
-        self._next_excitation: Any = None
+        self._references = Ahead()
+        self._excitations = Ahead()
         self._out = self.link_publisher("command")
         self.link_subscription("measurement", self._on_measurement)
         self.link_subscription("reference", self._on_reference)
@@ -186,35 +218,27 @@ class Controller(LoopNode):
         if self.lockstep:
             self._answer_when_complete()
             return
-        self._reference = self._due(self._reference, self._next_reference, measurement.seq)
-        self._excitation = self._due(self._excitation, self._next_excitation, measurement.seq)
+        for ahead in (self._references, self._excitations):
+            if not ahead.take(measurement.seq) and ahead.last is not None:
+                self.count("reference_late")
         self._answer(measurement)
 
-    def _due(self, last: Any, ahead: Any, seq: int) -> Any:
-        if ahead is None or ahead is last:
-            return last
-        if ahead.seq == seq:
-            return ahead
-        self.count("reference_late")
-        return ahead if last is None or (seq - ahead.seq) & 0x80000000 == 0 else last
-
     def _on_reference(self, reference: Any) -> None:
-        self._next_reference = reference
+        self._references.put(reference)
         if self.lockstep:
-            self._reference = reference
             self._answer_when_complete()
 
     def _on_excitation(self, excitation: Any) -> None:
-        self._next_excitation = excitation
+        self._excitations.put(excitation)
         if self.lockstep:
-            self._excitation = excitation
             self._answer_when_complete()
 
     def _answer_when_complete(self) -> None:
-        measurement, reference, excitation = self._measurement, self._reference, self._excitation
-        if (measurement is not None and reference is not None and excitation is not None
-                and reference.seq == measurement.seq == excitation.seq
-                and self._last_seq != measurement.seq):
+        measurement = self._measurement
+        if (measurement is not None and measurement.seq in self._references
+                and measurement.seq in self._excitations):
+            self._references.take(measurement.seq)
+            self._excitations.take(measurement.seq)
             self._answer(measurement)
 
     def _answer(self, measurement: Any) -> None:
@@ -222,8 +246,9 @@ class Controller(LoopNode):
         self._last_seq = measurement.seq
         if samples != 1:
             self.count("samples_missed", samples - 1)
-        added = self._excitation.voltage if self._excitation is not None else 0.0
-        reference = self._reference or _AT_ZERO
+        excitation = self._excitations.last
+        added = excitation.voltage if excitation is not None else 0.0
+        reference = self._references.last or _AT_ZERO
         law = self._law(reference, measurement.position, samples)
         wanted = law + added
         voltage = min(max(wanted, -self._limit), self._limit)
@@ -294,8 +319,8 @@ class Controller(LoopNode):
             return "measurement", 0
         if self._last_seq == measurement.seq:
             return None
-        for name, part in (("reference", self._reference), ("excitation", self._excitation)):
-            if part is None or part.seq != measurement.seq:
+        for name, part in (("reference", self._references), ("excitation", self._excitations)):
+            if measurement.seq not in part:
                 return f"{name} (or for an experiment to start)", measurement.seq
         return None
 

@@ -1,7 +1,10 @@
 """recorder: every topic into a rosbag2-compatible MCAP bag, with what the nodes say of themselves.
 
-Messages are written as the bytes that came. A bag that cannot be created ends the node; one that
-can no longer be written (full disk) is reported and stops nothing else.
+Messages are written as the bytes that came. They are fetched every few milliseconds from
+subscriptions that no executor watches: waking up for each of some ten thousand a second costs
+more than everything else the recorder does, and takes it from the loop it records. A bag that
+cannot be created ends the node; one that can no longer be written (full disk) is reported and
+stops nothing else.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -30,6 +34,7 @@ from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.wire import header_stamp_ns
+from dfm_stage.nodes.wiring import RECORDER_TAP
 from dfm_stage.recording import (
     MODEL_ATTACHMENT,
     PARAMETERS_ATTACHMENT,
@@ -39,6 +44,8 @@ from dfm_stage.recording import (
     QosProfile,
     definition_text,
 )
+
+_FETCH_PERIOD_S = 0.005
 
 
 class Recorder(LoopNode):
@@ -61,12 +68,17 @@ class Recorder(LoopNode):
         self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
                          json.dumps(versions(), sort_keys=True).encode())
         self._topics: dict[str, Any] = {}
+        self._taps: list[tuple[Callable[..., Any], Any, Callable[[bytes], None]]] = []
         self._refused: set[str] = set()
         self._configs: dict[str, Any] = {}
         self._model_attached = False
         self._open = True
+        self._tap = Node(RECORDER_TAP, namespace=self.get_namespace(), context=self.context,
+                         use_global_arguments=False, enable_rosout=False,
+                         start_parameter_services=False)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self._look_for_topics()
+        self.create_timer(_FETCH_PERIOD_S, self._fetch, clock=self.steady)
         self.create_timer(0.05, self._look_for_topics, clock=self.steady)
         self.publish_config()
         self.get_logger().info(f"recording to {folder}")
@@ -107,8 +119,16 @@ class Recorder(LoopNode):
         has_header = next(iter(message_type.get_fields_and_field_types().values()),
                           "") == "std_msgs/Header"
         is_config = type_name == "std_msgs/msg/String" and name.endswith("/config")
-        self._topics[name] = self.create_subscription(
-            message_type, name, self._writer(topic, has_header, is_config), qos, raw=True)
+        write = self._writer(topic, has_header, is_config)
+        subscription = self._tap.create_subscription(message_type, name, write, qos, raw=True)
+        self._topics[name] = subscription
+        self._taps.append((subscription.handle.take_message, message_type, write))
+
+    def _fetch(self) -> None:
+        """Write what has come since the last time."""
+        for take, message_type, write in self._taps:
+            while (taken := take(message_type, True)) is not None:
+                write(taken[0])
 
     def _writer(self, topic: int, has_header: bool,
                 is_config: bool) -> Callable[[bytes], None]:
@@ -117,8 +137,6 @@ class Recorder(LoopNode):
 
         def on_message(data: bytes) -> None:
             nonlocal sequence
-            if not self._open:
-                return
             stamp = header_stamp_ns(data) if has_header else 0
             log = stamp if lockstep and has_header else clock()
             sequence += 1
@@ -172,6 +190,7 @@ class Recorder(LoopNode):
         """Close the bag; return whether it is complete and what is in it."""
         if not self._open:
             return True, "closed before"
+        self._fetch()
         self._open = False
         try:
             if self._configs and self._bag.error is None:
@@ -186,6 +205,8 @@ class Recorder(LoopNode):
     def destroy_node(self) -> None:
         """Close the bag, then the node."""
         self.finish()
+        self._taps.clear()
+        self._tap.destroy_node()
         super().destroy_node()
 
 

@@ -28,6 +28,7 @@ from dfm_interfaces.msg import (
 )
 
 DEFAULT_NAMESPACE = "/stage/x"
+RECORDER_TAP = "recorder_tap"
 
 
 @dataclass(frozen=True)

@@ -77,9 +77,9 @@ def test_all_six_start_work_together_and_end_on_a_signal(folder, tmp_path):
 
 
 def test_a_bad_parameter_is_one_line_and_exit_code_2(folder, tmp_path):
-    process = _start(folder, "controller", tmp_path, "kp:=fast")
+    process = _start(folder, "controller", tmp_path, "ki:=fast")
     assert process.wait(20.0) == 2
     lines = (tmp_path / "controller.log").read_text().splitlines()
     assert len(lines) == 1
-    assert "kp" in lines[0]
+    assert "ki" in lines[0]
     assert "real number" in lines[0]

@@ -98,7 +98,7 @@ def test_a_full_disk_is_said_and_stops_nothing_else(tmp_path):
         log = tmp_path / "log"
         with log.open("wb") as out:
             recorder = subprocess.Popen(
-                ["bash", "-c", 'ulimit -f 64; exec "$@"', "bash", *args], stdout=out, stderr=out,
+                ["bash", "-c", 'ulimit -f 1024; exec "$@"', "bash", *args], stdout=out, stderr=out,
                 env={**os.environ, "ROS_DOMAIN_ID": str(graph._domain_id)})
         try:
             graph.spin_until(lambda: "not recorded" in log.read_text()
