@@ -194,7 +194,7 @@ class LoopNode(Node):
             callback(decode(data))
 
         self.create_subscription(link.type, prefix + topic, decoded,
-                                 subscriber_qos(link, self.lockstep), raw=True)
+                                 subscriber_qos(link, self.kind, self.lockstep), raw=True)
 
     def publish_config(self) -> None:
         """Publish the latched description of this node."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import platform
 import re
 import time
@@ -45,7 +46,10 @@ from dfm_stage.recording import (
     definition_text,
 )
 
-_FETCH_PERIOD_S = 0.005
+_FETCH_PERIOD_S = 0.002
+_LOOK_PERIODS_S = (0.05, 0.5)
+_SETTLED_S = 3.0
+_NICENESS = 5
 
 
 class Recorder(LoopNode):
@@ -79,11 +83,24 @@ class Recorder(LoopNode):
         self.create_service(Trigger, "~/stop", self._on_stop)
         self._look_for_topics()
         self.create_timer(_FETCH_PERIOD_S, self._fetch, clock=self.steady)
-        self.create_timer(0.05, self._look_for_topics, clock=self.steady)
+        self._last_new_s = time.monotonic()
+        self._looking = self.create_timer(_LOOK_PERIODS_S[0], self._look_now_and_then,
+                                          clock=self.steady)
         self.publish_config()
         self.get_logger().info(f"recording to {folder}")
 
     # Topics
+
+    def _look_now_and_then(self) -> None:
+        """Look often while topics appear; each look takes a millisecond from the loop."""
+        known = len(self._topics)
+        self._look_for_topics()
+        if len(self._topics) > known:
+            self._last_new_s = time.monotonic()
+        elif time.monotonic() - self._last_new_s > _SETTLED_S and self._looking is not None:
+            self._looking.cancel()
+            self._looking = None
+            self.create_timer(_LOOK_PERIODS_S[1], self._look_for_topics, clock=self.steady)
 
     def _look_for_topics(self) -> None:
         if not self._open:
@@ -248,5 +265,6 @@ def _offer(info: Any) -> QosProfile:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node."""
+    """Run the node, giving way to the loop it records: its buffers are deep."""
+    os.nice(_NICENESS)
     return run_node(Recorder, args)

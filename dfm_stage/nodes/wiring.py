@@ -3,8 +3,9 @@
 Loop topics are relative names inside the namespace of one axis (`/stage/x`). Publishers are
 reliable with a history of 100 samples, so a recorder that is held up for a tenth of a second
 loses nothing; the nodes of the loop subscribe best effort with depth 1, because a late sample is
-of no use to them. Only the simulated scale is read through a deep, reliable subscription, as the
-buffer of a real counter would be. In lockstep every sample counts: both sides are reliable and
+of no use to them. The simulated scale is read through a deep, reliable subscription, as the
+buffer of a real counter would be, and the generator, which works one sample ahead, counts every
+measurement. In lockstep every sample counts: both sides are reliable and
 keep all, and a full history holds the publisher back instead of losing a sample.
 """
 
@@ -39,17 +40,17 @@ class Link:
     type: Any
     publisher: str
     subscribers: tuple[str, ...]
-    buffered: bool = False
+    buffered: tuple[str, ...] = ()
 
 
 LINKS = {
     link.topic: link for link in (
         Link("sim/position_counts", PositionCounts, "sim_plant", ("encoder_driver",),
-             buffered=True),
+             buffered=("encoder_driver",)),
         Link("sim/current", CoilCurrent, "sim_plant", ("amplifier_driver",)),
         Link("sim/drive", Drive, "amplifier_driver", ("sim_plant",)),
         Link("measurement", Measurement, "encoder_driver",
-             ("controller", "trajectory_generator")),
+             ("controller", "trajectory_generator"), buffered=("trajectory_generator",)),
         Link("reference", Reference, "trajectory_generator", ("controller",)),
         Link("excitation", Excitation, "trajectory_generator", ("controller",)),
         Link("command", Command, "controller", ("amplifier_driver",)),
@@ -70,8 +71,8 @@ def publisher_qos(lockstep: bool) -> QoSProfile:
     return LOCKSTEP_QOS if lockstep else PUBLISHER_QOS
 
 
-def subscriber_qos(link: Link, lockstep: bool) -> QoSProfile:
+def subscriber_qos(link: Link, node_kind: str, lockstep: bool) -> QoSProfile:
     """Return the quality of service of a loop subscription."""
     if lockstep:
         return LOCKSTEP_QOS
-    return PUBLISHER_QOS if link.buffered else SUBSCRIBER_QOS
+    return PUBLISHER_QOS if node_kind in link.buffered else SUBSCRIBER_QOS
