@@ -97,7 +97,10 @@ def curves_figure(curves: Curves, ylabel: str, *, difference: Curves | None = No
                   difference_label: str = "", height_in: float = 3.0,
                   scale: float = 1e3, difference_scale: float = 1e6,
                   xlabel: str = "time (s)") -> Drawing:
-    """Curves {label: (x, y)} in one panel, and, if given, differences in one below."""
+    """Curves {label: (x, y)} in one panel, and, if given, differences in one below.
+
+    A difference under the label of a curve above takes its colour.
+    """
     panels = 1 if difference is None else 2
     figure, axes = new_figure(panels, height_in if panels == 1 else height_in + 1.6, sharex=True,
                               squeeze=False)
@@ -105,19 +108,21 @@ def curves_figure(curves: Curves, ylabel: str, *, difference: Curves | None = No
     groups = [(axes[0, 0], curves, ylabel, scale)]
     if difference is not None:
         groups.append((axes[1, 0], difference, difference_label, difference_scale))
+    names = list(dict.fromkeys(name for _, group, _, _ in groups for name in group))
     with page_style():
         for axis, group, label, factor in groups:
-            for i, (name, (x, y)) in enumerate(group.items()):
-                under = {"linewidth": 2.6, "alpha": 0.5} if i == 0 and len(group) > 1 else {
+            for name, (x, y) in group.items():
+                i = names.index(name)
+                style = {"linewidth": 2.6, "alpha": 0.5} if i == 0 and len(curves) > 1 else {
                     "linewidth": 1.2, "linestyle": ("-", "-", "--", ":")[min(i, 3)]}
                 step = max(1, x.size // 3000)
-                axis.plot(x[::step], factor * y[::step], label=name, **under)
+                axis.plot(x[::step], factor * y[::step], label=name, color=f"C{i}", **style)
                 rows.append([name, label, float(factor * np.mean(y)),
                              float(factor * np.sqrt(np.mean(y**2))), float(factor * np.min(y)),
                              float(factor * np.max(y))])
             axis.set_ylabel(label)
             axis.margins(x=0.0)
-            if len(group) > 1:
+            if len(names) > 1 and (axis is axes[0, 0] or not set(group) <= set(curves)):
                 axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
                             ncols=min(3, len(group)) if sum(map(len, group)) < _LINE else 1)
         axes[-1, 0].set_xlabel(xlabel)
