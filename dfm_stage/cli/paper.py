@@ -85,7 +85,8 @@ def _paper(options: argparse.Namespace) -> int:
         print(f"[{count:2d}/{STEPS}, {time.monotonic() - started:4.0f} s] {name}",
               file=sys.stderr, flush=True)
 
-    found = compare(stage, models, experiments, step)
+    # Half as many elements per blade are 0.4 % stiffer.
+    found = compare(stage, models, experiments, step, elements=32 if options.quick else 96)
     seconds = time.monotonic() - started
     used = {"model": models.stage.name, "two_mode_model": models.two_mode.name,
             "xy_model": models.xy.name, "records": stage.description}

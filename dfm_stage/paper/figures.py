@@ -16,7 +16,7 @@ from dfm_stage.reporting import Drawing, Response, Table, bode_figure, new_figur
 
 Array = NDArray[np.float64]
 Curves = Mapping[str, tuple[Array, Array]]
-_LINE = 42
+_LINE = 30
 """Characters of a legend that fit side by side on a phone."""
 
 

@@ -165,8 +165,8 @@ class _Figures:
                   for name, y in found.laws.items()}
         self._page.figure(curves_figure(curves, "position (mm)", difference=errors,
                                         difference_label="error (µm)"),
-                          "Fig. 11: regulation under LQR, its steady-state error (from 0.3 s after "
-                          "the step on) and the cure")
+                          "Fig. 11: regulation under LQR, its steady-state error (from 0.3 s "
+                          "after the step on) and the cure")
         gain = _likest(e.regulation.disturbance, next(iter(found.disturbed.values())))
         self._page.figure(curves_figure(
             {f"disturbance times {1e6 * gain:.0f} µm/N": (found.time_s, gain * found.disturbance),
