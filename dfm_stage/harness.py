@@ -180,6 +180,8 @@ class StageGraph:
         self._cleanup.callback(self._client_node.destroy_node)
         self._cleanup.callback(self._end_nodes)
         atexit.register(self.close)
+        if "sim_plant" in self._kinds and not self.composed:
+            compile_simulator()
         order = ["recorder", "sim_plant", *AXIS_NODES]
         for kind in sorted(self._kinds, key=order.index):
             namespaces = ["/stage"] if kind in STAGE_NODES else [
@@ -491,6 +493,18 @@ class StageGraph:
         if self.bag is None:
             raise HarnessError("nothing was recorded: give StageGraph a bag folder")
         return read_record(self.bag, axis=axis)
+
+
+def compile_simulator() -> None:
+    """Have the simulator compiled and cached on disk, which takes a minute the first time.
+
+    A sim_plant started afterwards is there in a second or two.
+    """
+    from dfm_stage.model import CoupledPlant, load_model
+
+    plant = CoupledPlant(load_model("paper_stage"))
+    plant.sample()
+    plant.advance([0.0])
 
 
 def _die_with_parent() -> None:

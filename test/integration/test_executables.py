@@ -12,6 +12,8 @@ import pytest
 import rclpy
 from ament_index_python.packages import get_package_prefix
 
+from dfm_stage.harness import compile_simulator
+
 NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator", "sim_plant",
          "recorder")
 PARAMETERS = {"sim_plant": ["seed:=3"], "controller": ["kp:=100.0"],
@@ -20,6 +22,7 @@ PARAMETERS = {"sim_plant": ["seed:=3"], "controller": ["kp:=100.0"],
 
 @pytest.fixture(scope="module")
 def folder():
+    compile_simulator()
     try:
         return Path(get_package_prefix("dfm_stage")) / "lib" / "dfm_stage"
     except LookupError:
