@@ -19,7 +19,7 @@ NODES: dict[str, str] = {
 TOOLS: dict[str, str] = {
     "demo": "bring the graph up, scan, excite, record, identify, show the table and the pictures",
     "identify": "model and 95 % intervals from a recorded bag or CSV file",
-    "characterize": "stiffness, decrement, frequency and step response from experiments on the graph",
+    "characterize": "stiffness, decrement, frequency and step response, from the graph",
     "paper": "run all that the paper did on the simulated stage, its numbers beside ours",
     "tune": "a controller's parameters from a model or a bag, with margins and reasons",
     "bench": "run the benchmarks and print each figure beside its bar and its peer",

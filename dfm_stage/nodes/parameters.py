@@ -130,8 +130,8 @@ class Settings:
                                f"({remedy})") from error
         except InvalidParameterValueException as error:
             given = node._parameter_overrides[setting.name].value
-            reason = setting.complaint(given) or str(error)
-            raise SettingError(f"{node.get_name()}: parameter {reason}") from error
+            why = setting.complaint(given) or str(error)
+            raise SettingError(f"{node.get_name()}: parameter {why}") from error
         reason = setting.complaint(value)
         if reason:
             raise SettingError(f"{node.get_name()}: parameter {reason}")

@@ -68,7 +68,8 @@ class Codec:
             else:
                 raise WireError(f"{message_type.__name__}.{name}: {kind} is not a flat field")
         self.type = message_type
-        self._tuple = namedtuple(f"{message_type.__name__}Fields", names)  # noqa: PYI024
+        self._tuple: Any = namedtuple(  # type: ignore[misc]  # noqa: PYI024
+            f"{message_type.__name__}Fields", names)
         frame = frame_id.encode() + b"\x00"
         self._prefix_tail = struct.pack("<I", len(frame)) + frame
         body, padding = self._layout(len(frame))
