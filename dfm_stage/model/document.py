@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from dfm_stage.errors import DfmError
@@ -47,7 +48,8 @@ def load_model(path_or_name: str | os.PathLike[str]) -> Model:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: cannot be read: {error}") from error
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise ModelError(f"{path}: cannot be read: {reason}") from error
     return parse_model(text, str(path))
 
 
@@ -96,7 +98,7 @@ def save_model(model: Model, path: str | os.PathLike[str]) -> None:
 
 def model_text(model: Model) -> str:
     """The YAML text of a model."""
-    data: Any = model.to_dict()
+    data: Any = _styled(model.to_dict())
     if model.document is not None:
         old = _yaml().load(model.document)
         _merge(old, data)
@@ -156,17 +158,22 @@ def _axis(node: _Node, default_drive: object) -> AxisModel:
     if node.path:
         node.keys(_AXIS_KEYS)
     base_node = node.child("base")
-    base_node.keys((*BASE_BY_NAME, "drive"))
+    base_node.keys((*BASE_BY_NAME, "drive"), "base: parameter")
     drive: Any = base_node.get("drive", default_drive or "voltage")
     if drive not in ("voltage", "current"):
         base_node.fail(f"drive must be voltage or current, not {drive!r}", "drive")
     base = {key: base_node.number(BASE_BY_NAME[key], key) for key in base_node if key != "drive"}
-    effects = []
+    effects: list[EffectUse] = []
     if "effects" in node:
         listed = node.get("effects")
         if listed is not None and not _is_list(listed):
             node.fail("effects must be a list of items with name and parameters", "effects")
-        effects = [_effect(node.child("effects", index)) for index in range(len(listed or ()))]
+        for index in range(len(listed or ())):
+            item = node.child("effects", index)
+            effect = _effect(item)
+            if effect.name in [other.name for other in effects]:
+                item.fail(f"effect {effect.name} is there already; merge the two", "name")
+            effects.append(effect)
     checked_drive: Drive = drive
     return base_node.build(lambda: AxisModel(base, tuple(effects), checked_drive))
 
@@ -199,7 +206,7 @@ class _Node:
         self.where, self.path, self.root = where, path, root
         if not isinstance(data, Mapping):
             self.data: Mapping[Any, Any] = {}
-            name = ".".join(str(p) for p in path) or "the document"
+            name = next((p for p in reversed(path) if isinstance(p, str)), "the document")
             self.fail(f"{name} must be a mapping of names to values, not {_short(data)}")
         self.data = data
 
@@ -271,7 +278,7 @@ def _merge(old: Any, new: Mapping[str, Any]) -> None:
             _merge(current, value)
         elif key == "effects" and _is_list(current):
             _merge_effects(current, value)
-        elif key not in old or _to_plain(current) != value:
+        elif key not in old or _to_plain(current) != _to_plain(value):
             old[key] = value
 
 
@@ -323,6 +330,21 @@ def _yaml() -> YAML:
     yaml.preserve_quotes = True
     yaml.indent(mapping=2, sequence=4, offset=2)
     return yaml
+
+
+def _styled(value: Any, inside: str = "") -> Any:
+    """`value` as ruamel data, with parameters, origin and lists of numbers on one line each."""
+    if isinstance(value, dict):
+        mapped = CommentedMap({k: _styled(v, k) for k, v in value.items()})
+        if inside in ("parameters", "origin"):
+            mapped.fa.set_flow_style()
+        return mapped
+    if isinstance(value, list):
+        listed = CommentedSeq([_styled(v) for v in value])
+        if not any(isinstance(v, dict) for v in value):
+            listed.fa.set_flow_style()
+        return listed
+    return value
 
 
 def _to_plain(value: Any) -> Any:

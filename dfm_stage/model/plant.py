@@ -10,7 +10,7 @@ import numpy as np
 from dfm_stage.model.description import COUPLING_EFFECT, Model
 from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
-from dfm_stage.model.kernel.record import peek, run
+from dfm_stage.model.kernel.record import DIVERGED, peek, run
 from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.plan import Plan, place
 
@@ -55,6 +55,8 @@ class Plant:
     ------
     ModelError
         If the model has several axes and `axis` names none of them.
+    SimulationError
+        From `sample` and `advance`, if the input is not finite or the motion escapes to infinity.
     """
 
     def __init__(self, model: Model, axis: str | None = None, seed: int = 0) -> None:
@@ -130,6 +132,9 @@ class Plant:
     def _look(self) -> Sample:
         peek(self._plan.on, self._plan.layout, self._theta, self._work, self._other, self._out)
         position, velocity, current, force, reading, _ = self._out[:, 0].tolist()
+        if not abs(position) < DIVERGED:
+            raise SimulationError("the motion of the plant has escaped to infinity: the loop is "
+                                  "unstable, or the model's forces do not hold the stage")
         if self._noise > 0.0:
             if not self._draws:
                 self._draws = self._generator.standard_normal(_DRAWS)[::-1].tolist()

@@ -123,6 +123,11 @@ class Simulator:
             rows[slots.READING] = -1
         out = np.empty((int(rows.max()) + 1, len(inputs)))
         run(plan.on, plan.layout, theta, work, inputs, force, neighbour, rows, out)
+        if not np.isfinite(out[slots.POSITION, -1]):
+            when = int(np.argmin(np.isfinite(out[slots.POSITION]))) * self.model.sample_period
+            raise SimulationError(f"the motion escapes to infinity before t = {when:g} s: the "
+                                  "model's forces do not hold the stage; check their signs and "
+                                  "sizes")
         reading = out[slots.READING] if rows[slots.READING] >= 0 else out[slots.POSITION]
         step = self.model.effect("encoder_quantization")
         return SimulationResult(
@@ -163,7 +168,8 @@ class Simulator:
         `parameter_names` (n) are addresses such as `mass`, `cubic_stiffness.k3` or, for the state
         at t_0, `initial.position`; `encoder_zero` is the output offset. Rows are spread over
         `threads` threads, by default one per available core. Values are not checked against the
-        limits of the parameters. With `partial` a row without periodic motion becomes NaN.
+        limits of the parameters. A motion that escapes to infinity
+        ends in NaN. With `partial` a row without periodic motion is NaN, too.
 
         Raises
         ------
@@ -247,10 +253,11 @@ class Simulator:
 
     def _differences(self, name: str, value: float) -> tuple[tuple[float, ...], Array]:
         """Offsets of a parameter, and the weights of [centre, *offsets] in its derivative."""
-        low, high, typical = -np.inf, np.inf, 1e-6
+        low, high = -np.inf, np.inf
         if not name.startswith("initial."):
             limits = self.model.parameter(name)
-            low, high, typical = limits.low, limits.high, _typical(name, self.model)
+            low, high = limits.low, limits.high
+        typical = _typical(name, self.model)
         step = RELATIVE_STEP * (abs(value) or typical)
         if low <= value - step and value + step <= high:
             return (-step, step), np.array([0.0, -0.5, 0.5]) / step
@@ -295,7 +302,10 @@ def _typical(name: str, model: Model) -> float:
     mass, period = model.base["mass"], model.sample_period
     rate = max(np.sqrt(model.base.get("stiffness", 0.0) / mass), 1e-3 / period)
     natural = {"stiffness": mass * rate ** 2, "damping": mass * rate, "delay": period,
-               "amplifier_time_constant": period, "encoder_zero": 1e-6}
+               "amplifier_time_constant": period, "encoder_zero": 1e-6,
+               "initial.amplifier": 1.0, "initial.coil": 1.0}
+    if name.startswith("initial.") and name not in natural:
+        return 1e-4 * rate if name.endswith("velocity") else 1e-4
     effect, _, own = name.partition(".")
     if effect in EFFECTS and own in EFFECTS[effect].priors:
         prior = EFFECTS[effect].priors[own]

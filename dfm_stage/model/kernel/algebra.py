@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.kernel.compiled import compiled, inlined
+from dfm_stage.model.kernel.compiled import compiled, inlined, lean
 from dfm_stage.model.kernel.memory import at
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def cubic_at(coefficients: Array, r: float) -> float:
                  + r * (coefficients[1] + r * (coefficients[2] + r * coefficients[3])))
 
 
-@compiled
+@lean
 def multiply(a: Array, b: Array, out: Array) -> None:
     """out = a b for small matrices; `out` must be another array."""
     for i in range(a.shape[0]):
@@ -38,7 +38,7 @@ def multiply(a: Array, b: Array, out: Array) -> None:
             out[i, j] = total
 
 
-@compiled
+@lean
 def balance(a: Array, scale: Array) -> None:
     """Scale a in place to D^-1 a D with D = diag(scale) of powers of two (Osborne 1960)."""
     n = a.shape[0]

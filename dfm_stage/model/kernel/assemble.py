@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.kernel.compiled import compiled
+from dfm_stage.model.kernel.compiled import lean
 from dfm_stage.model.kernel.hooks import stamp_amplifier, stamp_mechanics, stamp_modes
 from dfm_stage.model.kernel.slots import (
     AMPLIFIER,
@@ -38,7 +38,7 @@ INSTANT = 1e-6
 _AMPLIFIER_STATE, _COIL_STATE = LAYOUT_FIXED + 2, LAYOUT_FIXED + 3
 
 
-@compiled
+@lean
 def lag(a: Array, rows: Array, state: int, time_constant: float, shortest: float) -> None:
     """Put a first-order lag into the drive; none where it is shorter than `shortest`."""
     if state < 0 or time_constant <= shortest:
@@ -50,7 +50,7 @@ def lag(a: Array, rows: Array, state: int, time_constant: float, shortest: float
     rows[ROW_DRIVE, state] = 1.0
 
 
-@compiled
+@lean
 def assemble(on: int, layout: NDArray[np.int64], theta: Array, period: float, a: Array,
              rows: Array) -> None:
     """Fill `a` and `rows` for the parameters `theta`."""

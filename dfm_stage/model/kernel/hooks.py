@@ -18,6 +18,7 @@ from dfm_stage.model.kernel.slots import (
     BRISTLE_NAMES,
     FIRST_PARAMETER,
     LAYOUT_FIXED,
+    POLYNOMIAL,
     STATE_NAMES,
 )
 from dfm_stage.model.registry import EFFECTS
@@ -188,6 +189,7 @@ stamp_amplifier = _states("stamp", [e for e in _STAMPED if e.stage == "amplifier
 stamp_mechanics = _states("stamp", [e for e in _STAMPED if e.stage == "mechanics"])
 start_states = _states("start", _with("start"))
 point_force = _summed("force")
+spring_force = _summed("force", [e for e in _with("force") if POLYNOMIAL >> BIT[e.name] & 1])
 actuator_force = _summed("force", [e for e in _with("force") if e.side == "actuator"])
 sense_error = _summed("sense")
 other_stiffness = _summed("other_force")

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.kernel.compiled import compiled
+from dfm_stage.model.kernel.compiled import lean
 
 Array = NDArray[np.float64]
 Steps = Callable[[Array, Array, Array, Array, Array, Array, int, int, Array], None]
@@ -48,7 +48,7 @@ def _unrolled(order: int, blocks: tuple[tuple[int, ...], ...] = ()) -> Steps:
     lines += [f"    state[{i}] = s{i}" for i in range(order)]
     scope: dict[str, Steps] = {}
     exec("\n".join(lines), scope)  # noqa: S102 (text of our own)
-    return compiled(scope["steps"])
+    return lean(scope["steps"])
 
 
 _steps_2, _steps_3, _steps_4, _steps_5, _steps_6 = (_unrolled(n) for n in range(2, 7))
@@ -57,7 +57,7 @@ _two_modes = _unrolled(4, ((0, 0, 1), (1, 0, 1), (2, 2, 3), (3, 2, 3)))
 _two_modes_lagged = _unrolled(5, ((0, 0, 1, 2), (1, 0, 1, 2), (2, 2), (3, 2, 3, 4), (4, 2, 3, 4)))
 
 
-@compiled
+@lean
 def steps(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array, first: int,
           count: int, out: Array) -> None:
     """Advance by `count` samples with the fastest loop that fits `a`."""
@@ -83,7 +83,7 @@ def steps(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Ar
         _steps_n(a, old, new, constant, state, p, first, count, out)
 
 
-@compiled
+@lean
 def _none(part: Array) -> bool:
     for i in range(part.shape[0]):
         for j in range(part.shape[1]):
@@ -92,37 +92,35 @@ def _none(part: Array) -> bool:
     return True
 
 
-@compiled
+@lean
 def _steps_n(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array,
              first: int, count: int, out: Array) -> None:
     n = state.shape[0]
-    after = np.empty(n)
     for k in range(count):
         u, v = p[first + k], p[first + k + 1]
         for i in range(n):
             out[i, k] = state[i]
+        for i in range(n):
             total = old[i] * u + (new[i] * v + constant[i])
             for j in range(n):
-                total += a[i, j] * state[j]
-            after[i] = total
-        state[:] = after
+                total += a[i, j] * out[j, k]
+            state[i] = total
 
 
-@compiled
+@lean
 def steps_with_force(a: Array, old: Array, new: Array, constant: Array, ext: Array, state: Array,
                      p: Array, force: Array, first: int, count: int,
                      out: Array) -> None:
     """As `steps`, with the force force[k] . [1, r, r^2, r^3], r = (t - t_k) / T, in sample k."""
     n = state.shape[0]
-    after = np.empty(n)
     for k in range(count):
         u, v = p[first + k], p[first + k + 1]
         for i in range(n):
             out[i, k] = state[i]
+        for i in range(n):
             total = old[i] * u + (new[i] * v + constant[i])
             for j in range(n):
-                total += a[i, j] * state[j]
+                total += a[i, j] * out[j, k]
             for j in range(4):
                 total += ext[i, j] * force[first + k, j]
-            after[i] = total
-        state[:] = after
+            state[i] = total

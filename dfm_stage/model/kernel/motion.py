@@ -26,7 +26,12 @@ from numpy.typing import NDArray
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
 from dfm_stage.model.kernel.compiled import inlined, lean
 from dfm_stage.model.kernel.events import cell, pushed
-from dfm_stage.model.kernel.hooks import bristle_force, bristle_steps, point_force
+from dfm_stage.model.kernel.hooks import (
+    bristle_force,
+    bristle_steps,
+    point_force,
+    spring_force,
+)
 from dfm_stage.model.kernel.memory import at
 from dfm_stage.model.kernel.slots import (
     ACTUATOR_FORCES,
@@ -48,15 +53,18 @@ from dfm_stage.model.kernel.slots import (
     DIRECTED,
     DRY_FRICTION,
     FORCE_CONSTANT,
+    FORCED,
     LEVEL,
     LEVELS,
     MODE,
     ORDER,
+    POLYNOMIAL,
     ROW_DRIVE,
     ROW_POSITION,
     ROW_VELOCITY,
     SCALE,
     SLOPE,
+    STEP,
 )
 from dfm_stage.model.kernel.tables import CUBIC, FROM_VALUES, POINT_1, POINT_2
 
@@ -82,6 +90,12 @@ def _plain_force(on: int, theta: Array, work: Array, x: float, v: float, d: floa
 
 
 @inlined
+def _spring_force(on: int, theta: Array, work: Array, x: float, v: float, d: float,
+                  z: int) -> float:
+    return spring_force(on, theta, x, v, d)
+
+
+@inlined
 def _whole_force(on: int, theta: Array, work: Array, x: float, v: float, d: float,
                  z: int) -> float:
     return point_force(on, theta, x, v, d) + bristle_force(on, theta, work, z, v)
@@ -98,8 +112,8 @@ def _slip(force_at: Callable[..., float], move: Callable[..., None]) -> Callable
     @lean
     def slip(on: int, theta: Array, work: Array, n: int, head: int, rows: int, node: int,
              end: int, state: int, z: int, scratch: int, direction: int, directed: bool,
-             u: float, force: Array, r0: float, dr: float, length: float, last: bool) -> int:
-        """Try one step of moving, of `length` (s); its end goes to scratch, bristles behind it.
+             u: float, force: Array, r0: float, dr: float, last: bool) -> int:
+        """Try one step of moving; its end goes to scratch, bristles behind it.
 
         `force` are the coefficients of the outside force in the sample, of which the step covers
         [r0, r0 + dr]; `last` says that it cannot be halved. What step control needs goes to the
@@ -114,8 +128,7 @@ def _slip(force_at: Callable[..., float], move: Callable[..., None]) -> Callable
             d0 = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
         f0 = e0 + force_at(on, theta, work, x0, v0, d0, z)
         xa, va, xb, vb, xc, vc = _six(work, n, node, state, u, f0)
-        slope = at(work, head + SLOPE) * length
-        curvature = at(work, head + CURVATURE) * length * length
+        slope, curvature = at(work, head + SLOPE), at(work, head + CURVATURE)
         f1 = f0 + POINT_1 * (slope + POINT_1 * curvature)
         f2 = f0 + POINT_2 * (slope + POINT_2 * curvature)
         f3 = f0 + (slope + curvature)
@@ -126,31 +139,25 @@ def _slip(force_at: Callable[..., float], move: Callable[..., None]) -> Callable
         for _ in range(ITERATIONS):
             x1 = xa + (at(work, p) * f1 + at(work, q) * f2 + at(work, w) * f3)
             v1 = va + (at(work, p + 1) * f1 + at(work, q + 1) * f2 + at(work, w + 1) * f3)
-            if driven:
-                d1 = _drive(work, n, node + 6, state, u, f0, f1, f2, f3)
-            move(on, theta, work, z, x1 - x0, v0, v1, z1)
-            g = e1 + force_at(on, theta, work, x1, v1, d1, z1)
-            change = abs(g - f1)
-            f1 = g
             x2 = xb + (at(work, p + 2) * f1 + at(work, q + 2) * f2 + at(work, w + 2) * f3)
             v2 = vb + (at(work, p + 3) * f1 + at(work, q + 3) * f2 + at(work, w + 3) * f3)
-            if driven:
-                d2 = _drive(work, n, node + 7, state, u, f0, f1, f2, f3)
-            move(on, theta, work, z1, x2 - x1, v1, v2, z2)
-            g = e2 + force_at(on, theta, work, x2, v2, d2, z2)
-            change = max(change, abs(g - f2))
-            f2 = g
             x3 = xc + (at(work, p + 4) * f1 + at(work, q + 4) * f2 + at(work, w + 4) * f3)
             v3 = vc + (at(work, p + 5) * f1 + at(work, q + 5) * f2 + at(work, w + 5) * f3)
             if driven:
+                d1 = _drive(work, n, node + 6, state, u, f0, f1, f2, f3)
+                d2 = _drive(work, n, node + 7, state, u, f0, f1, f2, f3)
                 d3 = _drive(work, n, node + 8, state, u, f0, f1, f2, f3)
+            move(on, theta, work, z, x1 - x0, v0, v1, z1)
+            move(on, theta, work, z1, x2 - x1, v1, v2, z2)
             move(on, theta, work, z2, x3 - x2, v2, v3, z3)
-            g = e3 + force_at(on, theta, work, x3, v3, d3, z3)
-            change = max(change, abs(g - f3))
-            f3 = g
-            largest = max(largest, abs(f0), abs(f1), abs(f2), abs(f3))
-            ratio = min(change / before, 1.0) if before > 0.0 else 0.1
-            if change * ratio <= UNSETTLED * largest:
+            g1 = e1 + force_at(on, theta, work, x1, v1, d1, z1)
+            g2 = e2 + force_at(on, theta, work, x2, v2, d2, z2)
+            g3 = e3 + force_at(on, theta, work, x3, v3, d3, z3)
+            change = max(abs(g1 - f1), abs(g2 - f2), abs(g3 - f3))
+            f1, f2, f3 = g1, g2, g3
+            largest = max(largest, abs(f0), abs(f3))
+            allowed = UNSETTLED * largest
+            if change * change <= allowed * before or change <= 10.0 * allowed:
                 settled = True
                 break
             before = change
@@ -161,8 +168,8 @@ def _slip(force_at: Callable[..., float], move: Callable[..., None]) -> Callable
             return TOO_COARSE
         work[head + CUBIC_PART] = unresolved
         work[head + SCALE] = largest
-        work[head + SLOPE] = (S0 * f0 + S1 * f1 + S2 * f2 + S3 * f3) / length
-        work[head + CURVATURE] = (B0 * f0 + B1 * f1 + B2 * f2 + B3 * f3) / (length * length)
+        work[head + SLOPE] = S0 * f0 + S1 * f1 + S2 * f2 + S3 * f3
+        work[head + CURVATURE] = B0 * f0 + B1 * f1 + B2 * f2 + B3 * f3
         _finish(work, n, end, state, scratch, u, f0, f1, f2, f3)
         return ACCEPTED
 
@@ -233,6 +240,7 @@ def _reverses(v0: float, v1: float, v2: float, v3: float) -> bool:
     return least < v0 and least < v3 and least < 0.5 * (max(v0, v3) - least)
 
 
+spring_slip = _slip(_spring_force, _no_bristles)
 smooth_slip = _slip(_plain_force, _no_bristles)
 bristle_slip = _slip(_whole_force, bristle_steps)
 
@@ -273,50 +281,68 @@ def advance_piece(on: int, layout: Layout, theta: Array, work: Array, which: int
     """
     n, head, rows = layout[ORDER], layout[AT_HEAD], layout[AT_ROWS]
     state, z, scratch = layout[AT_STATE], layout[AT_BRISTLE], layout[AT_SCRATCH]
-    tables = which * layout[LEVELS]
-    depth, directed = int(work[head + DEPTH]), layout[DIRECTED] == 1
-    level, mode = int(work[head + LEVEL]), int(work[head + MODE])
-    work[head + SCALE] = max(work[head + SCALE], FAINT * abs(theta[FORCE_CONSTANT] * u))
+    tables, directed = which * layout[LEVELS], layout[DIRECTED] == 1
+    depth, level, mode = (int(at(work, head + DEPTH)), int(at(work, head + LEVEL)),
+                          int(at(work, head + MODE)))
+    work[head + SCALE] = max(at(work, head + SCALE), FAINT * abs(theta[FORCE_CONSTANT] * u))
     units, position = 1 << depth, 0
+    size, h = units >> level, length
+    for _ in range(level):
+        h *= 0.5
+    if h != at(work, head + STEP):
+        _rescale(work, head, h / at(work, head + STEP) if at(work, head + STEP) > 0.0 else 0.0)
+    dr = span * (h / length)
     while position < units:
-        size = units >> level
-        fraction = size / units
-        r, dr = r0 + span * (position / units), span * fraction
+        r = r0 + span * position / units if force.shape[0] > 0 else r0
         table = tables + level
         if directed and mode == 0:
             push = pushed(on, theta, work, n, rows, state, z, u, force, r)
             if abs(push) > theta[DRY_FRICTION]:
                 mode = 1 if push > 0.0 else -1
-                work[head + SLOPE] = work[head + CURVATURE] = 0.0
+                _rescale(work, head, 0.0)
                 continue
             outcome = stick(on, theta, work, n, rows, layout[AT_STICK_NODE] + 6 * (n + 1) * table,
                             layout[AT_STICK_END] + n * (n + 1) * table, state, z, scratch, u,
                             force, r, dr)
             work[head + CUBIC_PART] = 0.0
+        elif on & FORCED & ~POLYNOMIAL == 0:
+            outcome = spring_slip(
+                on, theta, work, n, head, rows, layout[AT_NODE] + 9 * (n + 5) * table,
+                layout[AT_END] + n * (n + 5) * table, state, z, scratch, mode, directed, u, force,
+                r, dr, level == depth)
         elif on & BRISTLED:
             outcome = bristle_slip(
                 on, theta, work, n, head, rows, layout[AT_NODE] + 9 * (n + 5) * table,
                 layout[AT_END] + n * (n + 5) * table, state, z, scratch, mode, directed, u, force,
-                r, dr, length * fraction, level == depth)
+                r, dr, level == depth)
         else:
             outcome = smooth_slip(
                 on, theta, work, n, head, rows, layout[AT_NODE] + 9 * (n + 5) * table,
                 layout[AT_END] + n * (n + 5) * table, state, z, scratch, mode, directed, u, force,
-                r, dr, length * fraction, level == depth)
+                r, dr, level == depth)
         if outcome != ACCEPTED and level < depth:
-            level += 1
+            level, size, h, dr = level + 1, size >> 1, 0.5 * h, 0.5 * dr
+            _rescale(work, head, 0.5)
             continue
         if outcome == REVERSAL:
-            mode = cell(on, theta, work, layout, u, force, r, dr, length * fraction, mode)
-            work[head + SLOPE] = work[head + CURVATURE] = 0.0
+            mode = cell(on, theta, work, layout, u, force, r, dr, h, mode)
+            _rescale(work, head, 0.0)
         else:
             for i in range(n):
-                work[state + i] = work[scratch + i]
+                work[state + i] = at(work, scratch + i)
             if on & BRISTLED and mode != 0:
                 for i in range(BRISTLES):
-                    work[z + i] = work[scratch + n + i]
+                    work[z + i] = at(work, scratch + n + i)
         position += size
         if (level > 0 and position % (2 * size) == 0
-                and 16.0 * work[head + CUBIC_PART] <= UNRESOLVED * work[head + SCALE]):
-            level -= 1
-    work[head + LEVEL], work[head + MODE] = level, mode
+                and 16.0 * at(work, head + CUBIC_PART) <= UNRESOLVED * at(work, head + SCALE)):
+            level, size, h, dr = level - 1, size << 1, 2.0 * h, 2.0 * dr
+            _rescale(work, head, 2.0)
+    work[head + LEVEL], work[head + MODE], work[head + STEP] = level, mode, h
+
+
+@inlined
+def _rescale(work: Array, head: int, ratio: float) -> None:
+    """Slope and curvature of the force per step, for a step longer by `ratio`; 0 forgets them."""
+    work[head + SLOPE] *= ratio
+    work[head + CURVATURE] *= ratio * ratio

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.kernel.compiled import compiled, entry
+from dfm_stage.model.kernel.compiled import compiled, entry, lean
 from dfm_stage.model.kernel.hooks import (
     actuator_force,
     encode_mean,
@@ -50,6 +50,8 @@ from dfm_stage.model.kernel.slots import (
 Array = NDArray[np.float64]
 Layout = NDArray[np.int64]
 BLOCK = 256
+DIVERGED = 1e12
+"""A position beyond this has escaped; the states are NaN from then on."""
 
 
 @entry
@@ -125,17 +127,21 @@ def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
     return total
 
 
-@compiled
+@lean
 def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: Array,
                   force: Array, first: int, count: int, out: Array) -> None:
     """As `linear.steps_with_force`, with nonlinear forces; `force` may be empty."""
     n, state = layout[ORDER], layout[AT_STATE]
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
-    push = force[0] if force.shape[0] > 0 else np.empty(0)
+    push = force[0] if force.shape[0] > 0 else theta[:0]
     for k in range(count):
         for i in range(n):
             out[i, k] = work[state + i]
+        if not abs(work[state]) < DIVERGED:
+            for i in range(n):
+                out[i, k:count] = work[state + i] = np.nan
+            return
         if force.shape[0] > 0:
             push = force[first + k]
         for which in range(2):
@@ -146,7 +152,7 @@ def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: A
                               begin, span, span * period)
 
 
-@compiled
+@lean
 def _signals(on: int, rows: Array, theta: Array, states: Array, applied: Array, first: int,
              count: int, rows_out: Layout, out: Array) -> None:
     if rows_out[POSITION] >= 0:
@@ -172,7 +178,7 @@ def _signals(on: int, rows: Array, theta: Array, states: Array, applied: Array, 
                 force[first + k] += actuator_force(on, theta, x, v, force[first + k])
 
 
-@compiled
+@lean
 def _signal(row: Array, factor: float, states: Array, applied: Array, first: int, count: int,
             out: Array) -> None:
     """out[first:] = factor row . [states, applied], skipping columns of zeros."""
@@ -197,7 +203,7 @@ def _signal(row: Array, factor: float, states: Array, applied: Array, first: int
         out[first:first + count] = 0.0
 
 
-@compiled
+@lean
 def _readings(on: int, theta: Array, period: float, sample: float, other: Array,
               rows_out: Layout, out: Array) -> None:
     """Turn positions into readings; see SimulationResult for what they are."""

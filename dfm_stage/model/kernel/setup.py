@@ -49,6 +49,7 @@ from dfm_stage.model.kernel.slots import (
     SCALE,
     SLOPE,
     STATE_NAMES,
+    STEP,
     WHOLE,
 )
 from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
@@ -181,4 +182,4 @@ def restart(layout: Layout, work: Array) -> None:
     for j in range(n):
         speed += rows[ROW_VELOCITY, j] * work[layout[AT_STATE] + j]
     head[MODE] = np.sign(speed)
-    head[LEVEL] = head[SCALE] = head[SLOPE] = head[CURVATURE] = 0.0
+    head[LEVEL] = head[SCALE] = head[SLOPE] = head[CURVATURE] = head[STEP] = 0.0

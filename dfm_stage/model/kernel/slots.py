@@ -33,6 +33,8 @@ SENSED = _mask("sense", "encode")
 ENCODED = _mask("encode")
 FORCED = _mask("force", "advance") | sum(1 << BIT[n] for n, e in EFFECTS.items()
                                          if e.adds_to == "dry_friction")
+POLYNOMIAL = sum(1 << BIT[n] for n, e in EFFECTS.items()
+                 if e.adds_to == "dry_friction" or n.endswith("c_stiffness"))
 REVERSING = _mask("advance") | (FORCED & ~_mask("force"))
 ACTUATOR_FORCES = sum(1 << BIT[n] for n, e in EFFECTS.items()
                       if e.force is not None and e.side == "actuator")
@@ -58,7 +60,7 @@ LAYOUT_FIXED = 19
 
 # head of `work`
 PERIOD, SAMPLE, WHOLE, FRACTION, MODE, LEVEL, SCALE, DEPTH, SLOPE, CURVATURE, \
-    CUBIC_PART = range(11)
+    CUBIC_PART, STEP = range(12)
 HEAD_SIZE = 12
 
 # rows of the block AT_ROWS; the last two are filled where friction can hold the point

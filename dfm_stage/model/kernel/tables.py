@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import balance, exponential, multiply
-from dfm_stage.model.kernel.compiled import compiled
+from dfm_stage.model.kernel.compiled import compiled, lean
 from dfm_stage.model.kernel.slots import (
     ROW_DRIVE,
     ROW_FORCE_IN,
@@ -55,7 +55,7 @@ def fastest_rate(a: Array, n: int) -> float:
     return rate
 
 
-@compiled
+@lean
 def hold_row(a: Array, rows: Array) -> None:
     """Fill ROW_HOLD: the force on the point (N) that keeps x'' zero, per state and input."""
     n = a.shape[0]

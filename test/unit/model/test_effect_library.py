@@ -1,0 +1,126 @@
+"""What every effect must say about itself, and that a new one needs one file only."""
+
+from __future__ import annotations
+
+import ast
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dfm_stage.model
+from dfm_stage.model import BASE_PARAMETERS, EFFECTS, Model, Simulator
+
+NAMES = [
+    "cubic_stiffness", "quadratic_stiffness", "coulomb_friction", "presliding_friction",
+    "hysteresis", "quadratic_damping", "force_offset", "amplifier_bandwidth", "transport_delay",
+    "saturation", "back_emf", "coil_inductance", "force_constant_slope", "force_constant_droop",
+    "second_mode", "cross_axis_coupling", "encoder_quantization", "encoder_periodic_error",
+    "creep", "thermal_drift", "periodic_disturbance", "eddy_current_damping",
+]
+BASE = {"mass": 1.0, "damping": 2.0, "stiffness": 600.0, "coil_resistance": 8.0}
+ROOT = Path(dfm_stage.model.__file__).parents[2]
+
+
+def test_library_is_complete() -> None:
+    assert set(NAMES) <= set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_effect_describes_itself(name: str) -> None:
+    effect = EFFECTS[name]
+    assert effect.name == name
+    assert effect.meaning
+    assert effect.source
+    assert effect.shown_by
+    module = Path(dfm_stage.model.__file__).parent / "effects" / f"{name}.py"
+    assert "Source:" in (ast.get_docstring(ast.parse(module.read_text())) or "")
+    assert set(effect.priors) == {p.name for p in effect.parameters}
+    for parameter in effect.parameters:
+        prior = effect.priors[parameter.name]
+        assert parameter.low <= prior.low < prior.high <= parameter.high
+        assert prior.low > 0.0 or not prior.log
+        assert parameter.low <= parameter.default <= parameter.high
+    known = {*EFFECTS, *(p.name for p in BASE_PARAMETERS)}
+    for equivalence in effect.classes:
+        assert name in equivalence.members
+        assert set(equivalence.members) <= known
+        assert equivalence.on
+        assert equivalence.split_by
+
+
+@pytest.mark.parametrize("name", sorted(n for n, e in EFFECTS.items() if e.fit is not None))
+def test_coordinates_for_fitting_are_one_to_one(name: str) -> None:
+    effect = EFFECTS[name]
+    assert effect.fit is not None
+    model = Model("m", 1e-3, BASE).with_effect(
+        name, {p.name: max(p.default, 0.3 * math.sqrt(abs(effect.priors[p.name].high)), p.low)
+               for p in effect.parameters})
+    values = np.array([model.parameters()[address] for address in effect.fit.names])
+    fitted = effect.fit.forward(values)
+    assert len(fitted) == len(effect.fit.fitted)
+    np.testing.assert_allclose(effect.fit.backward(fitted), values, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_effect_runs_within_its_priors_and_changes_something(name: str) -> None:
+    """In the middle of its prior each effect is seen in a large fast record."""
+    effect = EFFECTS[name]
+    plain = Model("m", 1e-3, BASE)
+    values = {key: math.sqrt(prior.low * prior.high) if prior.log else prior.high
+              for key, prior in effect.priors.items()}
+    model = plain.with_effect(name, values)
+    inputs = 2.0 * np.sin(2 * np.pi * np.cumsum(np.linspace(1, 30, 800)) * 1e-3)
+    other = 1e-3 * np.sin(np.arange(800) * 0.02)
+    more = {"other": other} if name == "cross_axis_coupling" else {}
+    changed = Simulator(model).run(inputs, **more).output
+    assert np.all(np.isfinite(changed))
+    assert np.max(np.abs(changed - Simulator(plain).run(inputs).output)) > 1e-9
+
+
+NEW = '''
+"""A spring of fifth order. Source: none, a test."""
+from dfm_stage.model.effect import Effect, Prior
+from dfm_stage.model.parameter import Parameter
+
+def force(x, v, actuator, p):
+    return -p[0] * x ** 5
+
+EFFECT = Effect(name="quintic_stiffness", meaning="m", equation="e", source="s",
+    parameters=(Parameter("k5", 0.0, "N/m^5", "d"),), priors={"k5": Prior(1.0, 2.0)},
+    side="mechanical", parity="odd", memory=False, shown_by="large motion", force=force)
+'''
+USE = '''
+import numpy as np
+from dfm_stage.model import Simulator, parse_model
+model = parse_model("""
+dfm_model: 1
+name: m
+sample_period: 0.001
+base: {mass: 1.0, damping: 200.0, stiffness: 600.0}
+effects:
+  - {name: quintic_stiffness, parameters: {k5: 4.0e14}}
+""", "m")
+x = Simulator(model).run(np.full(6000, 3.0)).position[-1]
+assert abs(600 * x + 4e14 * x ** 5 - 3.0) < 1e-9, x
+'''
+
+
+@pytest.mark.slow
+def test_a_new_effect_is_one_file(tmp_path: Path) -> None:
+    """A copy of the package with one more file validates, compiles and simulates it."""
+    package = tmp_path / "dfm_stage"
+    shutil.copytree(ROOT / "dfm_stage" / "model", package / "model",
+                    ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("__init__.py", "errors.py"):
+        shutil.copy(ROOT / "dfm_stage" / name, package / name)
+    (package / "model" / "effects" / "quintic_stiffness.py").write_text(NEW)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", USE], env=environment, capture_output=True,
+                          text=True, timeout=100, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
