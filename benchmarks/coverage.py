@@ -64,7 +64,7 @@ def simulate(case: Case, records: int, seed: int) -> tuple[Array, Array, dict[st
     step = np.empty((records, 3, 3))
     drives = np.zeros((records, 3, 3))  # columns: input k, k - 1, k - 2
     for r in range(records):
-        step[r], drives[r] = _sampled({n: float(v[r]) for n, v in truth.items()})
+        step[r], drives[r] = sampled({n: float(v[r]) for n, v in truth.items()})
     excitation = np.array([_multisine(rng) for _ in range(records)])
     noise = case.noise_rms_m * np.array([_coloured(rng, r) for r in range(records)])
     state = np.zeros((records, 3))
@@ -83,7 +83,7 @@ def simulate(case: Case, records: int, seed: int) -> tuple[Array, Array, dict[st
     return inputs, outputs, truth
 
 
-def _sampled(truth: dict[str, float]) -> tuple[Array, Array]:
+def sampled(truth: dict[str, float]) -> tuple[Array, Array]:
     """Return the step over a sample period and what inputs k, k - 1 and k - 2 add, by tenths."""
     lag = truth["amplifier_time_constant"]
     a = np.array([[-1.0 / lag, 0.0, 0.0], [0.0, 0.0, 1.0],

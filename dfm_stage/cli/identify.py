@@ -233,7 +233,9 @@ def _print(found: Identification, out: Path, report: bool) -> None:
     for evaluation in (*found.evaluations, *found.held_out):
         what = "held out" if evaluation in found.held_out else "fit"
         unit = found.sources[0].axis.position_unit
-        print(f"  {what}: {evaluation.source}: {evaluation.fit.fit_percent:.2f} %, RMS "
+        percent = evaluation.fit_percent
+        said = "at rest" if percent is None else f"{percent:.2f} %"
+        print(f"  {what}: {evaluation.source}: {said}, RMS "
               f"{format_quantity(evaluation.fit.rms, unit)}, noise floor "
               f"{format_quantity(evaluation.floor.rms, unit)} "
               f"(from {evaluation.floor.known_from})")

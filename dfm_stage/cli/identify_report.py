@@ -176,7 +176,7 @@ def _time(page: Page, found: Identification) -> None:
         ("difference", unit, {"difference": fit.residual})]),
         "Measured and simulated position, and what is left over")
     rows = [[e.source, "held out" if e in found.held_out else "fitted",
-             e.fit.fit_percent, Quantity(e.fit.rms, unit), Quantity(e.floor.rms, unit),
+             e.fit_percent, Quantity(e.fit.rms, unit), Quantity(e.floor.rms, unit),
              e.floor.known_from] for e in (*found.evaluations, *found.held_out)]
     page.table(("samples", "", "fit (%)", "left over (RMS)", "noise floor", "floor from"), rows)
 

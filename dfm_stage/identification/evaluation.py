@@ -42,11 +42,17 @@ class Evaluation:
     fit: SegmentFit
     floor: NoiseFloor
 
+    @property
+    def fit_percent(self) -> float | None:
+        """The figure of fit, None where the stage rests and there is nothing but noise to fit."""
+        moving = float(np.std(self.fit.measured)) > 3.0 * self.floor.rms
+        return self.fit.fit_percent if moving else None
+
     def to_dict(self, unit: str) -> dict[str, Any]:
         """As JSON keeps it."""
         return {"source": self.source, "rms": self.fit.rms, "noise_floor": self.floor.rms,
                 "noise_floor_from": self.floor.known_from, "unit": unit,
-                "fit_percent": self.fit.fit_percent}
+                "fit_percent": self.fit_percent}
 
 
 def judged(name: str, fit: SegmentFit, period: int | None) -> Evaluation:

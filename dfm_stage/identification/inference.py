@@ -28,6 +28,8 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
     problem, x = criterion.problem, solution.x
     trends, noises, total = criterion.layout()
     segments, row = [], 0
+    scale = np.concatenate((criterion.scale, np.full(total - criterion.count, 1.0)))
+    inverse, lost = _inverse(solution.jacobian, scale)
     middle = np.zeros((total, total))
     dof = math.inf
     for i, segment in enumerate(problem.segments):
@@ -35,7 +37,8 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
         used = gap.size - criterion.orders[i]
         rows = slice(row, row + used)
         row += used
-        part, part_dof = score_covariance(solution.jacobian[rows], solution.residual[rows])
+        part, part_dof = score_covariance(solution.jacobian[rows], solution.residual[rows],
+                                          inverse)
         middle += part
         dof = part_dof if math.isinf(dof) else dof + part_dof
         innovations = solution.residual[rows] * criterion.sigma[i]
@@ -43,10 +46,10 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
             segment.name, segment.output[segment.skip:], segment.output[segment.skip:] - gap,
             innovations, NoiseModel(x[noises[i]], float(np.std(innovations))), segment.skip,
             segment.sample_period))
-    middle *= row / max(row - total, 1)
     dof = min(dof, float(max(row - total, 1)))
-    scale = np.concatenate((criterion.scale, np.full(total - criterion.count, 1.0)))
-    covariance = _sandwich(solution.jacobian, middle, scale)
+    covariance = inverse @ middle @ inverse
+    covariance[lost, :] = covariance[:, lost] = np.nan
+    covariance[lost, lost] = np.inf
     names, units = _labels(problem, trends)
     shown = trends[-1].stop if trends else criterion.count
     verdict = _verdict(criterion, solution)
@@ -60,20 +63,15 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
         held, dof, verdict, tuple(segments), solution.cost, status, message, iterations, at_bound)
 
 
-def _sandwich(jacobian: Array, middle: Array, scale: Array) -> Array:
-    """Return H+ M H+ with H = J^T J; infinite variance where a lost direction has a share."""
+def _inverse(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return (J^T J)+ (p, p) and which unknowns have a share in a direction that is lost."""
     norms = column_norms(jacobian, scale)
-    singular, right = spectral((jacobian / norms).T @ (jacobian / norms))
+    scaled = jacobian / norms
+    singular, right = spectral(scaled.T @ scaled)
     kept = singular > RANK_TOLERANCE * singular[0]
     inverse = (right[kept].T / singular[kept] ** 2) @ right[kept]
-    scaled = inverse @ (middle / np.outer(norms, norms)) @ inverse
-    covariance = scaled / np.outer(norms, norms)
     lost = np.any(np.abs(right[~kept]) > 1e-3, axis=0) | ~np.isfinite(norms)
-    covariance[np.ix_(lost, lost)] = np.nan
-    covariance[lost, :] = np.nan
-    covariance[:, lost] = np.nan
-    covariance[lost, lost] = np.inf
-    return np.asarray(covariance)
+    return np.asarray(inverse / np.outer(norms, norms)), lost
 
 
 def _verdict(criterion: Criterion, solution: Solution) -> Identifiability:

@@ -92,40 +92,41 @@ def default_order(samples: int) -> int:
     return int(min(60, max(2, samples // 50)))
 
 
-def smoothed_spectrum(white: Array, size: int, lags: int) -> Array:
-    """Return a Parzen-smoothed two-sided spectrum (size // 2 + 1,) of `white` (N,).
-
-    Scaled so that white noise of variance s^2 gives s^2 at every frequency.
-    """
-    samples = white.size
-    centred = white - white.mean()
-    periodogram = np.abs(np.fft.rfft(centred, size)) ** 2 / samples
-    covariance = np.fft.irfft(periodogram, size)
-    ratio = np.arange(lags + 1) / max(lags, 1)
-    window = np.where(ratio <= 0.5, 1.0 - 6.0 * ratio**2 * (1.0 - ratio),
-                      2.0 * (1.0 - ratio) ** 3)
-    kept = np.zeros(size)
-    kept[: lags + 1] = covariance[: lags + 1] * window
-    if lags:
-        kept[-lags:] = kept[lags:0:-1]
-    spectrum = np.fft.rfft(kept).real
-    floor = 1e-3 * max(float(np.mean(centred**2)), 1e-300)
-    return np.asarray(np.maximum(spectrum, floor))
-
-
-def score_covariance(jacobian: Array, white: Array) -> tuple[Array, float]:
+def score_covariance(jacobian: Array, white: Array,
+                     inverse: Array | None = None) -> tuple[Array, float]:
     """Return J^T S J (p, p), S the autocovariance of `white`, and its degrees of freedom.
 
     `jacobian` (N, p) and `white` (N,) are in the units of the weighted residual. The middle of
     the sandwich covariance (Huber 1967; Soderstrom and Stoica 1989, ch. 7): the spectrum is
     estimated with a Parzen window of about sqrt(N) lags, degrees of freedom 3.71 N / lags.
+    With `inverse` = (J^T J)^-1 of the whole fit, the power that the fit itself took out of each
+    band is put back: the spectrum is divided by one minus the leverage of its neighbourhood, as
+    MacKinnon and White (1985) do sample by sample.
     """
     samples = white.size
     lags = int(min(max(math.sqrt(samples), 4), samples // 4))
     size = 1 << (samples + lags).bit_length()
-    spectrum = smoothed_spectrum(white, size, lags)
+    centred = white - white.mean()
+    spectrum = _smoothed(np.abs(np.fft.rfft(centred, size)) ** 2 / samples, size, lags)
+    spectrum = np.maximum(spectrum, 1e-3 * max(float(np.mean(centred**2)), 1e-300))
     transform = np.fft.rfft(jacobian, size, axis=0)
+    if inverse is not None:
+        leverage = np.einsum("ki,ij,kj->k", transform.conj(), inverse, transform,
+                             optimize=True).real / samples
+        spectrum = spectrum / np.clip(1.0 - _smoothed(leverage, size, lags), 0.2, 1.0)
     weight = np.full(spectrum.size, 2.0)
     weight[0] = weight[-1] = 1.0
     middle = (transform.conj().T * (weight * spectrum / size)) @ transform
     return np.asarray(middle.real), 3.71 * samples / max(lags, 1)
+
+
+def _smoothed(power: Array, size: int, lags: int) -> Array:
+    """Smooth a two-sided spectrum, given as (size // 2 + 1,), with a Parzen lag window."""
+    covariance = np.fft.irfft(power, size)
+    ratio = np.arange(lags + 1) / max(lags, 1)
+    window = np.where(ratio <= 0.5, 1.0 - 6.0 * ratio**2 * (1.0 - ratio),
+                      2.0 * (1.0 - ratio) ** 3)
+    kept = np.zeros(size)
+    kept[: lags + 1] = covariance[: lags + 1] * window
+    kept[-lags:] = kept[lags:0:-1]
+    return np.asarray(np.fft.rfft(kept).real)

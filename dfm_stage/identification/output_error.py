@@ -69,6 +69,8 @@ def _with_noise(criterion: Criterion, solution: Solution, max_iterations: int,
     criterion.frozen = True
     for _ in range(2):
         criterion.renew_noise(solution.x, max_order)
+        if len(criterion.orders) == 1 and not criterion.orders[0]:
+            break
         solution = criterion.minimise(criterion.start_from(solution.x), max_iterations, ROUGH)
         spent += solution.iterations
     criterion.renew_noise(solution.x, max_order)

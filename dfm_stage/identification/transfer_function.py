@@ -128,9 +128,7 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
     freedom = solution.residual.size - shape.count
     misfit = solution.cost / max(freedom, 1)
     excess = misfit if misfit > stats.chi2.ppf(0.999, freedom) / freedom else 1.0
-    norms = np.maximum(np.linalg.norm(solution.jacobian, axis=0), 1e-300)
-    scaled = solution.jacobian / norms
-    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12) / np.outer(norms, norms) * excess
+    covariance = _covariance(solution.jacobian) * excess
     status = "converged" if solution.converged else "not_converged"
     message = solution.reason
     if solution.converged and excess > 1.0:
@@ -139,6 +137,18 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
     return TransferFunctionFit(
         shape.plant(solution.x), shape.names, shape.units, solution.x, covariance,
         measured.dof * measured.omega.size, misfit, status, message, measured.unit, shape.plant)
+
+
+def _covariance(jacobian: Array) -> Array:
+    """Return (J^T J)^-1 (p, p), infinite for coefficients that do not matter."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    seen = norms > 1e-12 * np.max(norms)
+    scaled = jacobian[:, seen] / norms[seen]
+    covariance = np.zeros((norms.size, norms.size))
+    covariance[np.ix_(seen, seen)] = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12) / np.outer(
+        norms[seen], norms[seen])
+    covariance[~seen, ~seen] = np.inf
+    return covariance
 
 
 def _sigma(measured: FrequencyResponse) -> Array:

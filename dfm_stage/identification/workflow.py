@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
+from dfm_stage.identification.grid_start import grid_start
 from dfm_stage.identification.model_fit import (
     ModelFit,
     default_free,
@@ -262,19 +263,18 @@ def _starting_model(source: Source, model: Model | None, transfer: TransferFunct
     """Return the model to start from, what is free in it, and other values to start from."""
     given = {n: v for n, v in fixed.items() if v is not None}
     if model is None:
-        if transfer is None:
-            raise IdentificationError(f"{source.name}: nothing to start from: excite the stage "
-                                      "with a multisine, or give a model")
+        guess = grid_start(source)
+        plant = transfer.plant if transfer is not None and transfer.ok else guess
         mass = given.get("mass", PAPER_MASS)
-        values = base_values(transfer.plant, mass)
-        if transfer.plant.modes[0].stiffness == 0.0:
+        values = base_values(plant, mass)
+        if plant.modes[0].stiffness == 0.0:
             del values["stiffness"]
         values = {n: min(max(v, LIMITS[n].low), LIMITS[n].high) for n, v in values.items()}
         current = source.axis.input_unit == "A"
         start = Model("identified", source.sample_period, base={"mass": mass, **values},
                       drive="current" if current else "voltage",
                       position_unit=source.axis.position_unit)
-        others = []
+        others = [_allowed(start, base_values(guess, mass))] if guess != plant else []
     else:
         start = model
         others = [_allowed(model, base_values(transfer.plant, model.base["mass"]))] \

@@ -108,3 +108,31 @@ def test_records_that_do_not_belong_together_are_refused(reference_stage, multis
         identify([one, Source("slow", one.axis, 2e-3)])
     with pytest.raises(IdentificationError, match="at least one"):
         identify([])
+
+
+@pytest.mark.parametrize("kind", ["sine", "step", "square"])
+def test_signals_with_too_few_lines_start_from_a_grid(reference_stage, kind):
+    t = np.arange(12_000) * 1e-3
+    u = {"sine": 0.05 * np.sin(2 * np.pi * 2.0 * t), "step": 0.05 * (t > 0.5),
+         "square": 0.05 * np.sign(np.sin(2 * np.pi * 0.25 * t + 1e-9))}[kind]
+    rng = np.random.default_rng(0)
+    u, y = reference_stage().simulate(u, noise=5e-8 * rng.standard_normal(u.size))
+    found = identify([Source(kind, AxisRecord(u, y), 1e-3)])
+    assert found.estimate.ok
+    assert found.natural_frequency_hz.value == pytest.approx(3.9009, rel=2e-3)
+    assert found.evaluations[0].fit.rms == pytest.approx(5e-8, rel=0.05)
+
+
+def test_a_body_without_a_spring_is_recognised(reference_stage, multisine):
+    rng = np.random.default_rng(0)
+    u = 0.5 * multisine(LINES, 2000, 5)
+    stage = reference_stage(stiffness=0.0, damping=8.0)
+    u, y = stage.simulate(u, noise=5e-8 * rng.standard_normal(u.size), start=(1e-3, 2e-3))
+    found = identify([Source("free", AxisRecord(u, y), 1e-3)])
+    assert "stiffness" not in found.model.base
+    assert not np.isfinite(found.natural_frequency_hz.value)
+    assert found.to_dict()["damping_ratio"]["value"] is None or not np.isfinite(
+        found.damping_ratio.value)
+    assert found.gain.unit == "m/V/s^2"
+    assert found.gain.value == pytest.approx(1.0, rel=1e-3)
+    assert found.estimate.quantity("damping").value == pytest.approx(8.0, rel=0.02)
