@@ -115,6 +115,8 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     if not sources:
         raise IdentificationError("no record to identify from: give at least one")
     _check_alike([*sources, *holdout])
+    if model is None:
+        _check_excited(sources)
     fixed = dict(fixed or {})
     warnings = [f"{s.name}: {w}" for s in sources for w in s.warnings]
     step("frequency response")
@@ -189,6 +191,13 @@ def _check_alike(sources: Sequence[Source]) -> None:
             raise IdentificationError(f"{source.name} is sampled every {source.sample_period:g} "
                                       f"s, {first.name} every {first.sample_period:g} s: resample "
                                       "one of them")
+
+
+def _check_excited(sources: Sequence[Source]) -> None:
+    if all(np.ptp(source.axis.input) == 0.0 for source in sources):
+        names = ", ".join(source.name for source in sources)
+        raise IdentificationError(f"{names}: the input is constant: excite the stage, or give the "
+                                  "model whose free motion the record shows")
 
 
 def _shape_of(model: Model | None) -> tuple[int, bool, bool, bool]:
