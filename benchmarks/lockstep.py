@@ -41,10 +41,10 @@ def figures(quick: bool = False) -> list[Figure]:
         value, other = speed[composed, "events"], speed[composed, "default"]
         out.append(Figure(f"lockstep.{name}_x_real_time", value, "x", bar, "default executor",
                           other, value / other, f"{duration_s:g} s at 1 kHz, PID raster, "
-                          f"recording all topics; median of {repeats}"))
+                          f"recording all topics; median of {repeats}", "at least"))
     out.append(Figure("lockstep.identical", float(identical), "1 = yes", 1.0, None, None, None,
                       f"two runs in processes and one composed: same bytes, topic by topic and in "
-                      f"order, on {', '.join(TOPICS)}"))
+                      f"order, on {', '.join(TOPICS)}", "at least"))
     return out
 
 

@@ -33,7 +33,8 @@ def figures(quick: bool = False) -> list[Figure]:
     peer = "default executor, same nodes"
     out = [
         Figure("loop.answered_percent", ours["answered"], "%", 99.5, peer, default["answered"],
-               None, f"commands within 1 ms of their measurement, of all samples; {seconds}"),
+               None, f"commands within 1 ms of their measurement, of all samples; {seconds}",
+               "at least"),
         Figure("loop.spike_age_p99_ms", p99, "ms", None, None, None, None,
                f"bare five-process pipeline, median {np.median(spike):.3f}, "
                f"p99.9 {np.percentile(spike, 99.9):.3f} ms"),
@@ -42,10 +43,11 @@ def figures(quick: bool = False) -> list[Figure]:
         value, other = (float(np.percentile(each["age"], q)) for each in (ours, default))
         bar = 1.0 if key == "p99" else None
         out.append(Figure(f"loop.age_{key}_ms", value, "ms", bar, peer, other, value / other,
-                          f"measurement stamp to amplifier stamp; {seconds}"))
+                          f"measurement stamp to amplifier stamp; {seconds}",
+                          "at most" if bar else None))
     out += [
         Figure("loop.messages_lost", ours["lost"], "messages", 0.0, None, None, None,
-               f"gaps in the sequence numbers of {len(TOPICS)} topics in the bag"),
+               f"gaps in the sequence numbers of {len(TOPICS)} topics in the bag", "at most"),
         Figure("loop.cpu_percent", ours["cpu"], "% of a core", None, peer, default["cpu"],
                ours["cpu"] / default["cpu"], "all six processes together"),
         Figure("loop.deadlines_missed", ours["missed"], "samples", None, None, None, None,

@@ -25,6 +25,7 @@ OWN_COMMANDS = {
     "setup": "prepare everything and stop",
 }
 PYTEST = ["-m", "pytest", "-p", "no:launch_testing", "-p", "no:launch_ros"]
+MOST_TEST_PROCESSES = 4
 
 
 def known_names() -> tuple[dict[str, str], dict[str, str]]:
@@ -94,6 +95,14 @@ def shell_command(arguments: list[str], folder: Path, variables: dict[str, str])
     return [bash, "--rcfile", str(start_up), "-i"]
 
 
+def side_by_side(arguments: list[str]) -> list[str]:
+    """The options that spread the tests over the cores, unless single files are asked for."""
+    if any(os.path.exists(argument.partition("::")[0]) for argument in arguments):
+        return []
+    processes = min(len(os.sched_getaffinity(0)), MOST_TEST_PROCESSES)
+    return ["-n", str(processes), "--dist", "loadfile"]
+
+
 def command_for(name: str, rest: list[str], folder: Path, variables: dict[str, str]) -> list[str]:
     """The program to become for one of the known names."""
     python = str(folder / "env/bin/python")
@@ -104,7 +113,7 @@ def command_for(name: str, rest: list[str], folder: Path, variables: dict[str, s
     if name == "test":
         os.chdir(ROOT)
         variables["ROS_PYTHON_CHECK_FIELDS"] = "1"
-        return [python, *PYTEST, *rest]
+        return [python, *PYTEST, *side_by_side(rest), *rest]
     if name == "lint":
         os.chdir(ROOT)
         return [python, str(ROOT / "tools/lint.py"), *rest]
