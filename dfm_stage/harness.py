@@ -496,15 +496,13 @@ class StageGraph:
 
 
 def compile_simulator() -> None:
-    """Have the simulator compiled and cached on disk, which takes a minute the first time.
+    """Have all compiled code made and kept on disk, which takes half a minute the first time.
 
     A sim_plant started afterwards is there in a second or two.
     """
-    from dfm_stage.model import CoupledPlant, load_model
+    from dfm_stage.compile_all import compile_all
 
-    plant = CoupledPlant(load_model("paper_stage"))
-    plant.sample()
-    plant.advance([0.0])
+    compile_all()
 
 
 def _die_with_parent() -> None:

@@ -14,13 +14,15 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import
-BASE = {"errors"}
+BASE = {"errors", "machine_code"}
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
+    "machine_code": set(),
     "commands": set(),
     "domain": BASE,
     "model": BASE,
     "recording": BASE,
+    "compile_all": BASE | {"model", "recording"},
     "reporting": BASE,
     "drivers": BASE,
     "trajectory": BASE | {"model"},
