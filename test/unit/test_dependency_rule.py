@@ -32,9 +32,9 @@ ARROWS: dict[str, set[str]] = {
     "paper": BASE | {"model", "trajectory", "control", "identification", "recording", "reporting"},
 }
 PURE = set(ARROWS)
-WITH_ROS = {"nodes", "harness"}
-ANYTHING = {"cli", "nodes", "harness", "__main__"}
-MAY_IMPORT_NODES = {"nodes", "harness"}
+WITH_ROS = {"nodes", "harness", "emulated"}
+ANYTHING = {"cli", "nodes", "harness", "emulated", "__main__"}
+MAY_IMPORT_NODES = {"nodes", "harness", "emulated"}
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "dfm_interfaces", "diagnostic_msgs",
     "geometry_msgs", "launch", "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy",
