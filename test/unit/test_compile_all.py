@@ -28,7 +28,8 @@ base = {"mass": 1, "damping": 2, "stiffness": 600, "delay": 0.0015}
 effects = {"cubic_stiffness": {}, "coulomb_friction": {}, "hysteresis": {}, "second_mode": {},
            "cross_axis_coupling": {}, "encoder_quantization": {}}
 for chosen in ((), tuple(effects)):
-    model = Model("m", 1e-3, base=base, effects=tuple(EffectUse(n, EFFECTS[n].defaults) for n in chosen))
+    uses = tuple(EffectUse(n, EFFECTS[n].defaults) for n in chosen)
+    model = Model("m", 1e-3, base=base, effects=uses)
     simulator = Simulator(model)
     other = {"other": frozen} if chosen else {}
     simulator.run(frozen, external_force=frozen, past_input=1, **other)
