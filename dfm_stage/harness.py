@@ -432,8 +432,8 @@ class StageGraph:
         elif experiment.controller:
             values = read_parameters(experiment.controller, axis)
             if not values:
-                raise HarnessError(f"{experiment.controller}: nothing for /stage/{axis}/controller "
-                                   "in this parameter file")
+                raise HarnessError(f"{experiment.controller}: this parameter file has nothing for "
+                                   f"/stage/{axis}/controller")
             ahead = read_parameters(experiment.controller, axis, "trajectory_generator")
             if ahead:
                 self.set_parameters(f"/stage/{axis}/trajectory_generator", ahead)

@@ -16,7 +16,7 @@ from dfm_stage.control.laws import (
     Laws,
     plan_laws,
 )
-from dfm_stage.control.learning import Learner, LearningDesign, design_learning
+from dfm_stage.control.learning import Learner, LearningDesign, design_learning, neighbours
 from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
 from dfm_stage.control.model_feedforward import (
@@ -25,6 +25,7 @@ from dfm_stage.control.model_feedforward import (
     feedforward_gains,
     inverse_of,
 )
+from dfm_stage.control.parameter_file import parameter_text, read_parameters, write_text
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
@@ -63,8 +64,9 @@ __all__ = [
     "Notch", "Oscillation", "Pid", "PidDesign", "PidGains", "ReferenceShaper", "RelayRun",
     "Sampled", "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
     "feedback_gain", "feedforward_gains", "finite_horizon", "inverse_input", "inverse_of",
-    "kalman", "linear_stage", "loop_margins", "margins", "oscillation", "periodic_input",
-    "pid_for", "pid_with_margin", "plan_laws", "predicted_errors", "run_on_model", "sample_model",
-    "sample_stage", "shape", "shaper", "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate",
-    "ultimate_from_relays", "ziegler_nichols",
+    "kalman", "linear_stage", "loop_margins", "margins", "neighbours", "oscillation",
+    "parameter_text", "periodic_input", "pid_for", "pid_with_margin", "plan_laws",
+    "predicted_errors", "read_parameters", "run_on_model", "sample_model", "sample_stage", "shape",
+    "shaper", "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate", "ultimate_from_relays",
+    "write_text", "ziegler_nichols",
 ]

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dfm_stage.control.feedforward import inverse_input
+from dfm_stage.control.feedforward import inverse_input, periodic_input
 from dfm_stage.control.gains import PidGains
 from dfm_stage.control.lqr import on_reference
 from dfm_stage.control.stage import Sampled, effective_base, lags_s, sample_model
@@ -126,11 +126,11 @@ def feedforward_gains(stage: Sampled, gains: PidGains | None = None) -> tuple[fl
 
 
 def inverse_of(model: Model, position: ArrayLike, velocity: ArrayLike,
-               acceleration: ArrayLike) -> Array:
+               acceleration: ArrayLike, *, repeats: bool = False) -> Array:
     """Return the input (N,), V (or A), that moves a model along a reference known ahead.
 
-    Position, velocity and acceleration have shape (N,), in SI; before it the stage has been at
-    rest on its first value.
+    Position, velocity and acceleration have shape (N,), in SI. They are one period of a movement
+    that `repeats`; else the stage has been at rest on the first value before.
 
     Raises
     ------
@@ -138,11 +138,12 @@ def inverse_of(model: Model, position: ArrayLike, velocity: ArrayLike,
         As `inverse_input`.
     """
     x, v, a = (np.asarray(each, dtype=np.float64) for each in (position, velocity, acceleration))
-    out = inverse_input(sample_model(model), x)
+    out = (periodic_input if repeats else inverse_input)(sample_model(model), x)
     effects = EffectInput(model)
     if not effects.any:
         return out
     extra = np.array([effects.at(*each) for each in zip(x.tolist(), v.tolist(), a.tolist(),
                                                         strict=True)])
     t = np.arange(x.size) * model.sample_period
-    return np.asarray(out + np.interp(t + effects.ahead_s, t, extra))
+    period = x.size * model.sample_period if repeats else None
+    return np.asarray(out + np.interp(t + effects.ahead_s, t, extra, period=period))

@@ -44,6 +44,7 @@ class Run:
     acceleration: list[float]
     voltage: list[float]
     metadata: dict[str, Any]
+    files: dict[str, str]
     goal: Any = None
     first_seq: int | None = None
     done: int = 0
@@ -170,13 +171,24 @@ class TrajectoryGenerator(LoopNode):
         metadata = {"experiment": name, "reference": reference.metadata(),
                     "excitation": excitation.metadata()}
         return Run(name, reference.position.tolist(), reference.velocity.tolist(),
-                   reference.acceleration.tolist(), voltage, metadata, goal)
+                   reference.acceleration.tolist(), voltage, metadata,
+                   self._files(excitation), goal)
+
+    def _files(self, excitation: Excitation) -> dict[str, str]:
+        """Return what the recorder is to attach to the bag: a voltage that came from a file."""
+        if excitation.kind != "csv":
+            return {}
+        rows = "".join(f"{k * excitation.sample_period_s:.9g},{volts!r}\n"
+                       for k, volts in enumerate(excitation.voltage.tolist()))
+        axis = self.get_namespace().rpartition("/")[2]
+        return {f"{axis}_excitation.csv": f"time_s,excitation_v\n{rows}"}
 
     def config(self) -> dict[str, Any]:
         """Return what signal is, or was last, running and where in the record it starts."""
         if self._run is None:
             return {}
-        return {"run": {**self._run.metadata, "first_seq": self._run.first_seq}}
+        run = {**self._run.metadata, "first_seq": self._run.first_seq}
+        return {"run": run, "attachments": self._run.files} if self._run.files else {"run": run}
 
     # Starting and stopping
 
