@@ -40,10 +40,13 @@ from std_srvs.srv import Trigger
 
 from dfm_interfaces.action import RunExperiment
 from dfm_interfaces.srv import Ready
+from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
 from dfm_stage.nodes.share import find_experiment
+from dfm_stage.nodes.wire import codec
+from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, PUBLISHER_QOS
 from dfm_stage.trajectory import Experiment, load_experiment
 
 if TYPE_CHECKING:
@@ -55,6 +58,8 @@ __all__ = ["AXIS_NODES", "STAGE_NODES", "HarnessError", "RunResult", "StageGraph
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 STAGE_NODES = ("sim_plant", "recorder")
 _PR_SET_PDEATHSIG = 1
+SIMULATED_STALE_S = 0.2
+REARM_S = 3.0
 
 
 class HarnessError(DfmError):
@@ -144,6 +149,9 @@ class StageGraph:
             out["sim_plant"] |= {"model": model, "axes": " ".join(self.axes), "seed": seed}
         if "trajectory_generator" in out:
             out["trajectory_generator"]["autostart"] = False
+        if "amplifier_driver" in out and "device" not in extra.get("amplifier_driver", {}):
+            # a machine that stands still for a moment does a simulated coil no harm
+            out["amplifier_driver"]["stale_timeout_s"] = SIMULATED_STALE_S
         for kind, values in extra.items():
             if kind not in out:
                 raise HarnessError(f"parameters for {kind}, which is not among the nodes: "
@@ -227,8 +235,12 @@ class StageGraph:
                             f"the action server of /stage/{axis}/trajectory_generator")
 
     def _wait_connected(self, deadline: float) -> None:
-        names = [each.full_name for each in self._launched]
+        everyone = [each.full_name for each in self._launched]
+        by_wire = [name for name in everyone if self._on_hardware(name.rpartition("/")[2])]
         for launched in self._launched:
+            names = everyone
+            if launched.kind == "sim_plant":
+                names = [name for name in everyone if name not in by_wire]
             reason = "it does not answer"
             while True:
                 answer = self._call(Ready, f"{launched.full_name}/ready",
@@ -238,6 +250,9 @@ class StageGraph:
                 reason = answer.message if answer is not None else reason
                 if time.monotonic() > deadline:
                     raise HarnessError(f"{launched.full_name} is not ready: {reason}")
+
+    def _on_hardware(self, kind: str) -> bool:
+        return bool(self._parameters.get(kind, {}).get("device", "sim") != "sim")
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -363,8 +378,8 @@ class StageGraph:
                 raise HarnessError(f"experiment {loaded.name!r} wants axis {axis}, the graph has "
                                    f"{', '.join(self._goals)}")
             if "controller" in self._kinds:
-                values = dict(loaded.controller) if isinstance(loaded.controller, Mapping) else {}
-                self.set_parameters(f"/stage/{axis}/controller", {**values, "mode": loaded.mode})
+                self._set_controller(loaded, axis)
+            self._rearm(axis)
         limit = timeout_s or 60.0 + 10.0 * loaded.duration_s
         done = dict.fromkeys(loaded.axes, 0.0)
 
@@ -394,6 +409,50 @@ class StageGraph:
         if progress is not None:
             progress(1.0)
         return results
+
+    def _rearm(self, axis: str) -> None:
+        """In simulation, what an earlier run left latched does not spoil the next."""
+        if "amplifier_driver" not in self._kinds or self._on_hardware("amplifier_driver"):
+            return
+        node = f"/stage/{axis}/amplifier_driver"
+        answer = self.call(Trigger, f"{node}/clear", Trigger.Request())
+        deadline = time.monotonic() + REARM_S
+        while answer.message.startswith("cleared"):
+            armed = self.call(Trigger, f"{node}/arm", Trigger.Request())
+            if armed.success:
+                return
+            if time.monotonic() > deadline:
+                raise HarnessError(f"{node} cannot be armed again: {armed.message}")
+
+    def _set_controller(self, experiment: Experiment, axis: str) -> None:
+        """Set what the experiment asks of the controller, from its mapping or parameter file."""
+        values: dict[str, Any] = {}
+        if isinstance(experiment.controller, Mapping):
+            values = dict(experiment.controller)
+        elif experiment.controller:
+            values = read_parameters(experiment.controller, axis)
+            if not values:
+                raise HarnessError(f"{experiment.controller}: this parameter file has nothing for "
+                                   f"/stage/{axis}/controller")
+            ahead = read_parameters(experiment.controller, axis, "trajectory_generator")
+            if ahead:
+                self.set_parameters(f"/stage/{axis}/trajectory_generator", ahead)
+        values = {name: value for name, value in values.items() if name not in FIXED}
+        self.set_parameters(f"/stage/{axis}/controller", {**values, "mode": experiment.mode})
+
+    def listen(self, axis: str, topic: str) -> list[Any]:
+        """Return a list that every message of a loop topic is put into from now on, decoded.
+
+        `topic` is a name in `dfm_stage.nodes.wiring.LINKS`, such as `measurement`.
+        """
+        link, heard = LINKS[topic], []
+        decode = codec(link.type).decode
+        subscription = self._client_node.create_subscription(
+            link.type, f"/stage/{axis}/{topic}", lambda data: heard.append(decode(data)),
+            LOCKSTEP_QOS if self.lockstep else PUBLISHER_QOS, raw=True)
+        self.spin_until(lambda: subscription.get_publisher_count() > 0,
+                        self._start_timeout_s, f"a publisher of {topic}")
+        return heard
 
     def _experiment(self, given: Any) -> tuple[Path, Experiment]:
         if isinstance(given, Experiment):
@@ -496,15 +555,13 @@ class StageGraph:
 
 
 def compile_simulator() -> None:
-    """Have the simulator compiled and cached on disk, which takes a minute the first time.
+    """Have all compiled code made and kept on disk, which takes half a minute the first time.
 
     A sim_plant started afterwards is there in a second or two.
     """
-    from dfm_stage.model import CoupledPlant, load_model
+    from dfm_stage.compile_all import compile_all
 
-    plant = CoupledPlant(load_model("paper_stage"))
-    plant.sample()
-    plant.advance([0.0])
+    compile_all()
 
 
 def _die_with_parent() -> None:

@@ -36,8 +36,9 @@ class GraphRunError(DfmError):
 
 def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, seed: int = 0,
                  axes: Sequence[str] = ("x",), composed: bool = True,
-                 label: str = "") -> Record:
-    """Run an experiment in lockstep on a graph of its own and return the record of its bag.
+                 label: str = "", times: int = 1) -> Record:
+    """Run an experiment in lockstep on a graph of its own, several times without a pause if asked,
+    and return the record of its bag.
 
     Where the nodes do not find each other it is tried once more.
 
@@ -50,7 +51,7 @@ def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, 
 
     job = {"experiment": experiment if isinstance(experiment, str) else dict(experiment),
            "bag": str(bag), "model": model, "seed": seed, "axes": list(axes),
-           "composed": composed, "label": label}
+           "composed": composed, "label": label, "times": times}
     error = _in_a_process(job)
     if error and any(words in error for words in _DID_NOT_MEET):
         print(f"  once more: {error}", file=sys.stderr)
@@ -96,7 +97,8 @@ def main() -> int:
         with StageGraph(model=job["model"], seed=job["seed"], axes=job["axes"], lockstep=True,
                         composed=job["composed"], bag=job["bag"]) as graph:
             with Progress(job["label"] or f"  {name}") as progress:
-                graph.run(experiment, progress=progress)
+                for _ in range(job["times"]):
+                    graph.run(experiment, progress=progress)
             graph.stop_recording()
     except DfmError as error:
         print(error)

@@ -5,14 +5,32 @@ from dfm_stage.control.feedforward import inverse_input, periodic_input
 from dfm_stage.control.gains import PID_PARAMETERS, PidGains
 from dfm_stage.control.guard import GUARD_PARAMETERS, Guard
 from dfm_stage.control.kalman import KalmanDesign, kalman
-from dfm_stage.control.learning import Learner, LearningDesign, design_learning
+from dfm_stage.control.laws import (
+    FEEDFORWARD,
+    LQR_SWITCHES,
+    MODES,
+    NOTCH,
+    SHAPER_PARAMETERS,
+    SHAPERS,
+    TUNING_RUNS,
+    Laws,
+    plan_laws,
+)
+from dfm_stage.control.learning import Learner, LearningDesign, design_learning, neighbours
 from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
+from dfm_stage.control.model_feedforward import (
+    EffectInput,
+    ModelFeedforward,
+    feedforward_gains,
+    inverse_of,
+)
+from dfm_stage.control.parameter_file import parameter_text, read_parameters, write_text
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
 from dfm_stage.control.sampled import Margins, loop_margins, margins
-from dfm_stage.control.shaping import Notch, shape, shaper
+from dfm_stage.control.shaping import Notch, ReferenceShaper, shape, shaper
 from dfm_stage.control.stage import (
     LinearStage,
     Sampled,
@@ -39,13 +57,16 @@ from dfm_stage.control.ziegler_nichols import (
 )
 
 __all__ = [
-    "GUARD_PARAMETERS", "LQR_PARAMETERS", "PID_PARAMETERS", "TUNING_PARAMETERS", "ControlError",
-    "GainRaising", "Guard", "KalmanDesign", "Learner", "LearningDesign", "LinearStage", "Lqg",
-    "LqrDesign", "LqrSpec", "Margins", "Notch", "Oscillation", "Pid", "PidDesign", "PidGains",
-    "RelayRun", "Sampled", "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning",
-    "design_lqr", "feedback_gain", "finite_horizon", "inverse_input", "kalman", "linear_stage",
-    "loop_margins", "margins", "oscillation", "periodic_input", "pid_for", "pid_with_margin",
-    "predicted_errors", "run_on_model", "sample_model", "sample_stage", "shape", "shaper",
-    "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate", "ultimate_from_relays",
-    "ziegler_nichols",
+    "FEEDFORWARD", "GUARD_PARAMETERS", "LQR_PARAMETERS", "LQR_SWITCHES", "MODES", "NOTCH",
+    "PID_PARAMETERS", "SHAPERS", "SHAPER_PARAMETERS", "TUNING_PARAMETERS", "TUNING_RUNS",
+    "ControlError", "EffectInput", "GainRaising", "Guard", "KalmanDesign", "Laws", "Learner",
+    "LearningDesign", "LinearStage", "Lqg", "LqrDesign", "LqrSpec", "Margins", "ModelFeedforward",
+    "Notch", "Oscillation", "Pid", "PidDesign", "PidGains", "ReferenceShaper", "RelayRun",
+    "Sampled", "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
+    "feedback_gain", "feedforward_gains", "finite_horizon", "inverse_input", "inverse_of",
+    "kalman", "linear_stage", "loop_margins", "margins", "neighbours", "oscillation",
+    "parameter_text", "periodic_input", "pid_for", "pid_with_margin", "plan_laws",
+    "predicted_errors", "read_parameters", "run_on_model", "sample_model", "sample_stage", "shape",
+    "shaper", "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate", "ultimate_from_relays",
+    "write_text", "ziegler_nichols",
 ]

@@ -32,6 +32,11 @@ PID_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("feedforward_position", 0.0, "V/m", "output per reference position"),
     Parameter("feedforward_velocity", 0.0, "V s/m", "output per reference velocity"),
     Parameter("feedforward_acceleration", 0.0, "V s^2/m", "output per reference acceleration"),
+    Parameter("notch_hz", 0.0, "Hz", "frequency taken out of what the feedback gives; 0 = none",
+              0.0, 1e6),
+    Parameter("notch_depth_damping", 0.01, "", "damping ratio of the notch's zeros", 0.0, 10.0),
+    Parameter("notch_width_damping", 0.3, "", "damping ratio of its poles: how wide it is", 1e-3,
+              10.0),
 )
 _TABLE = {parameter.name: parameter for parameter in PID_PARAMETERS}
 
@@ -60,6 +65,9 @@ class PidGains:
     feedforward_position: float = 0.0
     feedforward_velocity: float = 0.0
     feedforward_acceleration: float = 0.0
+    notch_hz: float = 0.0
+    notch_depth_damping: float = _TABLE["notch_depth_damping"].default
+    notch_width_damping: float = _TABLE["notch_width_damping"].default
     anti_windup: str = "back_calculation"
 
     def __post_init__(self) -> None:

@@ -2,11 +2,12 @@
 
 Pass j adds the periodic voltage u_j to the loop; afterwards, per frequency of the period,
 
-    U_j+1 = Q (U_j + L E_j),    L = gain / T,    T = G / (1 + G C)
+    U_j+1 = U_0 + Q (U_j - U_0 + L E_j),    L = gain / T,    T = G / (1 + G C)
 
-with E the error r - y, G the stage, C the feedback law and Q a low-pass without phase. With
-another stage, T_i in place of T, the error shrinks by |Q (1 - L T_i)| per pass: it converges if
-that is below one at every frequency (Norrlof and Gunnarsson, Int. J. Control 75(14), 2002).
+with U_0 what is known before (the model's inverse, or nothing), E the error r - y, G the stage, C
+the feedback law and Q a low-pass without phase. With another stage, T_i in place of T, the error
+shrinks by |Q (1 - L T_i)| per pass: it converges if that is below one at every frequency (Norrlof
+and Gunnarsson, Int. J. Control 75(14), 2002).
 `design_learning` computes this for the model and all candidates it is given, does not learn at the
 frequencies where it would not shrink, and refuses where these are those of the movement.
 """
@@ -20,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dfm_stage.control.errors import ControlError
-from dfm_stage.control.stage import Sampled
+from dfm_stage.control.stage import Sampled, sample_model
+from dfm_stage.model import Model
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -96,6 +98,21 @@ def design_learning(stage: Sampled, law: Law, samples: int, *, candidates: Seque
     return LearningDesign(samples, learning, q, float(np.max(q * worst)), cutoff_hz)
 
 
+def neighbours(model: Model, share: float = 0.1) -> list[Sampled]:
+    """Return what the stage may be instead of a one-axis model: each parameter up and down.
+
+    Mass, stiffness, damping, force constant and delay, and those of a second mode, one at a time
+    by `share` of their value.
+    """
+    names = [name for name in ("mass", "stiffness", "damping", "force_constant", "delay")
+             if model.base.get(name)]
+    if model.effect("second_mode"):
+        names += [f"second_mode.{name}" for name in ("frequency", "share", "damping_ratio")]
+    values = model.parameters()
+    return [sample_model(model.with_parameters({name: values[name] * factor}))
+            for name in names for factor in (1.0 - share, 1.0 + share)]
+
+
 def _low_pass(f: Array, cutoff_hz: float) -> Array:
     """One up to the cutoff, then a quarter of it to fall to zero."""
     u = np.clip((f - cutoff_hz) / (_WIDTH * cutoff_hz), 0.0, 1.0)
@@ -116,9 +133,15 @@ class Learner:
         if self.signal.shape != (design.samples,):
             raise ControlError(f"learning: the signal to start from has shape "
                                f"{self.signal.shape}, the period {design.samples} samples")
+        self._start: Array = self.signal
         self.errors: list[float] = []
         self.stopped = ""
         self._best = self.signal
+
+    @property
+    def best(self) -> Array:
+        """The signal (N,) of the pass with the smallest error so far, V."""
+        return self._best
 
     def update(self, error: ArrayLike) -> Array:
         """Learn from the error r - y (N,), m, of the pass that used `signal`; return the next.
@@ -145,6 +168,7 @@ class Learner:
             self._best = self.signal
         self.errors.append(rms)
         d = self.design
-        spectrum = d.robustness * (np.fft.rfft(self.signal) + d.learning * np.fft.rfft(e))
-        self.signal = np.asarray(np.fft.irfft(spectrum, d.samples))
+        learnt = np.fft.rfft(self.signal - self._start)
+        spectrum = d.robustness * (learnt + d.learning * np.fft.rfft(e))
+        self.signal = self._start + np.fft.irfft(spectrum, d.samples)
         return self.signal

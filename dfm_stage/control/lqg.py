@@ -33,8 +33,8 @@ class Lqg:
 
     __slots__ = ("_a", "_b", "_bumpless_s", "_correct", "_decay", "_drifts", "_go_on", "_ki",
                  "_ki_h", "_known", "_law_output", "_limit", "_next", "_offset", "_period", "_r",
-                 "_start", "_through", "_v", "_wa", "design", "fault", "integral_v", "output_v",
-                 "saturated")
+                 "_short", "_start", "_through", "_v", "_wa", "design", "fault", "integral_v",
+                 "output_v", "saturated")
 
     def __init__(self, design: LqrDesign, output_limit_v: float = 10.0,
                  bumpless_s: float = 0.1) -> None:
@@ -82,7 +82,7 @@ class Lqg:
         self._offset = 0.0
         self._known = False
         self._go_on = math.nan
-        self._law_output = 0.0
+        self._law_output = self._short = 0.0
         self._next = np.zeros(self._b.size)
 
     def step(self, reference_m: float, position_m: float, velocity_m_s: float = 0.0,
@@ -107,8 +107,9 @@ class Lqg:
         output = min(limit, max(-limit, wanted))
         self.saturated = output != wanted
         error = reference_m - position_m
-        if self._ki and (wanted - output) * error <= 0.0:
+        if self._ki and (wanted - output) * error <= 0.0 and self._short * error <= 0.0:
             self.integral_v += self._ki_h * error
+        self._short = 0.0
         self._offset *= self._decay
         self._next = product[:n] + self._correct * innovation
         self.output_v = self._law_output = output
@@ -116,10 +117,15 @@ class Lqg:
             self.fault = ""
         return output
 
-    def applied(self, output_v: float) -> None:
-        """Say what really reached the actuator instead of the last output; the filter uses it."""
+    def applied(self, output_v: float, short_v: float = 0.0) -> None:
+        """Say what really reached the actuator instead of the last output; the filter uses it.
+
+        `short_v` is by how much that is less than was asked, V: the integral then does not grow
+        further in that direction.
+        """
         if math.isfinite(output_v):
             self.output_v = output_v
+            self._short = short_v
 
     def track(self, output_v: float, reference_m: float, position_m: float,
               velocity_m_s: float = 0.0, acceleration_m_s2: float = 0.0) -> None:

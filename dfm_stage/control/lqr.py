@@ -112,6 +112,7 @@ class LqrDesign:
     shape: Array
     start: Array
     margins: Margins
+    model: Model | None = None
 
     @property
     def sample_period_s(self) -> float:
@@ -220,7 +221,7 @@ def design_lqr(model: Model, spec: LqrSpec | None = None,
     if not found.stable:
         raise ControlError(f"lqr: the loop with model {model.name} is not stable; weigh the "
                            "effort more or the error less")
-    return replace(design, margins=found)
+    return replace(design, margins=found, model=model)
 
 
 def on_reference(stage: Sampled) -> tuple[Array, Array]:

@@ -5,15 +5,15 @@ r, measurement y, sample period h, filter time Tf, tracking time Tt, weights b a
 
     P_k = kp (b r_k - y_k)
     d_k = Tf / (Tf + h) d_{k-1} + ((c r_k - y_k) - (c r_{k-1} - y_{k-1})) / (Tf + h)
-    v_k = P_k + I_k + kd d_k + F_k
+    v_k = N(P_k + I_k + kd d_k) + F_k
     u_k = v_k limited in size and, against u_{k-1}, in slew
     I_{k+1} = I_k + ki h (r_k - y_k) + (h / Tt) (u_k - v_k)
 
 The derivative is the backward difference of kd s / (1 + s Tf), the integral the forward
-difference of ki / s, F the feedforward. With "clamping" the last term is left out and the integral
-stands still while the output is limited and the error would drive it further. Unless anti_windup
-is "none" the integral also never grows beyond what the largest output would need with the stage
-at rest on its reference.
+difference of ki / s, F the feedforward, N the notch if there is one. With "clamping" the last
+term is left out and the integral stands still while the output is limited and the error would
+drive it further. Unless anti_windup is "none" the integral also never grows beyond what the
+largest output would need with the stage at rest on its reference.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import math
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
+from dfm_stage.control.shaping import Notch
 
 _LONGEST = 10.0
 
@@ -46,7 +47,7 @@ class Pid:
     """
 
     __slots__ = ("_aw", "_b", "_c", "_clamping", "_decay", "_derivative", "_fa", "_fp", "_fv",
-                 "_gains", "_i_limit", "_kd", "_ki_h", "_kp", "_last", "_leak", "_limit",
+                 "_gains", "_i_limit", "_kd", "_ki_h", "_kp", "_last", "_leak", "_limit", "_notch",
                  "_per_dt", "_period", "_shortfall", "_slew_h", "_steady", "fault",
                  "integral_v", "output_v", "saturated")
 
@@ -55,6 +56,7 @@ class Pid:
             raise ControlError("pid: sample_period_s must be a positive number of seconds, "
                                f"not {sample_period_s!r}")
         self._period = float(sample_period_s)
+        self._notch: Notch | None = None
         self.reset()
         self._use(gains)
 
@@ -68,6 +70,11 @@ class Pid:
         """The nominal sample period, s."""
         return self._period
 
+    @property
+    def last_position_m(self) -> float | None:
+        """Where the stage was at the last sample, m."""
+        return self._last[1] if self._last is not None else None
+
     def reset(self) -> None:
         """Forget everything but the gains."""
         self.integral_v = 0.0
@@ -76,10 +83,13 @@ class Pid:
         self.fault = ""
         self._derivative = 0.0
         self._shortfall = 0.0
-        self._last: tuple[float, float, float, float] | None = None
+        self._last: tuple[float, float, float, float, float] | None = None
+        if self._notch is not None:
+            self._notch.reset()
 
     def step(self, reference_m: float, position_m: float, velocity_m_s: float = 0.0,
-             acceleration_m_s2: float = 0.0, dt_s: float = 0.0) -> float:
+             acceleration_m_s2: float = 0.0, dt_s: float = 0.0,
+             forward_v: float = 0.0) -> float:
         """Return the output for one sample, V.
 
         Parameters
@@ -91,6 +101,8 @@ class Pid:
         dt_s : float
             Measured time since the last call, s. At most ten nominal periods are believed; 0,
             negative or not finite means one.
+        forward_v : float
+            Further feedforward, V, as of `ModelFeedforward`.
 
         An input that is not finite gives 0 V and a `fault`, and leaves integral and derivative as
         they were; the next good sample goes on from there.
@@ -110,10 +122,13 @@ class Pid:
             derivative = (decay * self._derivative
                           + (weighted - self._c * last[0] + last[1]) * per_dt)
         forward = (self._fp * reference_m + self._fv * velocity_m_s
-                   + self._fa * acceleration_m_s2)
+                   + self._fa * acceleration_m_s2 + forward_v)
         integral = self.integral_v
         wanted = (self._kp * (self._b * reference_m - position_m) + integral
-                  + self._kd * derivative + forward)
+                  + self._kd * derivative)
+        if self._notch is not None and wanted - wanted == 0.0:
+            wanted = self._notch.step(wanted)
+        wanted += forward
         if wanted - wanted != 0.0:
             return self._faulted()
 
@@ -141,7 +156,7 @@ class Pid:
             integral = min(-bound - offset, max(integral, self.integral_v))
         self.integral_v = integral
         self._derivative = derivative
-        self._last = (reference_m, position_m, velocity_m_s, acceleration_m_s2)
+        self._last = (reference_m, position_m, velocity_m_s, acceleration_m_s2, forward_v)
         self.saturated = short != 0.0
         self.output_v = output
         if self.fault:
@@ -160,7 +175,8 @@ class Pid:
             self.output_v = output_v
 
     def track(self, output_v: float, reference_m: float, position_m: float,
-              velocity_m_s: float = 0.0, acceleration_m_s2: float = 0.0) -> None:
+              velocity_m_s: float = 0.0, acceleration_m_s2: float = 0.0,
+              forward_v: float = 0.0) -> None:
         """Follow another controller (or a hand) so that taking over from it gives no bump.
 
         Call it in place of `step`, each sample or once: the next `step` returns `output_v`, as
@@ -171,7 +187,7 @@ class Pid:
         ControlError
             If an input is not finite.
         """
-        now = (reference_m, position_m, velocity_m_s, acceleration_m_s2)
+        now = (reference_m, position_m, velocity_m_s, acceleration_m_s2, forward_v)
         if not all(map(math.isfinite, (output_v, *now))):
             raise ControlError("pid: track needs finite numbers")
         if self._last is not None:
@@ -179,7 +195,7 @@ class Pid:
             self._derivative = self._decay * self._derivative + moved * self._per_dt
         self._last = now
         self.output_v = min(self._limit, max(-self._limit, output_v))
-        self.integral_v = self.output_v - self._parts(self._derivative)
+        self._go_on_from(self.output_v)
         self.fault = ""
 
     def set_gains(self, gains: PidGains) -> None:
@@ -189,17 +205,32 @@ class Pid:
         where it was. Without integral action in the new gains that share decays with the tracking
         time instead of staying for ever.
         """
-        before = self._parts(self._derivative)
+        before, notched = self._parts(), self._notch is not None or gains.notch_hz > 0.0
         self._use(gains)
-        self.integral_v += before - self._parts(self._derivative)
+        if notched:
+            self._go_on_from(self.output_v)
+        else:
+            self.integral_v += before - self._parts()
 
-    def _parts(self, derivative: float) -> float:
-        """All of the output at the last inputs but the integral, V."""
+    def _go_on_from(self, output_v: float) -> None:
+        """Choose integral and notch so that the output is this at the last inputs."""
+        self.integral_v = output_v - self._parts()
+        if self._notch is not None:
+            self._notch.reset(output_v - self._forward())
+
+    def _forward(self) -> float:
+        """The feedforward at the last inputs, V."""
         if self._last is None:
             return 0.0
-        reference, position, velocity, acceleration = self._last
-        return (self._kp * (self._b * reference - position) + self._kd * derivative
-                + self._fp * reference + self._fv * velocity + self._fa * acceleration)
+        reference, _, velocity, acceleration, added = self._last
+        return self._fp * reference + self._fv * velocity + self._fa * acceleration + added
+
+    def _parts(self) -> float:
+        """All of the output at the last inputs but the integral (notch aside), V."""
+        if self._last is None:
+            return 0.0
+        return (self._kp * (self._b * self._last[0] - self._last[1])
+                + self._kd * self._derivative + self._forward())
 
     def _use(self, gains: PidGains) -> None:
         self._gains = gains
@@ -211,6 +242,8 @@ class Pid:
         self._limit = gains.output_limit_v
         self._clamping = gains.anti_windup == "clamping"
         self._i_limit = math.inf if gains.anti_windup == "none" else gains.output_limit_v
+        self._notch = Notch(gains.notch_hz, self._period, gains.notch_depth_damping,
+                            gains.notch_width_damping) if gains.notch_hz else None
         (self._ki_h, self._leak, self._aw, self._decay, self._per_dt,
          self._slew_h) = self._coefficients(self._period)
 

@@ -9,19 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.control.gains import PidGains
+from dfm_stage.control.shaping import Notch
 from dfm_stage.control.stage import Sampled
 
 Array = NDArray[np.float64]
 
 
 def closed_loop_poles(stage: Sampled, gains: PidGains) -> NDArray[np.complex128]:
-    """Return the eigenvalues of stage and unlimited PID in the z-plane, shape (n + 3,)."""
+    """Return the eigenvalues of stage and unlimited PID in the z-plane, shape (n + 3,), with a
+    notch (n + 5,)."""
     h, tf = stage.sample_period_s, gains.derivative_filter_s
     decay, per_dt, n = tf / (tf + h), 1.0 / (tf + h), stage.b.size
-    # States: stage, integral, derivative d[k-1], y[k-1]; output u = -kp y + I + kd d[k].
-    d_row = np.concatenate((-per_dt * stage.c, [0.0, decay, per_dt]))
-    u_row = gains.kd * d_row + np.concatenate((-gains.kp * stage.c, [1.0, 0.0, 0.0]))
-    full = np.zeros((n + 3, n + 3))
+    # States: stage, integral, derivative d[k-1], y[k-1], notch; output u = -kp y + I + kd d[k].
+    size = n + (5 if gains.notch_hz else 3)
+    d_row = np.zeros(size)
+    d_row[:n], d_row[n + 1], d_row[n + 2] = -per_dt * stage.c, decay, per_dt
+    u_row = gains.kd * d_row
+    u_row[:n] -= gains.kp * stage.c
+    u_row[n] += 1.0
+    full = np.zeros((size, size))
+    if gains.notch_hz:
+        b_0, b_1, b_2, a_1, a_2 = _notch(gains, h)
+        asked = u_row
+        u_row = b_0 * asked
+        u_row[n + 3] += 1.0
+        full[n + 3] = b_1 * asked - a_1 * u_row
+        full[n + 3, n + 4] += 1.0
+        full[n + 4] = b_2 * asked - a_2 * u_row
     full[:n, :n] = stage.a
     full[:n] += np.outer(stage.b, u_row)
     full[n, :n], full[n, n] = -gains.ki * h * stage.c, 1.0
@@ -30,13 +44,22 @@ def closed_loop_poles(stage: Sampled, gains: PidGains) -> NDArray[np.complex128]
     return np.asarray(np.linalg.eigvals(full), dtype=np.complex128)
 
 
+def _notch(gains: PidGains, h: float) -> tuple[float, float, float, float, float]:
+    return Notch(gains.notch_hz, h, gains.notch_depth_damping,
+                 gains.notch_width_damping).coefficients
+
+
 def controller_response(gains: PidGains, frequency_hz: Array,
                         sample_period_s: float) -> NDArray[np.complex128]:
     """Return the law of `Pid` from -y to u at frequencies of shape (F,), V/m, complex (F,)."""
     h, tf = sample_period_s, gains.derivative_filter_s
     z = np.exp(2j * math.pi * np.asarray(frequency_hz) * h)
-    return np.asarray(gains.kp + gains.ki * h / (z - 1.0)
-                      + gains.kd * (z - 1.0) / ((tf + h) * z - tf))
+    law = (gains.kp + gains.ki * h / (z - 1.0)
+           + gains.kd * (z - 1.0) / ((tf + h) * z - tf))
+    if gains.notch_hz:
+        b_0, b_1, b_2, a_1, a_2 = _notch(gains, h)
+        law = law * ((b_0 * z + b_1) * z + b_2) / ((z + a_1) * z + a_2)
+    return np.asarray(law)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,6 +53,39 @@ def shape(reference: ArrayLike, weights: ArrayLike) -> Array:
     return np.asarray(np.convolve(padded, w)[w.size - 1:w.size - 1 + r.size])
 
 
+Point = tuple[float, float, float]
+
+
+class ReferenceShaper:
+    """A shaper one sample at a time, on position, velocity and acceleration together.
+
+    Before the first sample the reference has been at rest on its first position. Only impulses
+    cost time, not the samples between them.
+    """
+
+    __slots__ = ("_past", "_taps")
+
+    def __init__(self, weights: ArrayLike) -> None:
+        w = np.asarray(weights, dtype=np.float64)
+        # The newest sample stands at the right end.
+        self._taps = [(-1 - int(i), float(w[i])) for i in np.flatnonzero(w)]
+        self._past: deque[Point] = deque(maxlen=max(1, w.size))
+
+    def step(self, position_m: float, velocity_m_s: float, acceleration_m_s2: float) -> Point:
+        """Return the shaped reference of this sample."""
+        past = self._past
+        if not past:
+            past.extend([(position_m, 0.0, 0.0)] * (past.maxlen or 1))
+        past.append((position_m, velocity_m_s, acceleration_m_s2))
+        r = v = a = 0.0
+        for index, weight in self._taps:
+            each = past[index]
+            r += weight * each[0]
+            v += weight * each[1]
+            a += weight * each[2]
+        return r, v, a
+
+
 class Notch:
     """A filter that takes one frequency out of a signal, one sample per call.
 
@@ -79,6 +113,11 @@ class Notch:
         self._b_2 = (1.0 - 2.0 * depth_damping * t + t * t) / norm
         self._a_2 = (1.0 - 2.0 * width_damping * t + t * t) / norm
         self._s_1 = self._s_2 = 0.0
+
+    @property
+    def coefficients(self) -> tuple[float, float, float, float, float]:
+        """b_0, b_1, b_2, a_1, a_2 of (b_0 z^2 + b_1 z + b_2) / (z^2 + a_1 z + a_2)."""
+        return self._b_0, self._b_1, self._b_2, self._a_1, self._a_2
 
     def step(self, value: float) -> float:
         """Return the filtered value of this sample."""

@@ -26,7 +26,8 @@ _BASE_NAMES = {parameter.name for parameter in BASE_PARAMETERS}
 class Sampled:
     """x[k+1] = a x[k] + b u[k] + g f[k], y[k] = c x[k]; shapes (n, n), (n,), (n,), (n,).
 
-    u in V or A, f in N, y in m. `g` is empty where no force was asked for.
+    u in V or A, f in N, y in m. `g` is empty where no force was asked for. The last `delayed`
+    states are inputs on their way, oldest first.
     """
 
     a: Array
@@ -34,14 +35,17 @@ class Sampled:
     c: Array
     sample_period_s: float
     g: Array = field(default_factory=lambda: np.empty(0))
+    delayed: int = 0
 
     def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
         """Return y/u at frequencies of shape (F,), m/V, complex (F,)."""
         z = np.exp(2j * math.pi * np.asarray(frequency_hz) * self.sample_period_s)
-        eye = np.eye(self.b.size)
-        solved = np.linalg.solve(z[:, None, None] * eye - self.a,
-                                 np.broadcast_to(self.b[:, None], (z.size, self.b.size, 1)))
-        return np.asarray(solved[:, :, 0] @ self.c)
+        n = self.b.size - self.delayed
+        arriving = z[:, None] ** -np.arange(self.delayed, 0, -1)
+        driven = self.b[:n] + arriving @ self.a[:n, n:].T
+        solved = np.linalg.solve(z[:, None, None] * np.eye(n) - self.a[:n, :n],
+                                 driven[:, :, None])
+        return np.asarray(solved[:, :, 0] @ self.c[:n])
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ class LinearStage:
             b[-1] = 1.0
         rest = np.zeros(m)
         return Sampled(a, b, np.concatenate((self.c, rest)), h,
-                       np.concatenate((_held(self.a, self.g, h)[1], rest)))
+                       np.concatenate((_held(self.a, self.g, h)[1], rest)), m)
 
 
 def _held(a: Array, b: Array, seconds: float) -> tuple[Array, Array]:
@@ -95,8 +99,10 @@ def _held(a: Array, b: Array, seconds: float) -> tuple[Array, Array]:
 
 
 def linear_stage(base: Mapping[str, float],
-                 second_mode: Mapping[str, float] | None = None) -> LinearStage:
-    """Return the linear stage of a model's `base`, with the effect `second_mode` if given.
+                 second_mode: Mapping[str, float] | None = None,
+                 second_lag_s: float = 0.0) -> LinearStage:
+    """Return the linear stage of a model's `base`, with the effect `second_mode` if given, and
+    with a second lag of the amplifier behind that of `base`.
 
     Raises
     ------
@@ -124,8 +130,9 @@ def linear_stage(base: Mapping[str, float],
         a[-1, :-1] -= emf * velocity / coil
     else:
         a = a - np.outer(b, emf * velocity)
-    if base.get("amplifier_time_constant", 0.0) > 0.0:
-        a, b, g, c = _behind(a, b, g, c, base["amplifier_time_constant"])
+    for lag_s in (base.get("amplifier_time_constant", 0.0), second_lag_s):
+        if lag_s > 0.0:
+            a, b, g, c = _behind(a, b, g, c, lag_s)
     return LinearStage(a, b, g, c, base.get("delay", 0.0))
 
 
@@ -154,8 +161,8 @@ def sample_stage(base: Mapping[str, float], sample_period_s: float) -> Sampled:
 def sample_model(model: Model, sample_period_s: float | None = None) -> Sampled:
     """Return the linear part of a one-axis model, sampled; by default with its own period.
 
-    Effects that are only more of a base parameter (a transport delay, an amplifier bandwidth) are
-    added to it.
+    Effects that are only more of a base parameter (a transport delay) are added to it, the lag of
+    an amplifier bandwidth stands behind that of the base.
 
     Raises
     ------
@@ -165,12 +172,35 @@ def sample_model(model: Model, sample_period_s: float | None = None) -> Sampled:
     if model.axes:
         raise ControlError(f"model {model.name} has the axes {', '.join(model.axes)}; design on "
                            "model.axis(name)")
+    mode = model.effect("second_mode")
+    return linear_stage(effective_base(model), mode.parameters if mode else None,
+                        _bandwidth_lag_s(model)).sampled(sample_period_s or model.sample_period)
+
+
+def effective_base(model: Model) -> dict[str, float]:
+    """Return the base parameters of a one-axis model with the effects that only add to one."""
     base = dict(model.base)
     for use in model.effects:
         effect = EFFECTS[use.name]
         name = effect.adds_to
         if name in _BASE_NAMES:
             base[name] = base.get(name, 0.0) + use.parameters[effect.parameters[0].name]
-    mode = model.effect("second_mode")
-    stage = linear_stage(base, mode.parameters if mode else None)
-    return stage.sampled(sample_period_s or model.sample_period)
+    return base
+
+
+def lags_s(model: Model) -> tuple[float, ...]:
+    """Return the first-order lags between command and force: amplifier and coil, s."""
+    base = effective_base(model)
+    coil = base.get("coil_inductance", 0.0) / max(base.get("coil_resistance", 0.0), 1e-300)
+    return base.get("amplifier_time_constant", 0.0), _bandwidth_lag_s(model), coil
+
+
+def _bandwidth_lag_s(model: Model) -> float:
+    lag = model.effect("amplifier_bandwidth")
+    return lag.parameters["time_constant"] if lag else 0.0
+
+
+def command_limit(model: Model, output_limit_v: float) -> float:
+    """Return the largest command that has an effect: the limit, or the model's saturation."""
+    found = model.effect("saturation")
+    return min(output_limit_v, found.parameters["limit"]) if found else output_limit_v

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.identification.least_squares import Solution, minimise
+from dfm_stage.identification.least_squares import STUCK, Solution, minimise
 from dfm_stage.identification.noise import fit_noise, whiten
 from dfm_stage.identification.problem import Problem, Segment
 
@@ -29,6 +33,8 @@ class Criterion:
         self.sigma = [1.0] * len(problem.segments)
         self.noise: list[Array] = [np.empty(0)] * len(problem.segments)
         self.frozen = False
+        self._outputs: dict[tuple[int, bytes], Array] = {}
+        self._slopes: dict[tuple[int, bytes, bool], Array] = {}
         self.trends = [_trend_columns(s) for s in problem.segments]
         spread = max(float(np.std(s.output[s.skip:])) for s in problem.segments)
         self.output_scale = spread if spread > 0.0 else 1.0
@@ -54,7 +60,7 @@ class Criterion:
                                                    strict=True)):
             if not columns.shape[0]:
                 continue
-            gap = segment.output - self.simulated(i, values[None, :])[0]
+            gap = segment.output - self.simulated(i, values)
             if np.all(np.isfinite(gap)):
                 x[trends[i]] = np.linalg.lstsq(columns[:, segment.skip:].T, gap[segment.skip:],
                                                rcond=None)[0]
@@ -78,15 +84,19 @@ class Criterion:
         _, noises, _ = self.layout()
         return np.concatenate(([1.0], x[noises[index]]))
 
-    def simulated(self, index: int, rows: Array) -> Array:
-        return np.asarray(self.problem.simulate(index, rows), dtype=float)
+    def simulated(self, index: int, values: Array) -> Array:
+        """Return the output (N,) of one segment for unknowns `values`; the last few are kept."""
+        key = (index, values.tobytes())
+        if key not in self._outputs:
+            found = np.asarray(self.problem.simulate(index, values[None, :])[0], dtype=float)
+            _keep(self._outputs, key, found, 3 * len(self.problem.segments))
+        return self._outputs[key]
 
     def gap(self, index: int, x: Array) -> Array:
         """Return measured minus simulated (N - skip,) of one segment."""
         trends, _, _ = self.layout()
         segment = self.problem.segments[index]
-        simulated = self.simulated(index, x[None, : self.count])[0]
-        total = simulated + x[trends[index]] @ self.trends[index]
+        total = self.simulated(index, x[: self.count]) + x[trends[index]] @ self.trends[index]
         return np.asarray(segment.output - total)[segment.skip:]
 
     def closest(self, index: int, x: Array) -> Array:
@@ -101,7 +111,9 @@ class Criterion:
         trends, _, _ = self.layout()
         segment = self.problem.segments[index]
         own = [j for j, u in enumerate(self.problem.unknowns) if u.segment == index]
-        columns = np.vstack([self._sensitivities(index, x[: self.count], own),
+        active = self._active(index)
+        slopes = self._sensitivities(index, x[: self.count], central=True)
+        columns = np.vstack([slopes[[active.index(j) for j in own]],
                              self.trends[index]])[:, segment.skip:]
         norms = np.linalg.norm(columns, axis=1)
         columns, norms = columns[norms > 0.0], norms[norms > 0.0]
@@ -119,14 +131,16 @@ class Criterion:
             whiten(self.gap(i, x), self.whitener(i, x)) / self.sigma[i]
             for i in range(len(self.problem.segments))])
 
-    def jacobian(self, x: Array, _: Array) -> Array:
+    def jacobian(self, x: Array, *_: Array, central: bool = False) -> Array:
+        """Return the derivative of the residual: good enough to search by, or by `central`
+        differences."""
         trends, noises, total = self.layout()
         blocks = []
         for i, segment in enumerate(self.problem.segments):
             polynomial = self.whitener(i, x)
             columns = np.zeros((total, segment.output.size - segment.skip))
-            active = [j for j, u in enumerate(self.problem.unknowns) if u.segment in (None, i)]
-            columns[active] = -self._sensitivities(i, x[: self.count], active)[:, segment.skip:]
+            active = self._active(i)
+            columns[active] = -self._sensitivities(i, x[: self.count], central)[:, segment.skip:]
             columns[trends[i]] = -self.trends[i][:, segment.skip:]
             white = np.zeros((total, columns.shape[1] - self.orders[i]))
             moved = [*active, *range(trends[i].start, trends[i].stop)]
@@ -140,23 +154,47 @@ class Criterion:
         self._choose_steps(jacobian)
         return jacobian
 
-    def _sensitivities(self, index: int, values: Array, active: list[int]) -> Array:
-        """Return the derivative (len(active), N) of the simulated output by central differences.
+    def _active(self, index: int) -> list[int]:
+        """Return the unknowns that a segment depends on."""
+        return [j for j, u in enumerate(self.problem.unknowns) if u.segment in (None, index)]
+
+    def _sensitivities(self, index: int, values: Array, central: bool) -> Array:
+        """Return the derivative (active unknowns, N) of the simulated output, all in one batch.
+
+        One-sided differences unless `central`; where the model cannot be simulated on a side, the
+        other one. Kept for the last point, so that a search may begin where another ended.
         """
+        key = (index, values.tobytes(), central)
+        if key in self._slopes:
+            return self._slopes[key]
+        active, centre = self._active(index), self.simulated(index, values)
+        slopes = np.zeros((len(active), centre.size))
         if not active:
-            return np.empty((0, self.problem.segments[index].output.size))
-        count = len(active)
-        rows = np.repeat(values[None, :], 2 * count + 1, axis=0)
+            return slopes
+        ends = np.empty((2, len(active)))
         for k, j in enumerate(active):
-            rows[k, j] = min(values[j] + self.steps[j], self.high[j])
-            rows[count + k, j] = max(values[j] - self.steps[j], self.low[j])
-        outputs = self.simulated(index, rows)
-        for k, j in enumerate(active):
-            for side in (k, count + k):
-                if not np.isfinite(outputs[side, -1]):
-                    rows[side, j], outputs[side] = values[j], outputs[-1]
-        width = np.array([rows[k, j] - rows[count + k, j] for k, j in enumerate(active)])
-        return np.asarray((outputs[:count] - outputs[count:-1]) / width[:, None])
+            ends[0, k] = min(values[j] + self.steps[j], self.high[j])
+            ends[1, k] = max(values[j] - self.steps[j], self.low[j])
+            if not central:
+                ends[int(ends[0, k] - values[j] > 0.5 * self.steps[j]), k] = values[j]
+        moved = [(side, k) for side in (0, 1) for k, j in enumerate(active)
+                 if ends[side, k] != values[j]]
+        rows = np.repeat(values[None, :], len(moved), axis=0)
+        for row, (side, k) in zip(rows, moved, strict=True):
+            row[active[k]] = ends[side, k]
+        outputs = np.asarray(self.problem.simulate(index, rows), dtype=float)
+        for output, (side, k) in zip(outputs, moved, strict=True):
+            if np.isfinite(output[-1]):
+                slopes[k] += (1 - 2 * side) * (output - centre)
+            else:
+                ends[side, k] = values[active[k]]
+        width = ends[0] - ends[1]
+        if not central and not np.all(width):
+            return self._sensitivities(index, values, central=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes /= width[:, None]
+        _keep(self._slopes, key, slopes, 2 * len(self.problem.segments))
+        return slopes
 
     def _choose_steps(self, jacobian: Array) -> None:
         """Set each step to half of what the data could resolve with all else known."""
@@ -177,8 +215,16 @@ class Criterion:
         low[: self.count], high[: self.count] = self.low, self.high
         for place in noises:
             scale[place] = 1.0
-        return minimise(self.residual, self.jacobian, start, scale, low, high,
-                        max_iterations=max_iterations, tolerance=tolerance)
+        found = minimise(self.residual, self.jacobian, start, scale, low, high,
+                         max_iterations=max_iterations, tolerance=tolerance)
+        if found.reason != STUCK:
+            return found
+        return minimise(self.residual, partial(self.jacobian, central=True), found.x, scale, low,
+                        high, max_iterations=max_iterations, tolerance=tolerance)
+
+    def with_central_differences(self, found: Solution) -> Solution:
+        """Return `found` with the derivatives that inference wants."""
+        return replace(found, jacobian=self.jacobian(found.x, central=True))
 
     def renew_noise(self, x: Array, max_order: int | None) -> bool:
         """Fit noise models to the residuals anew; return whether they call for another search.
@@ -203,6 +249,13 @@ class Criterion:
         for i in range(len(self.problem.segments)):
             rms = float(np.sqrt(np.mean(self.gap(i, x) ** 2)))
             self.sigma[i] = max(rms, 1e-9 * self.output_scale)
+
+
+def _keep(store: dict[Any, Array], key: object, value: Array, count: int) -> None:
+    """Put into `store`, which forgets the oldest beyond `count`."""
+    store[key] = value
+    while len(store) > count:
+        del store[next(iter(store))]
 
 
 def _trend_columns(segment: Segment) -> Array:

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-6
 CREEP = 8
+STUCK = "no step lowers the cost"
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
         else:
             small = expected <= 1e-3 * variance
             return Solution(x, r, j, cost, iteration, small, held,
-                            "converged" if small else "no step lowers the cost")
+                            "converged" if small else STUCK)
         damping *= max(1.0 / 9.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
         growth = 2.0
         x, r, cost = trial, new, new_cost

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.identification.coordinates import LAGS, group, to_physical
+from dfm_stage.identification.criterion import ACCURATE
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.output_error import estimate
 from dfm_stage.identification.plant import LinearPlant, Mode
@@ -97,11 +98,12 @@ def expand_names(model: Model, names: Iterable[str]) -> tuple[str, ...]:
 
 def fit_model(model: Model, runs: Sequence[Run], free: Sequence[str] | None = None, *,
               noise: str = "auto", starts: Sequence[Mapping[str, float]] = (),
-              max_iterations: int = 60) -> ModelFit:
+              max_iterations: int = 60, tolerance: float = ACCURATE) -> ModelFit:
     """Estimate the parameters `free` of a one-axis `model` from `runs`.
 
     `starts` are other values to begin from, by address; parameters left out of one keep the
-    model's. Effects that bring coordinates of their own are searched in those.
+    model's. Effects that bring coordinates of their own are searched in those. `noise` and
+    `tolerance` as in `estimate`.
 
     Raises
     ------
@@ -116,7 +118,7 @@ def fit_model(model: Model, runs: Sequence[Run], free: Sequence[str] | None = No
     held = {n: v for n, v in model.parameters().items() if n not in names}
     others = [builder.vector({**builder.values, **dict(start)}) for start in starts]
     found = estimate(problem, noise=noise, starts=others, held=held,
-                     max_iterations=max_iterations)
+                     max_iterations=max_iterations, tolerance=tolerance)
     found = to_physical(found, builder.groups, model)
     fitted = model
     if found.status != "failed":

@@ -28,11 +28,13 @@ Array = NDArray[np.float64]
 
 def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] = (),
              held: dict[str, float] | None = None, max_iterations: int = 60,
-             max_order: int | None = None) -> Estimate:
+             max_order: int | None = None, tolerance: float = ACCURATE) -> Estimate:
     """Estimate the unknowns of `problem`.
 
     `noise` is "auto" (an autoregression per record, its order chosen by the data) or "white".
-    `starts` are alternative starting points (p,), each tried for a few iterations. A failed
+    `starts` are alternative starting points (p,), each tried for a few iterations. The search
+    ends when the next step would lower chi-square by less than `tolerance`, or when eight steps
+    together lowered it by less than 500 times that: 0.01 is enough to compare models. A failed
     search is told by the status of the result, not by an exception.
 
     Raises
@@ -42,20 +44,23 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
     """
     _check(problem, noise)
     criterion = Criterion(problem)
-    first = ACCURATE if noise == "white" and len(problem.segments) == 1 else ROUGH
+    first = tolerance if noise == "white" and len(problem.segments) == 1 else ROUGH
     solution = _best_start(criterion, starts, max_iterations, first)
     iterations = solution.iterations
     if not math.isfinite(solution.cost):
         return failed(problem, held or {}, "the model cannot be simulated from its starting "
                        "values: start from others or tighten the bounds")
     if noise == "auto":
-        solution, spent = _with_noise(criterion, solution, max_iterations, max_order)
+        solution, spent = _with_noise(criterion, solution, max_iterations, max_order,
+                                      tolerance)
         iterations += spent
     elif len(problem.segments) > 1:
         for _ in range(3):
             criterion.renew_weights(solution.x)
-            solution = criterion.minimise(solution.x, max_iterations)
+            solution = criterion.minimise(solution.x, max_iterations, tolerance)
             iterations += solution.iterations
+    if math.isfinite(solution.cost):
+        solution = criterion.with_central_differences(solution)
     if not (math.isfinite(solution.cost) and np.all(np.isfinite(solution.jacobian))):
         return failed(problem, held or {}, f"{solution.reason}: tighten the bounds or start from "
                        "other values")
@@ -63,7 +68,7 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
 
 
 def _with_noise(criterion: Criterion, solution: Solution, max_iterations: int,
-                max_order: int | None) -> tuple[Solution, int]:
+                max_order: int | None, tolerance: float) -> tuple[Solution, int]:
     """Estimate noise models and unknowns: in turn, which is cheap, and then jointly."""
     spent = 0
     criterion.frozen = True
@@ -71,17 +76,18 @@ def _with_noise(criterion: Criterion, solution: Solution, max_iterations: int,
         criterion.renew_noise(solution.x, max_order)
         if len(criterion.orders) == 1 and not criterion.orders[0]:
             break
-        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations, ROUGH)
+        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations,
+                                      max(ROUGH, tolerance))
         spent += solution.iterations
     criterion.renew_noise(solution.x, max_order)
     criterion.frozen = False
     for _ in range(3):
-        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations)
+        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations, tolerance)
         spent += solution.iterations
         if not criterion.renew_noise(solution.x, max_order):
             break
     else:
-        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations)
+        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations, tolerance)
     return solution, spent
 
 

@@ -91,7 +91,7 @@ class Plant:
         theta[slots.FIRST_INITIAL:] = 0.0
         for name, value in {"position": position, "velocity": velocity, **(states or {})}.items():
             theta[place(self.model, self._plan.states, f"initial.{name}")] = value
-        reset(self._plan.on, self._plan.layout, theta, past_input, self._work)
+        reset(self._plan.on, self._plan.layout, theta, float(past_input), self._work)
         self._generator = np.random.default_rng(self.seed)
         self._draws: list[float] = []
         self._sample: Sample | None = None

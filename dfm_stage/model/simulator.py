@@ -360,7 +360,7 @@ def hermite(values: Array, periodic: bool = False) -> Array:
 
 
 def _record(values: ArrayLike, name: str, length: int | None = None) -> Array:
-    array = np.ascontiguousarray(values, dtype=float)
+    array = np.require(values, float, ["C", "W"])     # each other kind would compile anew
     if array.ndim != 1 or len(array) == 0:
         raise SimulationError(f"the {name} has shape {array.shape}; give one value per sample")
     if length is not None and len(array) != length:

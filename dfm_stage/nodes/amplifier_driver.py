@@ -1,4 +1,9 @@
-"""amplifier_driver: commands to the coil, checked; zero when they stop, are wrong or unwanted."""
+"""amplifier_driver: commands to the coil, and zero where they stop, are wrong or unwanted.
+
+Every cause that takes the output to zero latches (see dfm_stage.drivers.interlock): it stays at
+zero, disarmed, until `clear` and `arm` are called. With hardware the commands go to a thread that
+alone talks to the drive, and that notices by itself when they stop.
+"""
 
 from __future__ import annotations
 
@@ -6,100 +11,347 @@ import math
 import time
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
-from dfm_interfaces.msg import AmplifierState
-from dfm_stage.nodes.base import LoopNode, run_node
+from dfm_stage.drivers.amplifier_worker import AmplifierWorker
+from dfm_stage.drivers.device import (
+    AmplifierDevice,
+    AmplifierStatus,
+    create_amplifier,
+    names,
+)
+from dfm_stage.drivers.errors import RefusedError
+from dfm_stage.drivers.interlock import Cause, Interlock
+from dfm_stage.errors import DfmError
+from dfm_stage.nodes.base import Publisher, run_node
+from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.wiring import LATCHED_QOS
 
 _NO_SAMPLE = 0
+_PUBLISHERS_PERIOD_S = 0.25
+_MEASURED_MARGIN = 1.1
+_MEASURED_MARGIN_A = 0.02
+_LATCHED = "output"
 
 
-class AmplifierDriver(LoopNode):
+class AmplifierDriver(ManagedNode):
     """Answers every `command` with a drive and publishes `amplifier`."""
 
     kind = "amplifier_driver"
     settings_table = (
-        Setting("device", "sim", "what drives the coil", choices=("sim",)),
-        Setting("voltage_limit_v", 10.0, "a command beyond this is refused, the output is zero",
-                "V", 0.0, 100.0),
+        *device_settings(names("amplifiers"), "what drives the coil"),
+        Setting("voltage_limit_v", 10.0, "a command beyond this (V, or A with a current drive) "
+                "is refused, the output is zero", "V", 0.0, 100.0),
         Setting("stale_timeout_s", 0.02, "without a command for this long the output is zero",
                 "s", 0.001, 10.0),
+        Setting("divergence_window_s", 0.5, "six saturated commands of alternating sign within "
+                "this are a diverging loop; 0 = never", "s", 0.0, 100.0),
+        Setting("current_limit_a", 0.0, "output and measured current beyond this are refused; "
+                "0 = no limit, only in simulation", "A", 0.0, 100.0),
         Setting("autoarm", True, "arm at start; only in simulation"),
+        Setting("baud", 115200, "hardware: rate of the line", "", 9600, 115200),
+        Setting("gain_a_per_v", 1.0, "hardware: output per unit of command; 1 = commands are "
+                "amperes, as with a model of drive: current", "A/V", -100.0, 100.0),
+        Setting("continuous_limit_a", 0.0, "hardware: continuous limit that must be set in the "
+                "drive; 0 = current_limit_a", "A", 0.0, 100.0),
+        Setting("peak_time_s", 1.0, "hardware: longest peak time that may be set in the drive",
+                "s", 0.0, 10.0),
+        Setting("ramp_a_per_s", 0.0, "hardware: slope of the output in the drive; 0 = step",
+                "A/s", 0.0, 1e6),
+        Setting("shape_last_count", True, "hardware: spread what a current step leaves over "
+                "(sigma-delta) instead of rounding"),
+        Setting("measurement_timeout_s", 0.02, "hardware: a command that answers an older "
+                "measurement takes the output to zero", "s", 0.001, 10.0),
+        Setting("require_reference", True, "hardware: refuse to arm without a referenced "
+                "encoder"),
+        Setting("question_period_s", 0.02, "hardware: how often the drive is asked how it is; "
+                "one exchange each", "s", 0.002, 10.0),
     )
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._limit: float = self.settings["voltage_limit_v"]
-        self._stale_s: float = self.settings["stale_timeout_s"]
-        self._armed: bool = self.settings["autoarm"]
+        self._limit_a: float = self.settings["current_limit_a"]
+        self._gain: float = self.settings["gain_a_per_v"]
+        self._interlock = self._new_interlock()
+        self._off_bits = int(Cause.DISARMED)
         self._seq = 0
         self._answered = _NO_SAMPLE
-        self._last_command_s = math.inf
-        self._voltage = 0.0
+        self._checked_s = time.monotonic()
         self._current = math.nan
-        self._drive = self.link_publisher("sim/drive")
+        self._encoder: DiagnosticStatus | None = None
+        self._worker: AmplifierWorker | None = None
+        self._device: AmplifierDevice | None = None
+        self._drive: Publisher | None = None
+        self._status_words: dict[str, str] = {}
         self._state = self.link_publisher("amplifier")
+        if self.simulated:
+            self._drive = self.link_publisher("sim/drive")
+            self.link_subscription("sim/current", self._on_current)
         self.link_subscription("command", self._on_command)
-        self.link_subscription("sim/current", self._on_current)
         self.create_service(Trigger, "~/arm", self._on_arm)
         self.create_service(Trigger, "~/disarm", self._on_disarm)
+        self.create_service(Trigger, "~/clear", self._on_clear)
         if not self.lockstep:
-            self.create_timer(self._stale_s / 4, self._check_stale, clock=self.steady)
+            self.create_subscription(DiagnosticStatus, "encoder_health", self._on_health,
+                                     LATCHED_QOS)
+            self.create_timer(_PUBLISHERS_PERIOD_S, self._check_publishers, clock=self.steady)
+            if self.simulated:
+                self.create_timer(self._interlock.stale_s / 4, self._check_stale,
+                                  clock=self.steady)
+        self.begin()
         self.publish_config()
 
-    def _on_current(self, sample: Any) -> None:
-        self._current = sample.current
+    def _new_interlock(self) -> Interlock:
+        limit = self.settings["voltage_limit_v"]
+        if self._limit_a and not self.simulated and self._gain:
+            limit = min(limit, self._limit_a / abs(self._gain))
+        return Interlock(
+            limit, 0.0 if self.lockstep else self.settings["stale_timeout_s"],
+            0.0 if self.simulated else self.settings["measurement_timeout_s"],
+            self.settings["divergence_window_s"], self._on_trip)
+
+    # Life cycle
+
+    def configure(self) -> None:
+        """Open the drive, its output at zero and off."""
+        if self.simulated:
+            return
+        if not self._limit_a:
+            raise DfmError("amplifier_driver: set current_limit_a to what the coil bears")
+        self._device = create_amplifier(
+            self.settings["device"], self.settings["port"], baud=self.settings["baud"],
+            peak_limit_a=self._limit_a,
+            continuous_limit_a=self.settings["continuous_limit_a"] or self._limit_a,
+            peak_time_s=self.settings["peak_time_s"],
+            ramp_a_per_s=self.settings["ramp_a_per_s"])
+        self._status_words["device"] = self._device.open()
+        self.get_logger().info(f"{self._status_words['device']} on {self.settings['port']}, "
+                               "output off")
+
+    def activate(self) -> None:
+        """Listen to commands; in simulation with `autoarm` obey them, too."""
+        if self._device is not None:
+            self._worker = AmplifierWorker(
+                self._device, self._interlock, self,
+                current_limit_a=_MEASURED_MARGIN * self._limit_a + _MEASURED_MARGIN_A,
+                shaped=self.settings["shape_last_count"],
+                question_period_s=self.settings["question_period_s"],
+                retry_s=self.settings["retry_s"])
+            self._worker.start()
+        elif self.settings["autoarm"]:
+            self._interlock.arm()
+
+    def deactivate(self) -> None:
+        """Zero and off."""
+        self._interlock.disarm()
+        self._off_bits = int(self._interlock.causes) or int(Cause.DISARMED)
+        if self._worker is not None:
+            self._worker.stop()
+            self._worker = None
+        elif self._seq and self.context.ok():
+            self._apply(self.now_ns(), 0.0, self._off_bits)
+
+    def cleanup(self) -> None:
+        """Close the port; the drive is off."""
+        if self._device is not None:
+            self._device.close()
+            self._device = None
+
+    # Commands
 
     def _on_command(self, command: Any) -> None:
-        voltage = command.voltage
-        faults = 0
-        if not math.isfinite(voltage):
-            faults |= AmplifierState.FAULT_NOT_FINITE
-            self.count("commands_not_finite")
-        elif abs(voltage) > self._limit:
-            faults |= AmplifierState.FAULT_OUT_OF_RANGE
-            self.count("commands_out_of_range")
-        if not self._armed:
-            faults |= AmplifierState.FAULT_DISARMED
-        self._last_command_s = time.monotonic()
+        if not self.active:
+            return
+        interlock = self._interlock
         self._answered = command.measurement_seq
         stamp = command.stamp_ns if self.lockstep else self.now_ns()
-        self._apply(stamp, 0.0 if faults else voltage, faults)
+        value = interlock.accept(command, time.monotonic(), stamp)
         self.count("commands")
+        worker = self._worker
+        if worker is not None:
+            if interlock.armed:
+                worker.command(value * self._gain, command.measurement_seq)
+            return
+        self._apply(stamp, value, 0 if interlock.armed else self._off_bits)
 
     def _check_stale(self) -> None:
-        age = time.monotonic() - self._last_command_s
-        if age > self._stale_s:
-            self._last_command_s = math.inf
-            self.count("stale")
-            self.warnings_active["stale"] = (
-                f"no command for {self._stale_s * 1e3:g} ms: output at zero")
-            self._apply(self.now_ns(), 0.0, AmplifierState.FAULT_STALE_COMMAND)
-        elif age >= 0.0:
-            self.warnings_active.pop("stale", None)
+        """Simulation: look for commands, unless it was this process that was held up."""
+        now = time.monotonic()
+        held_up, self._checked_s = now - self._checked_s > self._interlock.stale_s / 2, now
+        if not held_up and self._interlock.stale(now):
+            self._apply(self.now_ns(), 0.0, self._off_bits)
 
-    def _apply(self, stamp_ns: int, voltage: float, faults: int) -> None:
+    def _apply(self, stamp_ns: int, value: float, faults: int) -> None:
         self._seq += 1
-        self._voltage = voltage
-        self._drive.send(stamp_ns, self._seq, self._answered, voltage, self._armed)
+        enabled = self._interlock.armed
+        if self._drive is not None:
+            self._drive.send(stamp_ns, self._seq, self._answered, value, enabled)
         if not self.lockstep:
             stamp_ns = self.now_ns()
-        self._state.send(stamp_ns, self._seq, self._answered, voltage, self._current, self._armed,
+        self._state.send(stamp_ns, self._seq, self._answered, value, self._current, enabled,
                          faults)
 
+    def on_output(self, counts: int, answered: Any) -> None:
+        """Publish what the drive has acknowledged; in the worker's thread."""
+        if answered is not None:
+            self._answered = answered
+        value = counts * (self._device.count_a if self._device is not None else 0.0)
+        self._apply(self.now_ns(), value / self._gain if self._gain else 0.0,
+                    0 if self._interlock.armed else self._off_bits)
+
+    # What takes the output to zero
+
+    def _on_trip(self, cause: Cause, why: str) -> None:
+        """Latch; in whatever thread found it."""
+        self._off_bits = int(self._interlock.causes)
+        name = str(cause.name).lower()
+        self.count(f"trips_{name}")
+        self.errors_active[_LATCHED] = f"output at zero until clear and arm: {self._words()}"
+        if self._worker is not None:
+            self._worker.nudge()
+        self.get_logger().error(f"output to zero: {name}: {why}")
+
+    def _words(self) -> str:
+        return self._interlock.words()
+
+    def _trip(self, cause: Cause, why: str) -> None:
+        """Latch a cause that no command brought, and act on it now."""
+        if self._interlock.armed:
+            self._interlock.trip(cause, why)
+            if self._drive is not None:
+                self._apply(self.now_ns(), 0.0, self._off_bits)
+
+    def _on_current(self, sample: Any) -> None:
+        self._current = current = sample.current
+        if self._limit_a and abs(current) > self._limit_a and not self.lockstep:
+            self._trip(Cause.CURRENT, f"{current:.4g} A measured, the limit is "
+                       f"{self._limit_a:g} A")
+
+    def on_status(self, status: AmplifierStatus) -> None:
+        """Take over what the drive said; in the worker's thread."""
+        if status.current_a is not None:
+            self._current = status.current_a
+        if status.notes:
+            self._status_words |= status.notes
+
+    def _on_health(self, health: DiagnosticStatus) -> None:
+        self._encoder = health
+        trouble = self._encoder_trouble()
+        if trouble:
+            travel = any(value.value == "travel" for value in health.values)
+            self._trip(Cause.TRAVEL if travel else Cause.ENCODER, trouble)
+
+    def _encoder_trouble(self) -> str:
+        """Return why the output must not be on, as far as the encoder goes."""
+        if self._encoder is None:
+            return "" if self.simulated else "nothing is heard of an encoder_driver"
+        if self._encoder.level == DiagnosticStatus.ERROR:
+            return str(self._encoder.message)
+        if self._encoder.level == DiagnosticStatus.WARN and not self.simulated and self.settings[
+                "require_reference"]:
+            return f"the encoder is {self._encoder.message}"
+        return ""
+
+    def _check_publishers(self) -> None:
+        """One node is to send commands; two of one name are told apart by their numbers."""
+        if not self._interlock.armed:
+            return
+        topic = self.resolve_topic_name("command")
+        senders = {f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                   for info in self.get_publishers_info_by_topic(topic)
+                   if not info.node_name.startswith("_")}
+        if len(senders) > 1:
+            self._trip(Cause.OTHER_PUBLISHER, f"{len(senders)} nodes send commands: "
+                       f"{', '.join(sorted(senders))}")
+
+    # The operator
+
     def _on_arm(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._armed = True
-        response.success, response.message = True, "armed"
+        response.success = False
+        trouble = "" if self.lockstep else self._encoder_trouble()
+        if not self.active:
+            response.message = f"the driver is {self.life_cycle_state()}: activate it first"
+        elif self._interlock.armed:
+            response.success, response.message = True, "armed"
+        elif trouble:
+            response.message = f"refused: {trouble}"
+        else:
+            try:
+                if self._worker is not None:
+                    self._worker.arm()
+                else:
+                    self._interlock.arm()
+                response.success, response.message = True, "armed"
+            except RefusedError as error:
+                response.message = f"refused: {error}"
+            if trouble := "" if self.lockstep else self._encoder_trouble():
+                self._trip(Cause.ENCODER, trouble)
         return response
 
     def _on_disarm(self, _request: Trigger.Request,
                    response: Trigger.Response) -> Trigger.Response:
-        self._armed = False
-        if not self.lockstep:
-            self._apply(self.now_ns(), 0.0, AmplifierState.FAULT_DISARMED)
+        self._off_bits = int(self._interlock.causes) or int(Cause.DISARMED)
         response.success, response.message = True, "disarmed, output at zero"
+        if self._worker is not None:
+            try:
+                self._worker.disarm()
+            except DfmError as error:
+                response.success, response.message = False, str(error)
+            return response
+        self._interlock.disarm()
+        if not self.lockstep and self.active:
+            self._apply(self.now_ns(), 0.0, self._off_bits)
         return response
+
+    def _on_clear(self, _request: Trigger.Request,
+                  response: Trigger.Response) -> Trigger.Response:
+        """Forget what was latched; leaves the output disarmed."""
+        response.success = True
+        if not self._interlock.causes and self._worker is None:
+            response.message = "nothing was latched"
+            return response
+        try:
+            was = self._worker.clear() if self._worker is not None else (
+                f"cleared: {self._interlock.clear()}")
+            self._off_bits = int(Cause.DISARMED)
+            self.errors_active.pop(_LATCHED, None)
+            response.message = f"{was}; disarmed"
+        except DfmError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    # Reports
+
+    def report(self) -> dict[str, Any]:
+        """Return rate, ages, limits and what the drive says."""
+        interlock, limit = self._interlock, self._interlock.limit
+        out: dict[str, Any] = {
+            "state": self.life_cycle_state(), "armed": interlock.armed,
+            "latched": self._words() or "nothing",
+            "command rate": self.rate("commands", self.counters.get("commands", 0)),
+            "command limit": f"{limit:g}", "stale after": f"{interlock.stale_s * 1e3:g} ms"}
+        age = time.monotonic() - interlock.last_command_s
+        if math.isfinite(age) and not self.lockstep:
+            out["age of last command"] = f"{age * 1e3:.2f} ms"
+        if math.isfinite(self._current):
+            out["current"] = f"{self._current:.4g} A"
+        if self._limit_a:
+            out["current limit"] = f"{self._limit_a:g} A"
+        if self._encoder is not None:
+            out["encoder"] = self._encoder.message
+        worker, device = self._worker, self._device
+        if worker is not None:
+            out |= {"connected": worker.connected, "reconnect attempts": worker.reconnects,
+                    "output rate": self.rate("outputs", worker.outputs)}
+            if not worker.connected:
+                self.warnings_active["link"] = "the drive does not answer"
+            else:
+                self.warnings_active.pop("link", None)
+        if device is not None:
+            out |= {**self._status_words, **device.counters}
+        return out
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Without a command there is nothing to drive."""

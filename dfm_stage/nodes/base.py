@@ -148,6 +148,7 @@ class LoopNode(Node):
         self.axis = self.get_namespace().rpartition("/")[2]
         self.counters: dict[str, int] = {}
         self.warnings_active: dict[str, str] = {}
+        self.errors_active: dict[str, str] = {}
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.publishers_of_links: list[Publisher] = []
         self._config = self.create_publisher(String, "~/config", LATCHED_QOS)
@@ -166,6 +167,10 @@ class LoopNode(Node):
 
     def config(self) -> dict[str, Any]:
         """Return what the bag should know about this node besides its parameters."""
+        return {}
+
+    def report(self) -> dict[str, Any]:
+        """Return what diagnostics say once a second besides the counters."""
         return {}
 
     def waiting_for(self) -> tuple[str, int] | None:
@@ -248,11 +253,14 @@ class LoopNode(Node):
             if "waiting" not in self.warnings_active:
                 self.get_logger().warning(f"lockstep: waiting for {waiting[0]}")
             self.warnings_active["waiting"] = f"waiting for {waiting[0]}"
+        values = {**self.counters, **self.report()}
+        level = (DiagnosticStatus.ERROR if self.errors_active
+                 else DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK)
+        words = [*self.errors_active.values(), *self.warnings_active.values()]
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK,
-            name=self.get_fully_qualified_name(), hardware_id=self.axis,
-            message="; ".join(self.warnings_active.values()) or "running",
-            values=[KeyValue(key=key, value=str(value)) for key, value in self.counters.items()])
+            level=level, name=self.get_fully_qualified_name(), hardware_id=self.axis,
+            message="; ".join(words) or "running",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(Exception):

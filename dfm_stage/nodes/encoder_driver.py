@@ -1,31 +1,50 @@
-"""encoder_driver: counts of the scale to metres, dated, numbered and checked for plausibility."""
+"""encoder_driver: counts of the scale to metres, dated, numbered and checked for plausibility.
+
+The counts come from the simulated scale or, by a thread of their own, from a serial counter. When
+they are lost, implausible or beyond the travel, `encoder_health` (latched) says so at once, and
+amplifier_driver acts on it, whatever the controller does.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from dfm_interfaces.msg import Measurement
-from dfm_stage.nodes.base import LoopNode, run_node
+from dfm_stage.drivers.device import EncoderDevice, EncoderSample, create_encoder, names
+from dfm_stage.drivers.encoder_reader import EncoderReader
+from dfm_stage.errors import DfmError
+from dfm_stage.nodes.base import run_node
+from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.wiring import LATCHED_QOS
 
 _JOINT_STATE_PERIOD_S = 0.05
+_SHORTEST_STEP_S = 1e-3
+_REFERENCED = Measurement.FLAG_REFERENCED
 
 
-class EncoderDriver(LoopNode):
+class EncoderDriver(ManagedNode):
     """Publishes `measurement` for every sample of the device."""
 
     kind = "encoder_driver"
     settings_table = (
-        Setting("device", "sim", "where the counts come from", choices=("sim",)),
-        Setting("resolution_m", 0.0, "length of one count; 0 takes what the device says", "m",
+        *device_settings(names("encoders"), "where the counts come from"),
+        Setting("resolution_m", 0.0, "length of one count; 0 takes what the simulation says", "m",
                 0.0, 1e-3),
         Setting("reversed", False, "the scale counts against the positive direction"),
         Setting("zero_counts", 0, "counts at position zero", "counts", -2**53, 2**53),
-        Setting("travel_limit_m", 7.7e-3, "positions beyond this are flagged", "m", 0.0, 1.0),
+        Setting("travel_limit_m", 7.7e-3, "a position beyond this is an alarm", "m", 0.0, 1.0),
         Setting("velocity_limit_m_per_s", 1.0,
-                "a faster step between samples is flagged as implausible", "m/s", 0.0, 1e3),
+                "a faster step between samples is implausible, an alarm", "m/s", 0.0, 1e3),
+        Setting("stream_interval", 1, "qsb_d: time between samples in 1/512 s", "", 1, 65534),
+        Setting("encoder_timeout_s", 0.02, "hardware: without a sample for this long the encoder "
+                "is lost", "s", 0.001, 10.0),
+        Setting("reference", "operator", "what home does: here is zero, or the next index mark "
+                "is", choices=("operator", "index")),
     )
 
     def __init__(self, **kwargs: Any) -> None:
@@ -35,56 +54,232 @@ class EncoderDriver(LoopNode):
         self._resolution: float = self.settings["resolution_m"]
         self._travel: float = self.settings["travel_limit_m"]
         self._speed: float = self.settings["velocity_limit_m_per_s"]
-        self._last: Any = None
+        self._last_seq: int | None = None
+        self._last_stamp_ns = 0
+        self._last_counts = 0
         self._last_position = 0.0
+        self._flags = _REFERENCED if self.simulated else 0
+        self._device: EncoderDevice | None = None
+        self._reader: EncoderReader | None = None
+        self._identity = ""
+        self._alarms: dict[str, str] = {}
+        self._raised: set[str] = set()
         self._out = self.link_publisher("measurement")
+        self._health = self.create_publisher(DiagnosticStatus, "encoder_health", LATCHED_QOS)
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
         self.create_timer(_JOINT_STATE_PERIOD_S, self._publish_joint_state, clock=self.steady)
-        self.link_subscription("sim/position_counts", self._on_counts)
+        self.create_service(Trigger, "~/home", self._on_home)
+        if self.simulated:
+            self.link_subscription("sim/position_counts", self._on_counts)
+        self.begin()
+        self._publish_health()
         self.publish_config()
 
+    # Life cycle
+
+    def configure(self) -> None:
+        """Open the counter and check that it is what it should be."""
+        if self.simulated:
+            return
+        if not self._resolution:
+            raise DfmError("encoder_driver: a counter does not know the scale; set resolution_m "
+                           "to the length of one count")
+        self._device = create_encoder(self.settings["device"], self.settings["port"],
+                                      stream_interval=self.settings["stream_interval"])
+        self._identity = self._device.open()
+        self.get_logger().info(f"{self._identity} on {self.settings['port']}, not referenced")
+        self._unreference()
+
+    def activate(self) -> None:
+        """Start the stream."""
+        self._last_seq = None
+        if self._device is not None:
+            self._reader = EncoderReader(self._device, self, self.settings["encoder_timeout_s"],
+                                         self.settings["retry_s"])
+            self._reader.start()
+
+    def deactivate(self) -> None:
+        """Stop the stream; what is not watched is not referenced."""
+        if self._reader is not None:
+            self._reader.stop()
+            self._reader = None
+            self._unreference()
+
+    def cleanup(self) -> None:
+        """Close the port."""
+        if self._device is not None:
+            self._device.close()
+            self._device = None
+
+    def config(self) -> dict[str, Any]:
+        """Return what answered at the port."""
+        return {"identity": self._identity} if self._identity else {}
+
+    # Samples
+
     def _on_counts(self, sample: Any) -> None:
-        resolution = self._resolution or sample.resolution
-        counts = self._sign * sample.counts - self._zero
+        if self.active:
+            self._emit(sample.seq, sample.stamp_ns, sample.counts,
+                       (sample.stamp_ns - self._last_stamp_ns) * 1e-9,
+                       self._resolution or sample.resolution)
+
+    def on_sample(self, sample: EncoderSample) -> None:
+        """Pass on a sample of the device; in the reader's thread."""
+        self._emit(sample.seq, sample.stamp_ns, sample.counts, sample.elapsed_s,
+                   self._resolution)
+
+    def _emit(self, seq: int, stamp_ns: int, raw: int, elapsed_s: float,
+              resolution: float) -> None:
+        counts = self._sign * raw - self._zero
         position = counts * resolution
-        flags = Measurement.FLAG_REFERENCED
-        if abs(position) > self._travel:
+        flags = self._flags
+        if abs(position) > self._travel and flags & _REFERENCED:
             flags |= Measurement.FLAG_OUT_OF_TRAVEL
             self.count("out_of_travel")
-        last = self._last
-        if last is not None:
-            lost = (sample.seq - last.seq - 1) & 0xFFFFFFFF
+            self._alarm("travel", f"at {position * 1e3:.4g} mm, beyond the travel of "
+                        f"{self._travel * 1e3:.4g} mm")
+        if self._last_seq is not None:
+            lost = (seq - self._last_seq - 1) & 0xFFFFFFFF
             if lost:
                 flags |= Measurement.FLAG_SAMPLES_LOST
                 self.count("samples_lost", lost)
-            elapsed = (sample.stamp_ns - last.stamp_ns) * 1e-9
-            if elapsed > 0.0 and abs(position - self._last_position) > self._speed * elapsed:
+            step = abs(raw - self._last_counts) * resolution
+            # a late plant makes up for samples in no time
+            if step > self._speed * max(elapsed_s, _SHORTEST_STEP_S):
                 flags |= Measurement.FLAG_IMPLAUSIBLE
                 self.count("implausible")
-        self._last = sample
+                if flags & _REFERENCED:  # on the way to the index the count is allowed to jump
+                    self._alarm("implausible", f"moved {step * 1e3:.4g} mm in "
+                                f"{elapsed_s * 1e3:.4g} ms")
+        self._last_seq = seq
+        self._last_stamp_ns = stamp_ns
+        self._last_counts = raw
         self._last_position = position
-        self._out.send(sample.stamp_ns, sample.seq, position, counts, flags)
+        self._out.send(stamp_ns, seq, position, counts, flags)
         self.count("samples")
 
+    # Loss and return, in the reader's thread
+
+    def on_lost(self, why: str) -> None:
+        """Say at once that there are no samples any more."""
+        self.count("encoder_losses")
+        self._flags = 0
+        self._last_seq = None
+        self._alarm("lost", f"encoder lost: {why}")
+
+    def on_back(self, identity: str) -> None:
+        """A counter that comes back has lost its zero."""
+        self._identity = identity
+        self._alarms.pop("lost", None)
+        self._unreference()
+
+    def _unreference(self) -> None:
+        self._flags = 0
+        self._last_seq = None
+        self.warnings_active["reference"] = ("not referenced: bring the stage to its zero and "
+                                             "call home")
+        self._publish_health()
+
+    def _alarm(self, kind: str, text: str) -> None:
+        """Publish a trouble the moment it comes up; it stays up for a second at least."""
+        self._raised.add(kind)
+        if kind not in self._alarms:
+            self._alarms[kind] = self.errors_active[kind] = text
+            self._publish_health()
+
+    def _publish_health(self) -> None:
+        level, words, cause = DiagnosticStatus.OK, "running", ""
+        if self._alarms:
+            level, words = DiagnosticStatus.ERROR, "; ".join(list(self._alarms.values()))
+            cause = "travel" if list(self._alarms) == ["travel"] else "encoder"
+        elif not self._flags & _REFERENCED:
+            level, words = DiagnosticStatus.WARN, "not referenced"
+        elif not self.active:
+            level, words = DiagnosticStatus.WARN, "not active"
+        self._health.publish(DiagnosticStatus(
+            level=level, name="encoder", message=words, hardware_id=self.axis,
+            values=[KeyValue(key="cause", value=cause)]))
+
+    # Referencing
+
+    def _on_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = False
+        if not self.active or self._last_seq is None:
+            response.message = "there are no samples: activate the driver first"
+        elif self.settings["reference"] == "operator":
+            self._zero = self._sign * self._last_counts
+            self._referenced()
+            response.success, response.message = True, "zero is here"
+        elif self._reader is None:
+            response.message = "the simulated scale has no index: set reference to operator"
+        else:
+            self._unreference()
+            self._reader.seek_index()
+            response.success = True
+            response.message = "looking for the index: move the stage over it by hand"
+        return response
+
+    def on_index(self) -> None:
+        """The index was passed: the counter's own zero, plus zero_counts, is position zero."""
+        self._zero = self.settings["zero_counts"]
+        self._last_seq = None
+        self._referenced()
+        self.get_logger().info("the index is found, the position referenced")
+
+    def _referenced(self) -> None:
+        self._flags = _REFERENCED
+        self.warnings_active.pop("reference", None)
+        self._publish_health()
+
+    # Reports
+
+    def _every_second(self) -> None:
+        over = [kind for kind in self._alarms if kind not in self._raised and kind != "lost"]
+        self._raised.clear()
+        for kind in over:
+            self._alarms.pop(kind, None)
+        for kind in ("travel", "implausible", "lost"):
+            if kind not in self._alarms:
+                self.errors_active.pop(kind, None)
+        if over:
+            self._publish_health()
+        super()._every_second()
+
+    def report(self) -> dict[str, Any]:
+        """Return rate, age and what the line did."""
+        out: dict[str, Any] = {"state": self.life_cycle_state(),
+                               "referenced": bool(self._flags & _REFERENCED),
+                               "sample rate": self.rate("samples",
+                                                        self.counters.get("samples", 0)),
+                               "travel limit": f"{self._travel * 1e3:g} mm",
+                               "velocity limit": f"{self._speed:g} m/s"}
+        if self._last_seq is not None and not self.lockstep:
+            out["age of last sample"] = f"{(self.now_ns() - self._last_stamp_ns) * 1e-6:.2f} ms"
+        if self._device is not None:
+            out |= {"device": self._identity, **self._device.counters}
+        if self._reader is not None:
+            out["reconnect attempts"] = self._reader.reconnects
+        return out
+
     def _publish_joint_state(self) -> None:
-        if self._last is None:
+        if self._last_seq is None:
             return
-        sec, nanosec = divmod(self._last.stamp_ns, 1_000_000_000)
+        sec, nanosec = divmod(self._last_stamp_ns, 1_000_000_000)
         state = JointState(name=[self.axis], position=[self._last_position])
         state.header.stamp.sec, state.header.stamp.nanosec = sec, nanosec
         self._joint_states.publish(state)
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Without a first sample there is nothing to answer."""
-        return None if self._last is not None else ("sim/position_counts", 0)
+        return None if self._last_seq is not None else ("sim/position_counts", 0)
 
     def not_ready(self) -> str | None:
-        """The scale must be there."""
-        return None if self.count_publishers("sim/position_counts") else "no sim_plant"
+        """The simulated scale must be there."""
+        if not self.simulated or self.count_publishers("sim/position_counts"):
+            return None
+        return "no sim_plant"
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return run_node(EncoderDriver, args)
-
-

@@ -210,6 +210,9 @@ class Recorder(LoopNode):
         self._fetch()
         self._open = False
         try:
+            for config in self._configs.values():
+                for name, text in config.pop("attachments", {}).items():
+                    self._bag.attach(name, "text/csv", text.encode())
             if self._configs and self._bag.error is None:
                 self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml",
                                  json.dumps(self._configs, sort_keys=True, indent=1).encode())

@@ -3,24 +3,35 @@
 It answers measurement k. In lockstep it gives reference and excitation k and, when no experiment
 is running, nothing at all: time stands still between experiments. In real time it gives those of
 k + 1, so that the controller has them when measurement k + 1 arrives; between experiments it
-holds the last position.
+holds the last position. What would leave a limit (`limits.*`) is refused before it starts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
 from std_srvs.srv import Trigger
 
 from dfm_interfaces.action import RunExperiment
+from dfm_stage.control import inverse_of
 from dfm_stage.errors import DfmError
+from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.share import find_experiment
 from dfm_stage.nodes.signal_settings import KINDS, signal_settings, specification
-from dfm_stage.trajectory import load_experiment, make_excitation, make_reference
+from dfm_stage.trajectory import (
+    LIMIT_PARAMETERS,
+    Excitation,
+    Limits,
+    Reference,
+    load_experiment,
+    make_excitation,
+    make_reference,
+    require_run_within,
+)
 
 
 @dataclass
@@ -33,6 +44,7 @@ class Run:
     acceleration: list[float]
     voltage: list[float]
     metadata: dict[str, Any]
+    files: dict[str, str]
     goal: Any = None
     first_seq: int | None = None
     done: int = 0
@@ -57,6 +69,14 @@ class TrajectoryGenerator(LoopNode):
         Setting("repeat", False, "start again when the signal ends (real time)", live=True),
         Setting("autostart", True, "run as soon as the controller listens, where an experiment "
                 "or a signal other than hold is given"),
+        *(Setting.of(parameter, prefix="limits.", live=True) for parameter in LIMIT_PARAMETERS),
+        Setting("limits.model", "", "model.yaml, a path or a name in config/models, that says "
+                "what force and current a movement takes and where an excitation in open loop "
+                "drives the stage; empty = that of the experiment, for force and current",
+                live=True),
+        Setting("inverse_model", "", "model.yaml whose inverse is added to the excitation: the "
+                "voltage that moves it along the reference, which is known ahead; empty = none",
+                live=True),
         *signal_settings(),
     )
 
@@ -94,40 +114,81 @@ class TrajectoryGenerator(LoopNode):
         given = self._given | set(self._parameter_overrides)
         if hasattr(self, "settings"):
             given |= {name for name, value in values.items() if value != self.settings[name]}
-        for part, make in (("reference", make_reference), ("excitation", make_excitation)):
-            make(specification(part, values, given), sample_period_s=values["sample_period_s"],
-                 duration_s=values["duration_s"], seed=values["seed"], where=part)
+        if not values["experiment"]:
+            self._signals(values, given)
+
+    def _signals(self, values: dict[str, Any], given: set[str],
+                 experiment: str = "") -> tuple[str, Reference, Excitation, list[float]]:
+        """Return name, reference, excitation and the whole voltage, all within the limits.
+
+        Raises
+        ------
+        DfmError
+            If there is no such experiment or signal, or it would leave a limit.
+        """
+        period = values["sample_period_s"]
+        name, open_loop, named = "", False, values["limits.model"]
+        experiment = experiment or values["experiment"]
+        if experiment:
+            loaded = load_experiment(find_experiment(experiment))
+            axis = self.get_namespace().rpartition("/")[2]
+            reference = loaded.reference(axis, period)
+            excitation = loaded.excitation(axis, period)
+            name, open_loop = loaded.name, loaded.mode == "open_loop"
+        else:
+            common = {"sample_period_s": period, "duration_s": values["duration_s"],
+                      "seed": values["seed"]}
+            reference = make_reference(specification("reference", values, given),
+                                       where="reference", **common)
+            excitation = make_excitation(specification("excitation", values, given),
+                                         where="excitation", **common)
+            open_loop = values["reference.kind"] == "hold"
+        limits = Limits.from_mapping({each.name: values[f"limits.{each.name}"]
+                                      for each in LIMIT_PARAMETERS})
+        if not named and experiment and limits.need_a_model:
+            named = loaded.model
+        voltage = excitation.voltage
+        if values["inverse_model"] and not open_loop:
+            voltage = voltage + inverse_of(self._model(values["inverse_model"]),
+                                            reference.position, reference.velocity,
+                                            reference.acceleration)
+        require_run_within(reference, replace(excitation, voltage=voltage), limits,
+                           self._model(named) if named else None, open_loop=open_loop, where=name)
+        return name, reference, excitation, voltage.tolist()
+
+    def _model(self, name: str) -> Model:
+        model = load_model(name)
+        return model.axis(self.get_namespace().rpartition("/")[2]) if model.axes else model
 
     def settings_applied(self, names: set[str]) -> None:
         """Remember what was given; it takes effect at the next start."""
         self._given |= names
 
     def _make_run(self, experiment: str = "", goal: Any = None) -> Run:
-        values = self.settings.values
-        period = values["sample_period_s"]
-        experiment = experiment or values["experiment"]
-        if experiment:
-            loaded = load_experiment(find_experiment(experiment))
-            reference = loaded.reference(self.axis, period)
-            excitation = loaded.excitation(self.axis, period)
-            name = loaded.name
-        else:
-            common = {"sample_period_s": period, "duration_s": values["duration_s"],
-                      "seed": values["seed"]}
-            reference = make_reference(specification("reference", values, self._given), **common)
-            excitation = make_excitation(specification("excitation", values, self._given),
-                                         **common)
-            name = "parameters"
+        name, reference, excitation, voltage = self._signals(self.settings.values, self._given,
+                                                             experiment)
+        name = name or "parameters"
         metadata = {"experiment": name, "reference": reference.metadata(),
                     "excitation": excitation.metadata()}
         return Run(name, reference.position.tolist(), reference.velocity.tolist(),
-                   reference.acceleration.tolist(), excitation.voltage.tolist(), metadata, goal)
+                   reference.acceleration.tolist(), voltage, metadata,
+                   self._files(excitation), goal)
+
+    def _files(self, excitation: Excitation) -> dict[str, str]:
+        """Return what the recorder is to attach to the bag: a voltage that came from a file."""
+        if excitation.kind != "csv":
+            return {}
+        rows = "".join(f"{k * excitation.sample_period_s:.9g},{volts!r}\n"
+                       for k, volts in enumerate(excitation.voltage.tolist()))
+        axis = self.get_namespace().rpartition("/")[2]
+        return {f"{axis}_excitation.csv": f"time_s,excitation_v\n{rows}"}
 
     def config(self) -> dict[str, Any]:
         """Return what signal is, or was last, running and where in the record it starts."""
         if self._run is None:
             return {}
-        return {"run": {**self._run.metadata, "first_seq": self._run.first_seq}}
+        run = {**self._run.metadata, "first_seq": self._run.first_seq}
+        return {"run": run, "attachments": self._run.files} if self._run.files else {"run": run}
 
     # Starting and stopping
 

@@ -19,6 +19,7 @@ from dfm_stage.recording.numba_tools import (
     Bytes,
     Ints,
     compiled,
+    entry,
     u32,
     u64,
 )
@@ -221,7 +222,7 @@ def _each(data: Bytes, start: Ints, end: Ints, at: Ints, program: Ints, arena: B
     return n_entries
 
 
-@compiled
+@entry
 def decode(data: Bytes, offsets: Ints, row: int, program: Ints, arena: Bytes, bases: Ints,
            ragged: Bytes, ragged_ends: Ints, entries: Ints, bad: Ints) -> tuple[int, int]:
     """Decode the messages at `offsets` into the columns in `arena`, from row `row` on.

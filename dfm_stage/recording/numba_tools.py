@@ -6,7 +6,8 @@ The loops are compiled on their first call and kept on disk. They run without th
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar, cast
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
 
 import numba
 import numpy as np
@@ -15,18 +16,32 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from dfm_stage.machine_code import keeper
+
 Bytes: TypeAlias = NDArray[np.uint8]
 Ints: TypeAlias = NDArray[np.int64]
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+_njit: Any = numba.njit
+_HERE = Path(__file__).resolve().parent
+_keep = keeper("reader", [*_HERE.glob("*_kernels.py"), _HERE / "numba_tools.py",
+                          _HERE / "decode_plan.py"])
 
 RECORD_HEAD = 9         # opcode, length
 MESSAGE_HEAD = 31       # and channel, sequence, log time, publish time
 CDR_HEAD = 4
 
 
+def entry(function: Function) -> Function:
+    """Compile a function that Python calls; its machine code, and all it calls, is kept."""
+    result: Function = _njit(nogil=True)(function)
+    return _keep(result)
+
+
 def compiled(function: Function) -> Function:
-    """Compile a function whose types numba can find by itself."""
-    return cast("Function", numba.njit(cache=True, nogil=True)(function))
+    """Compile a function that only compiled code calls."""
+    result: Function = _njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    return result
 
 
 def _loader(bits: int) -> Any:

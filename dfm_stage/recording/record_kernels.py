@@ -10,7 +10,7 @@ from dfm_stage.recording.numba_tools import (
     RECORD_HEAD,
     Bytes,
     Ints,
-    compiled,
+    entry,
     u16,
     u64,
 )
@@ -20,7 +20,7 @@ SCHEMA = 3
 CHANNEL = 4
 
 
-@compiled
+@entry
 def survey(data: Bytes, counts: Ints, definitions: Ints) -> tuple[int, int]:
     """Count the messages of each channel and list where schemas and channels stand.
 
@@ -57,7 +57,7 @@ def survey(data: Bytes, counts: Ints, definitions: Ints) -> tuple[int, int]:
     return at, found
 
 
-@compiled
+@entry
 def locate(data: Bytes, slots: NDArray[np.int32], cursors: Ints, ends: Ints,
            offsets: Ints) -> tuple[int, int]:
     """Write the offset of every message of a wanted channel into its slot's part of `offsets`.

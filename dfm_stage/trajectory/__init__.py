@@ -4,12 +4,21 @@ from dfm_stage.trajectory.errors import LimitError, TrajectoryError
 from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
 from dfm_stage.trajectory.experiment import AxisSpec, Experiment, load_experiment
 from dfm_stage.trajectory.kind import Kind, Option
-from dfm_stage.trajectory.limits import Limits, Violation, check_limits, require_within
+from dfm_stage.trajectory.limits import (
+    LIMIT_PARAMETERS,
+    Limits,
+    Violation,
+    check_limits,
+    check_run,
+    require_run_within,
+    require_within,
+)
 from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
 from dfm_stage.trajectory.stepped_sine import Segment
 
 __all__ = [
-    "EXCITATION_KINDS", "REFERENCE_KINDS", "AxisSpec", "Excitation", "Experiment", "Kind",
-    "LimitError", "Limits", "Option", "Reference", "Segment", "TrajectoryError", "Violation",
-    "check_limits", "load_experiment", "make_excitation", "make_reference", "require_within",
+    "EXCITATION_KINDS", "LIMIT_PARAMETERS", "REFERENCE_KINDS", "AxisSpec", "Excitation",
+    "Experiment", "Kind", "LimitError", "Limits", "Option", "Reference", "Segment",
+    "TrajectoryError", "Violation", "check_limits", "check_run", "load_experiment",
+    "make_excitation", "make_reference", "require_run_within", "require_within",
 ]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.model.parameter import Parameter
+from dfm_stage.trajectory import csv_signal as _csv
 from dfm_stage.trajectory import staircase as _staircase
 from dfm_stage.trajectory import stepped_sine as _stepped
 from dfm_stage.trajectory import waveform as _waveform
@@ -89,6 +90,11 @@ def _steps(values: Values, timing: Timing) -> Excitation:
     return _plain("steps", voltage, timing, period)
 
 
+def _from_csv(values: Values, timing: Timing) -> Excitation:
+    voltage, period = _csv.csv_voltage(values, timing)
+    return _plain("csv", voltage, timing, period)
+
+
 def _stepped_sine(values: Values, timing: Timing) -> Excitation:
     voltage, segments, ramp = _stepped.stepped_sine(values, timing, "v")
     return Excitation(voltage, "stepped_sine", timing.sample_period_s, 0, 0, ramp, _NONE, _NONE,
@@ -113,6 +119,8 @@ EXCITATION_KINDS: dict[str, Kind[Excitation]] = {kind.name: kind for kind in (
     Kind("steps", "a list of levels or a staircase, by jumps or smooth moves",
          _staircase.staircase_parameters("v", "V", 0.5), _steps,
          _staircase.staircase_options("v", "V")),
+    Kind("csv", "voltages from a CSV file, each row held to the next",
+         _csv.csv_parameters("voltage"), _from_csv, _csv.CSV_OPTIONS),
     Kind("sine", "one frequency", _waveform.sine_parameters("v", "V", 0.08),
          _from_waveform("sine", _waveform.sine)),
     Kind("stepped_sine", "one frequency after another, each settled and then measured",

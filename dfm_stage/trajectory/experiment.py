@@ -125,13 +125,23 @@ def _experiment(content: Mapping[str, Any], source: str) -> Experiment:
     seed = content.get("seed", 0)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise TrajectoryError(f"seed must be a whole number from 0, not {seed!r}", "seed")
-    return Experiment(name, str(mode), _duration(content), _axes(content, str(mode)),
-                      _text(content, "model"),
-                      controller if isinstance(controller, str) else _plain(controller),
+    return Experiment(name, str(mode), _duration(content), _axes(content, str(mode), source),
+                      _beside(_text(content, "model"), source),
+                      _beside(controller, source) if isinstance(controller, str)
+                      else _plain(controller),
                       int(seed), _text(content, "description"), source)
 
 
-def _axes(content: Mapping[str, Any], mode: str) -> dict[str, AxisSpec]:
+def _beside(name: str, source: str) -> str:
+    """Return a file that stands beside the experiment by its full path, any other as it is."""
+    if source and name and not Path(name).is_absolute():
+        here = Path(source).absolute().parent / name
+        if here.is_file():
+            return str(here)
+    return name
+
+
+def _axes(content: Mapping[str, Any], mode: str, source: str) -> dict[str, AxisSpec]:
     axes = content.get("axes")
     if not isinstance(axes, Mapping) or not axes:
         raise TrajectoryError("axes is missing; give at least axes: {x: {reference: {...}}}",
@@ -157,9 +167,16 @@ def _axes(content: Mapping[str, Any], mode: str) -> dict[str, AxisSpec]:
         if mode == "open_loop" and "reference" in entry:
             raise TrajectoryError(f"{where}.reference has no effect with mode: open_loop; remove "
                                   "it or choose another mode", f"{where}.reference")
-        specs[axis] = AxisSpec(*(_plain(entry[part]) if part in entry else None
+        specs[axis] = AxisSpec(*(_specification(entry[part], source) if part in entry else None
                                  for part in ("reference", "excitation")))
     return specs
+
+
+def _specification(given: Any, source: str) -> dict[str, Any]:
+    plain: dict[str, Any] = _plain(given)
+    if "file" in plain:
+        plain["file"] = _beside(plain["file"], source)
+    return plain
 
 
 def _duration(content: Mapping[str, Any]) -> float:

@@ -22,7 +22,8 @@ _WHOLE = 1e-6
 class Option:
     """A setting that is not one real number: a switch, a word or a list of numbers.
 
-    The type of `default` decides: bool, str (one of `choices`) or a tuple of floats in `unit`.
+    The type of `default` decides: bool, str (one of `choices`, any text where there are none) or
+    a tuple of floats in `unit`.
     """
 
     name: str
@@ -45,8 +46,10 @@ class Option:
             raise ParameterError(place(where, f"{self.name} must be true or false, "
                                               f"not {value!r}"))
         if isinstance(self.default, str):
-            if value in self.choices:
+            if value in self.choices or (not self.choices and isinstance(value, str)):
                 return str(value)
+            if not self.choices:
+                raise ParameterError(place(where, f"{self.name} must be text, not {value!r}"))
             raise ParameterError(place(where, f"{self.name} must be one of "
                                               f"{', '.join(self.choices)}, not {value!r}"))
         if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):

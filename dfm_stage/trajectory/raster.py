@@ -16,6 +16,9 @@ RASTER_PARAMETERS = (
     Parameter("center_m", 0.0, "m", "middle of the line"),
     Parameter("lead_in_s", 0.5, "s",
               "smooth start from rest at the middle; 0 = start on the line at full speed", 0.0),
+    Parameter("lead_out_s", 0.0, "s",
+              "smooth stop at the middle after the last line back; 0 = scan to the end", 0.0),
+    Parameter("rest_s", 0.0, "s", "rest after the smooth stop", 0.0),
 )
 
 
@@ -54,6 +57,21 @@ def raster(values: Values,
                          -0.5 * length, speed, turn_s)
         position[head] = center + start[0]
         velocity[head], acceleration[head] = start[1], start[2]
+    out_s = values.number("lead_out_s")
+    if out_s > 0.0:
+        turn = values.samples(turn_s, "turnaround_s", timing)
+        out = values.samples(out_s, "lead_out_s", timing)
+        rest = values.samples(values.number("rest_s"), "rest_s", timing)
+        lines = (timing.count - lead - out - rest + turn) // period
+        stop = lead + lines * period - turn
+        if lines < 1:
+            raise values.error("lead_out_s", "the duration leaves no time for one line there and "
+                               f"back: {(lead + period - turn + out + rest) * dt:g} s are needed")
+        # The way in, backwards; time -t turns the velocity about.
+        t = np.maximum(out - np.arange(timing.count - stop), 0.0) * dt
+        x, v, a = _lead_in(t, out * dt, -0.5 * length, speed, turn_s)
+        position[stop:], velocity[stop:], acceleration[stop:] = center + x, -v, a
+        on_line[stop:] = False
     return position, velocity, acceleration, on_line, period, lead
 
 

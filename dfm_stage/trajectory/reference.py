@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.model.parameter import Parameter
+from dfm_stage.trajectory import area as _area
+from dfm_stage.trajectory import csv_signal as _csv
+from dfm_stage.trajectory import point_to_point as _points
 from dfm_stage.trajectory import raster as _raster
 from dfm_stage.trajectory import staircase as _staircase
 from dfm_stage.trajectory import waveform as _waveform
@@ -65,6 +68,29 @@ def _raster_line(values: Values, timing: Timing) -> Reference:
                      period, lead)
 
 
+def _point_to_point(values: Values, timing: Timing) -> Reference:
+    position, velocity, acceleration, held, period = _points.point_to_point(values, timing)
+    return Reference(position, velocity, acceleration, held, "point_to_point",
+                     timing.sample_period_s, period,
+                     values.samples(values.number("delay_s"), "delay_s", timing))
+
+
+def _area_scan(name: str, maker: Callable[[Values, Timing], _area.Scan]
+               ) -> Callable[[Values, Timing], Reference]:
+    def build(values: Values, timing: Timing) -> Reference:
+        position, velocity, acceleration, steady, period, start = maker(values, timing)
+        return Reference(position, velocity, acceleration, steady, name, timing.sample_period_s,
+                         period, start)
+    return build
+
+
+def _from_csv(values: Values, timing: Timing) -> Reference:
+    position, velocity, acceleration, first, end, period = _csv.csv_movement(values, timing)
+    index = np.arange(timing.count)
+    return Reference(position, velocity, acceleration, (index >= first) & (index < end), "csv",
+                     timing.sample_period_s, period, first)
+
+
 Maker = Callable[[Values, Timing, str], Waveform]
 
 
@@ -87,6 +113,14 @@ REFERENCE_KINDS: dict[str, Kind[Reference]] = {kind.name: kind for kind in (
          _staircase.staircase_options("m", "m")),
     Kind("raster", "scan lines there and back with smooth turnarounds",
          _raster.RASTER_PARAMETERS, _raster_line),
+    Kind("spiral", "out from the middle and back in; each axis gets its part",
+         _area.SPIRAL_PARAMETERS, _area_scan("spiral", _area.spiral)),
+    Kind("lissajous", "a sine of whole cycles per pattern on each axis",
+         _area.LISSAJOUS_PARAMETERS, _area_scan("lissajous", _area.lissajous)),
+    Kind("point_to_point", "the shortest moves within velocity, acceleration and jerk",
+         _points.POINT_PARAMETERS, _point_to_point, _points.POINT_OPTIONS),
+    Kind("csv", "positions from a CSV file, joined smoothly",
+         _csv.csv_parameters("position"), _from_csv, _csv.CSV_OPTIONS),
     Kind("sine", "one frequency", (*_waveform.sine_parameters("m", "m", 1e-3), _CENTER),
          _from_waveform("sine", _waveform.sine)),
     Kind("chirp", "a sweep through a band of frequencies",

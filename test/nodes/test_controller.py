@@ -106,7 +106,7 @@ def test_the_filter_knows_the_excitation(loop):
     for _ in range(500):
         stage.added = 0.2 * float(rng.choice([-1, 1]))
         stage.run(1)
-    lqg = stage.node._lqg
+    lqg = stage.node._laws.lqg
     predicted = lqg.design.filter.c @ (lqg._next + lqg._b * lqg.output_v)
     assert predicted == pytest.approx(stage.plant.sample().position_m, abs=3e-7)
 
@@ -148,7 +148,7 @@ def test_a_diverging_loop_is_let_go_and_comes_to_rest(loop, gains, reason):
 @pytest.mark.parametrize("way", ["raise_gain", "relay"])
 def test_the_ultimate_gain_is_found_on_the_loop(loop, way):
     stage = loop(tuning=way)
-    while not stage.node._run.ended:
+    while not stage.node._laws.run.ended:
         stage.run(100)
     found = stage.node.config()["tuning"]
     exact = ultimate(sample_model(load_model("paper_stage")))

@@ -14,13 +14,15 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import
-BASE = {"errors"}
+BASE = {"errors", "machine_code"}
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
+    "machine_code": set(),
     "commands": set(),
     "domain": BASE,
     "model": BASE,
     "recording": BASE,
+    "compile_all": BASE | {"model", "recording"},
     "reporting": BASE,
     "drivers": BASE,
     "trajectory": BASE | {"model"},
@@ -30,9 +32,9 @@ ARROWS: dict[str, set[str]] = {
     "paper": BASE | {"model", "trajectory", "control", "identification", "recording", "reporting"},
 }
 PURE = set(ARROWS)
-WITH_ROS = {"nodes", "harness"}
-ANYTHING = {"cli", "nodes", "harness", "__main__"}
-MAY_IMPORT_NODES = {"nodes", "harness"}
+WITH_ROS = {"nodes", "harness", "emulated"}
+ANYTHING = {"cli", "nodes", "harness", "emulated", "__main__"}
+MAY_IMPORT_NODES = {"nodes", "harness", "emulated"}
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "dfm_interfaces", "diagnostic_msgs",
     "geometry_msgs", "launch", "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy",

@@ -28,6 +28,34 @@ def cubic_at(coefficients: Array, r: float) -> float:
 
 
 @lean
+def fill(a: Array, value: float) -> None:
+    """a[:] = value; numba takes a third of a second to compile a slice assignment."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            a[i, j] = value
+
+
+@lean
+def assign(source: Array, out: Array) -> None:
+    """out[:] = source"""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = source[i, j]
+
+
+@lean
+def largest_row(a: Array) -> float:
+    """The largest sum of magnitudes in a row."""
+    norm = 0.0
+    for i in range(a.shape[0]):
+        total = 0.0
+        for j in range(a.shape[1]):
+            total += abs(a[i, j])
+        norm = max(norm, total)
+    return norm
+
+
+@lean
 def multiply(a: Array, b: Array, out: Array) -> None:
     """out = a b for small matrices; `out` must be another array."""
     for i in range(a.shape[0]):
@@ -42,7 +70,8 @@ def multiply(a: Array, b: Array, out: Array) -> None:
 def balance(a: Array, scale: Array) -> None:
     """Scale a in place to D^-1 a D with D = diag(scale) of powers of two (Osborne 1960)."""
     n = a.shape[0]
-    scale[:] = 1.0
+    for i in range(n):
+        scale[i] = 1.0
     for _ in range(20):
         changed = False
         for i in range(n):
@@ -69,18 +98,20 @@ def balance(a: Array, scale: Array) -> None:
 def exponential(a: Array, out: Array) -> None:
     """out = exp(a), by balancing, Taylor series and squaring; relative error near 1e-14."""
     n = a.shape[0]
-    scaled, scale = a.copy(), np.empty(n)
+    scaled, scale = np.empty((n, n)), np.empty(n)
+    assign(a, scaled)
     balance(scaled, scale)
-    norm = 0.0
-    for i in range(n):
-        norm = max(norm, np.sum(np.abs(scaled[i])))
+    norm = largest_row(scaled)
     squarings = 0
     while norm > 0.5:
         norm *= 0.5
         squarings += 1
-    scaled *= 0.5 ** squarings
-    term, other = np.eye(n), np.empty((n, n))
-    out[:] = term
+    factor = 0.5 ** squarings
+    term, other = np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] *= factor
+            term[i, j] = out[i, j] = 1.0 if i == j else 0.0
     for order in range(1, 20):
         multiply(term, scaled, other)
         largest = 0.0
@@ -93,7 +124,7 @@ def exponential(a: Array, out: Array) -> None:
             break
     for _ in range(squarings):
         multiply(out, out, other)
-        out[:] = other
+        assign(other, out)
     for i in range(n):
         for j in range(n):
             out[i, j] *= scale[i] / scale[j]

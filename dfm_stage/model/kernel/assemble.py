@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.model.kernel.algebra import fill
 from dfm_stage.model.kernel.compiled import lean
 from dfm_stage.model.kernel.hooks import stamp_amplifier, stamp_mechanics, stamp_modes
 from dfm_stage.model.kernel.slots import (
@@ -56,8 +57,8 @@ def assemble(on: int, layout: NDArray[np.int64], theta: Array, period: float, a:
     """Fill `a` and `rows` for the parameters `theta`."""
     shortest = INSTANT * period
     n = a.shape[0]
-    a[:] = 0.0
-    rows[:] = 0.0
+    fill(a, 0.0)
+    fill(rows, 0.0)
     mass = theta[MASS]
     a[0, 1] = 1.0
     a[1, 0] = -theta[STIFFNESS] / mass

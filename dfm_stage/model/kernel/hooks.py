@@ -1,14 +1,14 @@
 """The effects' hooks, chained into one compiled function each.
 
-A chain is built by closures and never cached itself: the entry points that call it carry its
-machine code. `on` is the bit mask of effects, in registry order. Effects that are off cost a test
-of one bit.
+A chain is written out as text, one line per effect, compiled when it is first needed and never
+cached itself: the entry points that call it carry its machine code. `on` is the bit mask of
+effects, in registry order. Effects that are off cost a test of one bit.
 """
 
-# ruff: noqa: ARG001
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from typing import Any
 
 from dfm_stage.model.effect import Effect
@@ -23,176 +23,79 @@ from dfm_stage.model.kernel.slots import (
 )
 from dfm_stage.model.registry import EFFECTS
 
-# mypy: disable-error-code="no-untyped-def"
 Hook = Callable[..., Any]
 Force = Callable[..., float]
-
-
-@inlined
-def _one(theta, at):
-    return (theta[at],)
-
-
-@inlined
-def _two(theta, at):
-    return theta[at], theta[at + 1]
-
-
-@inlined
-def _three(theta, at):
-    return theta[at], theta[at + 1], theta[at + 2]
-
-
-@inlined
-def _four(theta, at):
-    return theta[at], theta[at + 1], theta[at + 2], theta[at + 3]
-
-
-@inlined
-def _five(theta, at):
-    return theta[at], theta[at + 1], theta[at + 2], theta[at + 3], theta[at + 4]
-
-
-_TAKE = (_one, _two, _three, _four, _five)
 
 
 def _with(hook: str) -> list[Effect]:
     return [effect for effect in EFFECTS.values() if getattr(effect, hook) is not None]
 
 
-def _place(effect: Effect, hook: str) -> tuple[Hook, int, Hook, int]:
-    """The compiled hook, its bit, and how to take its parameters out of theta and where."""
-    shape = lean if hook == "advance" else inlined
-    return (shape(getattr(effect, hook)), BIT[effect.name],
-            _TAKE[len(effect.parameters) - 1], FIRST_PARAMETER[effect.name])
+@lru_cache
+def _compiled(effect: str, hook: str) -> Hook:
+    function: Hook = getattr(EFFECTS[effect], hook)
+    return lean(function) if hook == "advance" else inlined(function)
 
 
-def _summed(hook: str, effects: Iterable[Effect] | None = None) -> Force:
-    """chain(on, theta, *args) -> sum of hook(*args, p)"""
-    @inlined
-    def chain(on, theta, *args):
-        return 0.0
+def _chain(arguments: str, hook: str, effects: Iterable[Effect], step: Callable[[Effect], str],
+           start: str = "", result: str = "") -> Hook:
+    """A function of `arguments` that does `step` for every effect that is on.
 
-    def link(before: Hook, effect: Effect) -> Hook:
-        piece, bit, take, at = _place(effect, hook)
-
-        @inlined
-        def longer(on, theta, *args):
-            total = before(on, theta, *args)
-            if on >> bit & 1:
-                total += piece(*args, take(theta, at))
-            return total
-
-        return longer
-
-    for effect in _with(hook) if effects is None else effects:
-        chain = link(chain, effect)
-    return chain
-
-
-def _states(hook: str, effects: Iterable[Effect]) -> Hook:
-    """chain(on, layout, theta, *args): hook(*args, first, p) changes its arguments"""
-    @inlined
-    def chain(on, layout, theta, *args):
-        pass
-
-    def link(before: Hook, effect: Effect) -> Hook:
-        piece, bit, take, at = _place(effect, hook)
-        first = LAYOUT_FIXED + STATE_NAMES.index(effect.states[0])
-
-        @inlined
-        def longer(on, layout, theta, *args):
-            before(on, layout, theta, *args)
-            if on >> bit & 1:
-                piece(*args, layout[first], take(theta, at))
-
-        return longer
-
+    In the text of a step, HOOK stands for the effect's hook and P for its parameters.
+    """
+    lines, scope = [f"def chain({arguments}):", f"    {start or 'pass'}"], {}
     for effect in effects:
-        chain = link(chain, effect)
-    return chain
+        first = FIRST_PARAMETER[effect.name]
+        taken = "".join(f"theta[{first + i}], " for i in range(len(effect.parameters)))
+        text = step(effect).replace("HOOK", effect.name).replace("P)", f"({taken}))")
+        lines += [f"    if on >> {BIT[effect.name]} & 1:", f"        {text}"]
+        scope[effect.name] = _compiled(effect.name, hook)
+    exec("\n".join([*lines, f"    return {result}"]), scope)  # noqa: S102 (text of our own)
+    return inlined(scope["chain"])
 
 
-def _bristle_forces() -> Force:
-    """chain(on, theta, work, z, v) -> N, with the states at work[z:]"""
-    @inlined
-    def chain(on, theta, work, z, v):
-        return 0.0
-
-    def link(before: Hook, effect: Effect) -> Hook:
-        piece, bit, take, at = _place(effect, "bristle_force")
-        index = BRISTLE_NAMES.index(effect.name)
-
-        @inlined
-        def longer(on, theta, work, z, v):
-            total = before(on, theta, work, z, v)
-            if on >> bit & 1:
-                total += piece(work[z + index], v, take(theta, at))
-            return total
-
-        return longer
-
-    for name in BRISTLE_NAMES:
-        chain = link(chain, EFFECTS[name])
-    return chain
+def _summed(hook: str, arguments: str, effects: Iterable[Effect]) -> Force:
+    """chain(on, theta, *arguments) -> sum of hook(*arguments, p)"""
+    return _chain(f"on, theta, {arguments}", hook, effects,
+                  lambda _: f"total += HOOK({arguments}, P)", "total = 0.0", "total")
 
 
-def _bristle_steps() -> Hook:
-    """chain(on, theta, work, z, dx, v0, v1, after): work[after:] is work[z:] moved on by dx"""
-    @inlined
-    def chain(on, theta, work, z, dx, v0, v1, after):
-        pass
+def _states(hook: str, arguments: str, effects: Iterable[Effect]) -> Hook:
+    """chain(on, layout, theta, *arguments): hook(*arguments, first, p) changes its arguments"""
+    def step(effect: Effect) -> str:
+        first = LAYOUT_FIXED + STATE_NAMES.index(effect.states[0])
+        return f"HOOK({arguments}, layout[{first}], P)"
 
-    def link(before: Hook, effect: Effect) -> Hook:
-        piece, bit, take, at = _place(effect, "advance")
-        index = BRISTLE_NAMES.index(effect.name)
-
-        @inlined
-        def longer(on, theta, work, z, dx, v0, v1, after):
-            before(on, theta, work, z, dx, v0, v1, after)
-            if on >> bit & 1:
-                work[after + index] = piece(work[z + index], dx, v0, v1, take(theta, at))
-
-        return longer
-
-    for name in BRISTLE_NAMES:
-        chain = link(chain, EFFECTS[name])
-    return chain
-
-
-def _encoders() -> Hook:
-    """chain(on, theta, reading, dither) -> m, the mean of the rounded reading"""
-    @inlined
-    def chain(on, theta, reading, dither):
-        return reading
-
-    def link(before: Hook, effect: Effect) -> Hook:
-        piece, bit, take, at = _place(effect, "encode")
-
-        @inlined
-        def longer(on, theta, reading, dither):
-            value = before(on, theta, reading, dither)
-            if on >> bit & 1:
-                value = piece(value, dither, take(theta, at))
-            return value
-
-        return longer
-
-    for effect in _with("encode"):
-        chain = link(chain, effect)
-    return chain
+    return _chain(f"on, layout, theta, {arguments}", hook, effects, step)
 
 
 _STAMPED = _with("stamp")
-stamp_modes = _states("stamp", [e for e in _STAMPED if e.stage == "modes"])
-stamp_amplifier = _states("stamp", [e for e in _STAMPED if e.stage == "amplifier"])
-stamp_mechanics = _states("stamp", [e for e in _STAMPED if e.stage == "mechanics"])
-start_states = _states("start", _with("start"))
-point_force = _summed("force")
-spring_force = _summed("force", [e for e in _with("force") if POLYNOMIAL >> BIT[e.name] & 1])
-actuator_force = _summed("force", [e for e in _with("force") if e.side == "actuator"])
-sense_error = _summed("sense")
-other_stiffness = _summed("other_force")
-bristle_force = _bristle_forces()
-bristle_steps = _bristle_steps()
-encode_mean = _encoders()
+_BRISTLED = [EFFECTS[name] for name in BRISTLE_NAMES]
+_FORCES = _with("force")
+stamp_modes = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "modes"])
+stamp_amplifier = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "amplifier"])
+stamp_mechanics = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "mechanics"])
+start_states = _states("start", "state", _with("start"))
+point_force = _summed("force", "x, v, d", _FORCES)
+spring_force = _summed("force", "x, v, d", [e for e in _FORCES if POLYNOMIAL >> BIT[e.name] & 1])
+actuator_force = _summed("force", "x, v, d", [e for e in _FORCES if e.side == "actuator"])
+sense_error = _summed("sense", "x, t, other", _with("sense"))
+other_stiffness: Force = _chain("on, theta", "other_force", _with("other_force"),
+                                lambda _: "total += HOOK(P)", "total = 0.0", "total")
+
+bristle_force: Force = _chain(
+    "on, theta, work, z, v", "bristle_force", _BRISTLED,
+    lambda e: f"total += HOOK(work[z + {BRISTLE_NAMES.index(e.name)}], v, P)",
+    "total = 0.0", "total")
+"""chain(on, theta, work, z, v) -> N, with the states at work[z:]"""
+
+bristle_steps = _chain(
+    "on, theta, work, z, dx, v0, v1, after", "advance", _BRISTLED,
+    lambda e: (f"work[after + {(i := BRISTLE_NAMES.index(e.name))}] = "
+               f"HOOK(work[z + {i}], dx, v0, v1, P)"))
+"""chain(on, theta, work, z, dx, v0, v1, after): work[after:] is work[z:] moved on by dx"""
+
+encode_mean: Force = _chain("on, theta, reading, dither", "encode", _with("encode"),
+                            lambda _: "reading = HOOK(reading, dither, P)", "",
+                            "reading")
+"""chain(on, theta, reading, dither) -> m, the mean of the rounded reading"""

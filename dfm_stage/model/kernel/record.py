@@ -108,9 +108,12 @@ def _applied(layout: Layout, theta: Array, work: Array, inputs: Array) -> Array:
     back = int(work[layout[AT_HEAD] + WHOLE]) + 1
     history = work[layout[AT_HISTORY]:layout[AT_HISTORY] + back]
     applied = np.empty(samples + back)
-    applied[:back] = history
-    applied[back:] = inputs
-    history[:] = applied[samples:]
+    for k in range(back):
+        applied[k] = history[k]
+    for k in range(samples):
+        applied[back + k] = inputs[k]
+    for k in range(back):
+        history[k] = applied[samples + k]
     for k in range(samples + back):
         applied[k] = min(max(applied[k], -theta[LIMIT]), theta[LIMIT])
     return applied
@@ -121,9 +124,12 @@ def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
     stiffness = other_stiffness(on, theta)
     if other.shape[0] == 0 or stiffness == 0.0:
         return force
-    total = stiffness * other
-    if force.shape[0] > 0:
-        total += force
+    total = np.empty(other.shape)
+    for k in range(other.shape[0]):
+        for j in range(other.shape[1]):
+            total[k, j] = stiffness * other[k, j]
+            if force.shape[0] > 0:
+                total[k, j] += force[k, j]
     return total
 
 
@@ -140,7 +146,9 @@ def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: A
             out[i, k] = work[state + i]
         if not abs(work[state]) < DIVERGED:
             for i in range(n):
-                out[i, k:count] = work[state + i] = np.nan
+                work[state + i] = np.nan
+                for later in range(k, count):
+                    out[i, later] = np.nan
             return
         if force.shape[0] > 0:
             push = force[first + k]
@@ -200,7 +208,8 @@ def _signal(row: Array, factor: float, states: Array, applied: Array, first: int
                 out[first + k] = gain * column[k]
         started = True
     if not started:
-        out[first:first + count] = 0.0
+        for k in range(count):
+            out[first + k] = 0.0
 
 
 @lean

@@ -167,7 +167,8 @@ def reset(on: int, layout: Layout, theta: Array, past_input: float, work: Array)
         z[named] = theta[FIRST_INITIAL + _NAMED + named]
     start_states(on, layout, theta, state)
     first = layout[AT_HISTORY]
-    work[first:first + layout[HISTORY]] = past_input
+    for k in range(layout[HISTORY]):
+        work[first + k] = past_input
     head[SAMPLE] = 0.0
     restart(layout, work)
 

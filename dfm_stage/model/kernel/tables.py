@@ -24,7 +24,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.kernel.algebra import balance, exponential, multiply
+from dfm_stage.model.kernel.algebra import (
+    assign,
+    balance,
+    exponential,
+    fill,
+    largest_row,
+    multiply,
+)
 from dfm_stage.model.kernel.compiled import compiled, lean
 from dfm_stage.model.kernel.slots import (
     ROW_DRIVE,
@@ -47,12 +54,10 @@ CUBIC = FROM_VALUES[3]
 @compiled
 def fastest_rate(a: Array, n: int) -> float:
     """An upper bound of the rates of a (1/s): the norm of the balanced matrix."""
-    scaled, scale = a[:, :n].copy(), np.empty(n)
+    scaled, scale = np.empty((n, n)), np.empty(n)
+    assign(a, scaled)
     balance(scaled, scale)
-    rate = 0.0
-    for i in range(n):
-        rate = max(rate, np.sum(np.abs(scaled[i])))
-    return rate
+    return largest_row(scaled)
 
 
 @lean
@@ -82,7 +87,7 @@ def fill_tables(a: Array, held: Array, rows: Array, gain: float, length: float, 
     shortest = length * 0.5 ** depth
     big, power, other = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     for i in range(3):
-        big[:] = 0.0
+        fill(big, 0.0)
         for row in range(n):
             for j in range(n + 1):
                 big[row, j] = a[row, j] * (POINTS[i] * shortest)
@@ -93,14 +98,22 @@ def fill_tables(a: Array, held: Array, rows: Array, gain: float, length: float, 
         for level in range(depth, -1, -1):
             _take(power, rows, gain, 2.0 ** (depth - level), i, node[level], end[level])
             multiply(power, power, other)
-            power[:] = other
-    if not sticks:
-        return
+            assign(other, power)
+    if sticks:
+        _fill_stick_tables(held, rows, gain, shortest, depth, stick_node, stick_end)
+
+
+@compiled
+def _fill_stick_tables(held: Array, rows: Array, gain: float, shortest: float, depth: int,
+                       stick_node: Array, stick_end: Array) -> None:
+    n = held.shape[0]
     small, power, other = (np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1)),
                            np.empty((n + 1, n + 1)))
     for i in range(3):
-        small[:] = 0.0
-        small[:n] = held * (POINTS[i] * shortest)
+        fill(small, 0.0)
+        for row in range(n):
+            for j in range(n + 1):
+                small[row, j] = held[row, j] * (POINTS[i] * shortest)
         exponential(small, power)
         for level in range(depth, -1, -1):
             for j in range(n + 1):
@@ -111,9 +124,11 @@ def fill_tables(a: Array, held: Array, rows: Array, gain: float, length: float, 
                 stick_node[level, j, i] = hold
                 stick_node[level, j, 3 + i] = gain * drive
             if i == 2:
-                stick_end[level] = power[:n].T
+                for j in range(n + 1):
+                    for row in range(n):
+                        stick_end[level, j, row] = power[row, j]
             multiply(power, power, other)
-            power[:] = other
+            assign(other, power)
 
 
 @compiled
@@ -143,4 +158,4 @@ def _take(power: Array, rows: Array, gain: float, units: float, point: int, node
         node[j, 6 + point] = gain * drive
     node[n, 6 + point] += gain * rows[ROW_DRIVE, n]
     if point == 2:
-        end[:] = taken.T
+        assign(taken.T, end)

@@ -117,7 +117,7 @@ def test_a_new_effect_is_one_file(tmp_path: Path) -> None:
     package = tmp_path / "dfm_stage"
     shutil.copytree(ROOT / "dfm_stage" / "model", package / "model",
                     ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("__init__.py", "errors.py"):
+    for name in ("__init__.py", "errors.py", "machine_code.py"):
         shutil.copy(ROOT / "dfm_stage" / name, package / name)
     (package / "model" / "effects" / "quintic_stiffness.py").write_text(NEW)
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"}

@@ -140,7 +140,7 @@ def test_a_multisine_that_cannot_be_is_refused(settings: dict[str, Any], part: s
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", EXCITATION_KINDS)
+@pytest.mark.parametrize("kind", sorted({*EXCITATION_KINDS} - {"csv"}))
 def test_defaults_make_a_signal(kind: str) -> None:
     e = made(kind)
     assert e.voltage.shape == e.time_s.shape == (16000,)

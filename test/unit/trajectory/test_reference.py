@@ -27,6 +27,10 @@ SMOOTH = {
     "sine": {"ramp_s": 0.3, "frequency_hz": 0.7, "phase_deg": 30.0},
     "chirp": {"low_hz": 0.5, "high_hz": 9.0, "period_s": 2.0, "ramp_s": 0.3},
     "multisine": {"low_hz": 0.5, "high_hz": 9.0, "period_s": 2.0, "ramp_s": 0.3},
+    "spiral": {"turns": 3, "turn_s": 0.25, "phase_deg": -90.0},
+    "lissajous": {"pattern_s": 2.0, "cycles": 3, "phase_deg": 40.0, "ramp_s": 0.3},
+    "point_to_point": {"points_m": [0.0, 2e-3, -1e-3], "dwell_s": 0.1, "delay_s": 0.05,
+                       "jerk_m_s3": 10.0},
 }
 
 
@@ -35,7 +39,7 @@ def made(kind: str, duration_s: float = 3.0, dt: float = DT, **settings: object)
 
 
 def test_every_kind_is_covered_here() -> None:
-    assert set(SMOOTH) == set(REFERENCE_KINDS)
+    assert {*SMOOTH, "csv"} == set(REFERENCE_KINDS)     # csv: test_patterns.py
 
 
 @pytest.mark.parametrize("kind", SMOOTH)

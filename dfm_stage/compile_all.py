@@ -1,0 +1,51 @@
+"""Everything that is compiled, compiled and kept on disk: `python -m dfm_stage.compile_all`.
+
+Half a minute the first time on a machine, a second from then on. Set-up calls it, and whoever is
+about to start processes that must not stop to compile.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+
+def compile_all() -> None:
+    """Compile the simulator (plant, records, parameter sets, sensitivities) and the bag reader."""
+    _simulator()
+    _reader()
+
+
+def _simulator() -> None:
+    from dfm_stage.model import CoupledPlant, Model, Simulator
+
+    model = Model("compiled", 1e-3, base={"mass": 1.0, "damping": 1.0, "stiffness": 100.0})
+    plant = CoupledPlant(model)
+    plant.sample()
+    plant.advance([0.0])
+    Simulator(model).sensitivities(np.zeros(8), ("mass",))
+
+
+def _reader() -> None:
+    from dfm_stage.recording import BagWriter, read_bag
+
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "whole"
+        writer = BagWriter(whole)
+        topic = writer.add_topic("/t", "std_msgs/msg/Float64", (), "", "float64 data\n")
+        for k in range(4):
+            writer.write(topic, bytes(12), k, k)
+        writer.close()
+        read_bag(whole)
+        cut = Path(folder) / "cut.mcap"
+        shutil.copy(writer.file_path, cut)
+        with cut.open("r+b") as file:
+            file.truncate(cut.stat().st_size - 200)
+        read_bag(cut)
+
+
+if __name__ == "__main__":
+    compile_all()

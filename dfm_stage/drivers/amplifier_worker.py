@@ -1,0 +1,270 @@
+"""The thread that owns an amplifier: the only one that talks to it, and the one that zeroes it.
+
+It runs apart from whatever brings commands, so that it notices by itself when they stop. Between
+commands it asks the drive how it is. Anything unexpected ends in zero current, then output off,
+then, if the line is dead, reconnecting to a drive that stays off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from dfm_stage.drivers.device import AmplifierDevice, AmplifierStatus
+from dfm_stage.drivers.errors import DeviceLostError, DriverError, RefusedError
+from dfm_stage.drivers.interlock import Cause, Interlock
+from dfm_stage.drivers.quantiser import SigmaDelta
+
+_HURRY_S = 0.004
+
+
+class AmplifierListener(Protocol):
+    """Who is told, in the worker's thread."""
+
+    def on_output(self, counts: int, answered: Any) -> None:
+        """Called when the drive has acknowledged an output; `answered` is the command's tag."""
+
+    def on_status(self, status: AmplifierStatus) -> None:
+        """Called with every answer to a question."""
+
+
+class AmplifierWorker:
+    """Drives `device` as `interlock` allows.
+
+    Parameters
+    ----------
+    current_limit_a : float
+        Measured current beyond this trips.
+    shaped : bool
+        Shape the last count (SigmaDelta) instead of rounding.
+    question_period_s : float
+        One question to the drive each; it costs an exchange.
+    """
+
+    def __init__(self, device: AmplifierDevice, interlock: Interlock,
+                 listener: AmplifierListener, *, current_limit_a: float, shaped: bool = True,
+                 question_period_s: float = 0.02, retry_s: float = 1.0,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        self._device = device
+        self._interlock = interlock
+        self._listener = listener
+        self._current_limit_a = current_limit_a
+        self._quantiser = SigmaDelta(device.count_a, shaped)
+        self._question_period_s = question_period_s
+        self._retry_s = retry_s
+        self._clock = clock
+        self._wake = threading.Condition()
+        self._target: tuple[float, Any] | None = None
+        self._orders: list[tuple[Callable[[], str], threading.Event, list[Any]]] = []
+        self._stopping = False
+        self._energised = False
+        self._connected = True
+        self.outputs = 0
+        self.reconnects = 0
+        self.identity = ""
+        self._thread = threading.Thread(target=self._run, name="amplifier", daemon=True)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the drive answers."""
+        return self._connected
+
+    def start(self) -> None:
+        """Start with a device that is open, its output off."""
+        self._thread.start()
+
+    def command(self, current_a: float, tag: Any) -> None:
+        """Set the output as soon as the line is free; of several waiting, the last counts."""
+        with self._wake:
+            self._target = (current_a, tag)
+            self._wake.notify()
+
+    def nudge(self) -> None:
+        """Look at the interlock now."""
+        with self._wake:
+            self._wake.notify()
+
+    def arm(self, timeout_s: float = 3.0) -> None:
+        """Switch the output on at zero current.
+
+        Raises
+        ------
+        RefusedError
+            With the reason; the output is then off.
+        """
+        self._order(self._arm, timeout_s)
+
+    def disarm(self, timeout_s: float = 3.0) -> None:
+        """Zero, then off."""
+        self._interlock.disarm()
+        self._order(self._make_safe, timeout_s)
+
+    def clear(self, timeout_s: float = 3.0) -> str:
+        """Clear faults of the drive, then the interlock; return what they were."""
+        self._interlock.disarm()
+        return self._order(self._clear, timeout_s)
+
+    def stop(self) -> None:
+        """Output to zero and off, then end the thread."""
+        self._interlock.trip(Cause.SHUTDOWN, "the driver ends")
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+
+    def _order(self, action: Callable[[], str], timeout_s: float) -> str:
+        done, answer = threading.Event(), [None]
+        with self._wake:
+            self._orders.append((action, done, answer))
+            self._wake.notify()
+        if not done.wait(timeout_s):
+            raise RefusedError("the drive does not answer")
+        if isinstance(answer[0], Exception):
+            raise answer[0]
+        return str(answer[0])
+
+    # The thread
+
+    def _arm(self) -> str:
+        if not self._connected:
+            raise RefusedError("the drive does not answer")
+        if self._interlock.causes:
+            raise RefusedError(f"clear first: {self._interlock.words()}")
+        self._target = None
+        self._quantiser.reset()
+        self._energised = True  # from here on there is something to make safe
+        try:
+            self._device.arm()
+        except RefusedError:
+            self._make_safe()
+            raise
+        self._interlock.arm()
+        return "armed"
+
+    def _make_safe(self) -> str:
+        self._target = None
+        self._quantiser.reset()
+        self._device.disarm()
+        self._energised = False
+        self._listener.on_output(0, None)
+        return "output at zero and off"
+
+    def _clear(self) -> str:
+        self._make_safe()
+        cleared = self._device.clear_faults()
+        was = self._interlock.clear()
+        return f"cleared: {was or 'nothing latched'}; drive: {cleared}"
+
+    def _run(self) -> None:
+        next_question = self._clock() + self._question_period_s
+        while True:
+            try:
+                if self._turn(next_question):
+                    next_question = self._clock() + self._question_period_s
+                if self._stopping and not self._energised:
+                    return
+            except DeviceLostError as error:
+                self._lost(Cause.LINK, error)
+            except Exception as error:  # noqa: BLE001 whatever it was: zero
+                self._lost(Cause.INTERNAL, error)
+            if self._stopping and not self._connected:
+                return
+
+    def _turn(self, next_question: float) -> bool:
+        """Wait for something to do and do it; return whether a question was asked."""
+        interlock = self._interlock
+        with self._wake:
+            now = self._clock()
+            left = interlock.time_left(now)
+            wait = left if left <= _HURRY_S else min(next_question - now, left)
+            urgent = self._orders or self._target or self._stopping
+            if not urgent and wait > 0.0 and (interlock.armed or not self._energised):
+                self._wake.wait(wait)
+            target, self._target = self._target, None
+            order = self._orders.pop(0) if self._orders else None
+        interlock.stale(self._clock())
+        if self._energised and not interlock.armed:
+            self._make_safe()
+        if order is not None:
+            self._obey(*order)
+            return False
+        if target is not None and interlock.armed:
+            self._put_out(*target)
+        now = self._clock()
+        if now >= next_question and interlock.time_left(now) > _HURRY_S:
+            self._ask()
+            return True
+        return False
+
+    def _put_out(self, current_a: float, tag: Any) -> None:
+        if not math.isfinite(current_a):
+            self._interlock.trip(Cause.NOT_FINITE, f"a current of {current_a}")
+            return
+        counts = self._quantiser(current_a)
+        self._device.set_counts(counts)
+        self.outputs += 1
+        self._listener.on_output(counts, tag)
+
+    def _ask(self) -> None:
+        status = self._device.status()
+        current = status.current_a
+        if current is not None and abs(current) > self._current_limit_a:
+            self._interlock.trip(Cause.CURRENT, f"the drive measures {current:g} A, the limit is "
+                                 f"{self._current_limit_a:g} A")
+        if status.trouble:
+            self._interlock.trip(Cause.DRIVE, status.trouble)
+        if status.travel_limit:
+            self._interlock.trip(Cause.TRAVEL, status.travel_limit)
+        self._listener.on_status(status)
+
+    @staticmethod
+    def _obey(action: Callable[[], str], done: threading.Event, answer: list[Any]) -> None:
+        try:
+            answer[0] = action()
+        except DriverError as error:
+            answer[0] = error
+            if isinstance(error, DeviceLostError):
+                done.set()
+                raise
+        finally:
+            done.set()
+
+    def _lost(self, cause: Cause, error: Exception) -> None:
+        """Trip; try for zero; where the drive does not answer, come back to it, off."""
+        self._interlock.trip(cause, " ".join(str(error).split()) or repr(error))
+        if cause is not Cause.LINK:
+            with contextlib.suppress(Exception):  # where it fails, by reconnecting
+                self._make_safe()
+                return
+        self._connected = False
+        while True:
+            self._device.close()
+            try:
+                self.identity = self._device.open()
+            except Exception:  # noqa: BLE001 whatever it was: try again
+                self.reconnects += 1
+                self._refuse_orders()
+                if self._stopping:
+                    return
+                with self._wake:
+                    if not self._orders:
+                        self._wake.wait(self._retry_s)
+                continue
+            self._target = None
+            self._energised = False
+            self._connected = True
+            with contextlib.suppress(Exception):
+                self._listener.on_output(0, None)
+            return
+
+    def _refuse_orders(self) -> None:
+        with self._wake:
+            orders, self._orders = self._orders, []
+        for _, done, answer in orders:
+            answer[0] = RefusedError("the drive does not answer")
+            done.set()

@@ -1,0 +1,1 @@
+"""Drivers of amplifiers, one module each."""

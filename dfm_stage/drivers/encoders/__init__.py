@@ -1,0 +1,1 @@
+"""Drivers of encoder counters, one module each."""

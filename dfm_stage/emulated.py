@@ -1,0 +1,204 @@
+"""The whole graph on emulated hardware: real drivers, real serial stack, simulated stage.
+
+>>> with EmulatedGraph(bag="bags/emulated") as graph:
+...     graph.bring_to_life()
+...     graph.run({...})
+
+Two processes stand where the counter and the amplifier stand (`./run emulate`), connected to
+sim_plant on one side and to pseudo-terminals on the other.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from std_srvs.srv import Trigger
+
+from dfm_stage.drivers.qsb_protocol import TICKS_PER_SECOND
+from dfm_stage.harness import HarnessError, StageGraph
+from dfm_stage.nodes.emulator_link import StageLink
+
+__all__ = ["EmulatedDevice", "EmulatedGraph", "StageLink", "hardware_parameters"]
+
+RESOLUTION_M = 5e-8
+SERVICE_S = 15.0
+DRIVERS = ("encoder_driver", "amplifier_driver")
+
+
+class EmulatedDevice:
+    """One emulator in a process of its own.
+
+    Parameters
+    ----------
+    device : str
+        `qsb_d` or `copley_ascii`.
+    link : path
+        Where its port is to be found.
+    arguments : str
+        Further arguments of `./run emulate`.
+    domain_id : int, optional
+        The ROS domain of the stage it is connected to.
+    """
+
+    def __init__(self, device: str, link: Path, *arguments: str,
+                 domain_id: int | None = None) -> None:
+        environment = dict(os.environ)
+        if domain_id is not None:
+            environment["ROS_DOMAIN_ID"] = str(domain_id)
+        self.link = link
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "dfm_stage", "emulate", device, "--link", str(link),
+             *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
+            env=environment)
+        answer = self._answer()
+        if not answer.startswith(device):
+            self.close()
+            raise HarnessError(f"emulate {device} did not start: {answer or 'it said nothing'}")
+
+    def _answer(self) -> str:
+        assert self._process.stdout is not None  # noqa: S101
+        return self._process.stdout.readline().strip()
+
+    def inject(self, fault: str) -> int:
+        """Type one line; return the steady clock in ns when it was done."""
+        assert self._process.stdin is not None  # noqa: S101
+        self._process.stdin.write(f"{fault}\n")
+        self._process.stdin.flush()
+        answer = self._answer()
+        if not answer:
+            raise HarnessError(f"the emulator did not take {fault!r}")
+        return int(answer.split()[0])
+
+    def close(self) -> None:
+        """End it."""
+        if self._process.poll() is None:
+            self._process.terminate()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, Any]]:
+    """Return the node parameters of a loop on both devices, at the rate of the counter."""
+    period_s = 1.0 / TICKS_PER_SECOND
+    return {
+        "encoder_driver": {"device": "qsb_d", "port": str(encoder),
+                           "resolution_m": RESOLUTION_M},
+        "amplifier_driver": {"device": "copley_ascii", "port": str(amplifier),
+                             "current_limit_a": 2.0, "retry_s": 0.2},
+        "controller": {"sample_period_s": period_s, "kp": 2000.0, "ki": 30000.0, "kd": 60.0,
+                       "output_limit_v": 2.0},
+        "trajectory_generator": {"sample_period_s": period_s},
+    }
+
+
+class EmulatedGraph(StageGraph):
+    """A StageGraph of one axis whose drivers talk to emulators on pseudo-terminals.
+
+    After entering it the drivers are unconfigured, as with real devices.
+    """
+
+    def __init__(self, *, model: str = "current_stage",
+                 parameters: Mapping[str, Mapping[str, Any]] | None = None,
+                 amplifier_arguments: tuple[str, ...] = (),
+                 encoder_arguments: tuple[str, ...] = (), **options: Any) -> None:
+        self._ports = tempfile.TemporaryDirectory(prefix="dfm_ports_")
+        folder = Path(self._ports.name)
+        self._links = {"encoder": folder / "encoder", "amplifier": folder / "amplifier"}
+        self._arguments = {"encoder": encoder_arguments, "amplifier": amplifier_arguments}
+        self.output_log = folder / "output.log"
+        merged = hardware_parameters(self._links["encoder"], self._links["amplifier"])
+        kinds = options.get("nodes")
+        if kinds is not None:
+            merged = {kind: values for kind, values in merged.items() if kind in kinds}
+        for kind, values in (parameters or {}).items():
+            merged[kind] = {**merged.get(kind, {}), **values}
+        self.devices: dict[str, EmulatedDevice] = {}
+        super().__init__(model=model, parameters=merged, **options)
+
+    def __enter__(self) -> EmulatedGraph:
+        super().__enter__()
+        try:
+            stage = ("--stage", f"/stage/{self.axes[0]}")
+            for name, device, extra in (
+                    ("encoder", "qsb_d", ("--resolution", str(RESOLUTION_M))),
+                    ("amplifier", "copley_ascii", ("--log", str(self.output_log)))):
+                self.devices[name] = EmulatedDevice(
+                    device, self._links[name], *stage, *extra, *self._arguments[name],
+                    domain_id=self._domain_id)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def node(self, kind: str) -> str:
+        """Return the full name of a driver node."""
+        return f"/stage/{self.axes[0]}/{kind}"
+
+    def transition(self, kind: str, name: str) -> bool:
+        """Ask for a transition (`configure`, `activate`, ...); return whether it succeeded."""
+        number = getattr(Transition, f"TRANSITION_{name.upper()}")
+        request = ChangeState.Request(transition=Transition(id=number))
+        return bool(self._once(ChangeState, f"{self.node(kind)}/change_state", request).success)
+
+    def trigger(self, kind: str, service: str) -> tuple[bool, str]:
+        """Call `arm`, `disarm`, `clear` or `home`; return success and message."""
+        answer = self._once(Trigger, f"{self.node(kind)}/{service}", Trigger.Request())
+        return bool(answer.success), str(answer.message)
+
+    def _once(self, kind: Any, name: str, request: Any) -> Any:
+        client = self._client_node.create_client(kind, name)
+        try:
+            self.spin_until(client.service_is_ready, SERVICE_S, f"service {name}")
+            future = client.call_async(request)
+            self.spin_until(future.done, SERVICE_S, f"an answer of {name}")
+            return future.result()
+        finally:
+            self._client_node.destroy_client(client)
+
+    def bring_to_life(self) -> None:
+        """Configure and activate both drivers, take the rest position as zero, arm.
+
+        Raises
+        ------
+        HarnessError
+            With what was refused and why.
+        """
+        for kind in DRIVERS:
+            for name in ("configure", "activate"):
+                if not self.transition(kind, name):
+                    raise HarnessError(f"{kind} refused to {name}: see its log and diagnostics")
+        self._insist("encoder_driver", "home")
+        self._insist("amplifier_driver", "arm")
+
+    def _insist(self, kind: str, service: str) -> None:
+        deadline = time.monotonic() + SERVICE_S
+        while True:
+            done, message = self.trigger(kind, service)
+            if done:
+                return
+            if time.monotonic() > deadline:
+                raise HarnessError(f"{kind} refused to {service}: {message}")
+            self.spin(0.05)
+
+    def close(self) -> None:
+        """End the graph, then the devices: the drivers still zero the output."""
+        super().close()
+        for device in self.devices.values():
+            device.close()
+        self.devices.clear()
+        self._ports.cleanup()
