@@ -20,7 +20,10 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
+from dfm_stage.nodes.share import config_folder
+
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_folder() / "fastdds.xml"))
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -48,6 +51,7 @@ from dfm_stage.nodes.wiring import (
 )
 
 LOCKSTEP_PATIENCE_S = 5.0
+_EVENTS_PER_LOOK = 64
 COMMON = (
     Setting("lockstep", False, "wait for the sample's answer instead of the clock: "
             "deterministic, faster than real time"),
@@ -64,7 +68,7 @@ class Publisher:
         self.ros = node.create_publisher(self.link.type, prefix + topic,
                                          publisher_qos(node.lockstep))
         self._node = node
-        self._publish = self.ros.publish
+        self._publish = self.ros.handle.publish_raw
         self._encode = self._codec.encode
         self._open = False
         self._held: list[bytes] = []
@@ -295,14 +299,14 @@ class StopRequest:
     """
 
     def __init__(self) -> None:
-        self._asked = False
+        self.asked = False
         self._before: dict[int, Any] = {}
 
     def __bool__(self) -> bool:
-        return self._asked
+        return self.asked
 
     def _ask(self, _number: int, _frame: Any) -> None:
-        self._asked = True
+        self.asked = True
 
     def install(self) -> None:
         """Take the signals; only the main thread can."""
@@ -339,8 +343,12 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
         executor = make_executor(node.context)
         executor.add_node(node)
         quiet_collector()
-        while not stop and rclpy.ok():
-            executor.spin_once(timeout_sec=0.1)
+        while rclpy.ok():
+            # spin() of this executor forgets timers while no message comes
+            for _ in range(_EVENTS_PER_LOOK):
+                executor.spin_once(0.1)
+                if stop.asked:
+                    return 0
     except ExternalShutdownException:
         pass
     except (DfmError, InvalidParameterTypeException) as error:
