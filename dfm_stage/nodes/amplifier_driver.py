@@ -52,7 +52,7 @@ class AmplifierDriver(ManagedNode):
                 "0 = no limit, only in simulation", "A", 0.0, 100.0),
         Setting("autoarm", True, "arm at start; only in simulation"),
         Setting("baud", 115200, "hardware: rate of the line", "", 9600, 115200),
-        Setting("gain_a_per_v", 1.0, "hardware: output per unit of command; 1 = commands are "
+        Setting("amperes_per_volt", 1.0, "hardware: output per unit of command; 1 = commands are "
                 "amperes, as with a model of drive: current", "A/V", -100.0, 100.0),
         Setting("continuous_limit_a", 0.0, "hardware: continuous limit that must be set in the "
                 "drive; 0 = current_limit_a", "A", 0.0, 100.0),
@@ -73,7 +73,7 @@ class AmplifierDriver(ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._limit_a: float = self.settings["current_limit_a"]
-        self._gain: float = self.settings["gain_a_per_v"]
+        self._gain: float = self.settings["amperes_per_volt"]
         self._interlock = self._new_interlock()
         self._off_bits = int(Cause.DISARMED)
         self._seq = 0
