@@ -34,7 +34,7 @@ def driver(emulator=None, answers=None, **options):
     return QsbD("port", open_port=ports, settling_s=0.0, reset_s=0.01, **options), ports
 
 
-def read_until(device, count, limit_s=5.0):
+def read_until(device, count, limit_s=30.0):
     samples, deadline = [], time.monotonic() + limit_s
     while len(samples) < count and time.monotonic() < deadline:
         samples += device.read(0.01)
