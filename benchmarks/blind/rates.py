@@ -23,7 +23,7 @@ def _rate(key: str, hits: Iterable[bool], bar: float | None, kind: BarKind, what
     value = 100.0 * sum(found) / len(found) if found else float("nan")
     return Figure(f"diagnose.{key}", value, "%", bar if found else None, how=(
         f"{sum(found)} of {len(found)} {what}, Wilson {low:.1f} to {high:.1f} %"),
-        bar_kind=kind, bar_to=bar_to)
+        bar_kind=kind if found and bar is not None else None, bar_to=bar_to)
 
 
 def large_effects(scores: Iterable[Score]) -> list[Score]:

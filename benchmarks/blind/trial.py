@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.corpus.case import Case, make_case
+from benchmarks.corpus.case import Case, make_truth, shown
 from benchmarks.corpus.case_files import write_label, write_whole
 from benchmarks.corpus.plan import CaseSpec
+from benchmarks.corpus.rivals import separability
 
 Answerer = Callable[[Case], dict[str, Any]]
 LONGEST_S = 600
+SEPARATED_FROM = 3.0
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,13 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
         return job.answer_path
     kept: dict[str, Any] = {"spec": job.spec.to_dict()}
     begin = time.perf_counter()
-    case = make_case(job.spec)
-    write_label(case, job.folder / "labels")
+    truth = make_truth(job.spec)
+    case = shown(truth)
     kept["generation_s"] = time.perf_counter() - begin
     kept["answer"], kept["seconds"] = _timed(case, answerer or diagnosed)
+    if job.spec.kind == "effect" and job.spec.severity >= SEPARATED_FROM:
+        case.label.update(separability(truth).to_dict())
+    write_label(case, job.folder / "labels")
     if job.baselines:
         from benchmarks.blind.baselines import pysindy_answer, stepwise_answer
 

@@ -71,8 +71,19 @@ class Setup:
         return [*self.train, *self.held]
 
 
-def make_case(spec: CaseSpec, samples: int = SAMPLES) -> Case:
-    """The case of a specification, with records of so many samples: the same every time.
+@dataclass(frozen=True)
+class Truth:
+    """What lies behind a case: setup, the plant's rows per run, severities reached."""
+
+    spec: CaseSpec
+    setup: Setup
+    outputs: list[Any]
+    severities: dict[str, float]
+    rng: np.random.Generator
+
+
+def make_truth(spec: CaseSpec, samples: int = SAMPLES) -> Truth:
+    """Draw and simulate what a specification asks for: the same every time.
 
     Raises ValueError if twelve draws in a row gave no usable case.
     """
@@ -87,7 +98,7 @@ def make_case(spec: CaseSpec, samples: int = SAMPLES) -> Case:
     raise ValueError(f"case {spec.index} of seed {spec.seed} ({spec.kind}): {reason}")
 
 
-def _attempt(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Case:
+def _attempt(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Truth:
     setup = _setup(spec, rng, samples)
     severities = _fit_severities(spec, setup, rng)
     outputs = [perform(setup, i, setup.effects, rng) for i in range(len(setup.runs()))]
@@ -95,11 +106,25 @@ def _attempt(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Case:
         peak = float(np.max(np.abs(out[4])))
         if not math.isfinite(peak) or peak > 6.0 * setup.stage.amplitude:
             raise ValueError(f"{run.kind}: the motion does not stay in its range")
-    shown = [_record(setup, i, out, rng) for i, out in enumerate(outputs)]
+    return Truth(spec, setup, outputs, severities, rng)
+
+
+def make_case(spec: CaseSpec, samples: int = SAMPLES) -> Case:
+    """The case of a specification, with records of so many samples: the same every time.
+
+    Raises ValueError if twelve draws in a row gave no usable case.
+    """
+    return shown(make_truth(spec, samples))
+
+
+def shown(truth: Truth) -> Case:
+    """What is shown of a truth, and its label; call it once for a truth."""
+    spec, setup, rng = truth.spec, truth.setup, truth.rng
+    runs = [_record(setup, i, out, rng) for i, out in enumerate(truth.outputs)]
     cut = len(setup.train)
     remove = tuple(sorted(class_of(spec.effects[0]))) if spec.kind == "left_out" else ()
-    return Case(spec, PERIOD, shown[:cut], shown[cut:], _believed(spec, setup, rng), remove,
-                _label(spec, setup, severities, remove))
+    return Case(spec, PERIOD, runs[:cut], runs[cut:], _believed(spec, setup, rng), remove,
+                _label(spec, setup, truth.severities, remove))
 
 
 def _setup(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Setup:
