@@ -60,6 +60,8 @@ class AmplifierDriver(ManagedNode):
                 "s", 0.0, 10.0),
         Setting("ramp_a_per_s", 0.0, "hardware: slope of the output in the drive; 0 = step",
                 "A/s", 0.0, 1e6),
+        Setting("soft_start_s", 0.2, "hardware: commands grow to their full size over this time "
+                "after arming", "s", 0.001, 10.0),
         Setting("shape_last_count", True, "hardware: spread what a current step leaves over "
                 "(sigma-delta) instead of rounding"),
         Setting("measurement_timeout_s", 0.02, "hardware: a command that answers an older "
@@ -79,6 +81,8 @@ class AmplifierDriver(ManagedNode):
         self._seq = 0
         self._answered = _NO_SAMPLE
         self._checked_s = time.monotonic()
+        self._armed_s = 0.0
+        self._easing = False
         self._current = math.nan
         self._encoder: DiagnosticStatus | None = None
         self._worker: AmplifierWorker | None = None
@@ -172,9 +176,18 @@ class AmplifierDriver(ManagedNode):
         worker = self._worker
         if worker is not None:
             if interlock.armed:
-                worker.command(value * self._gain, command.measurement_seq)
+                worker.command(value * self._gain * self._eased_in(), command.measurement_seq)
             return
         self._apply(stamp, value, 0 if interlock.armed else self._off_bits)
+
+    def _eased_in(self) -> float:
+        """Share of a command that goes out: a controller may have wound up while it was off."""
+        if not self._easing:
+            return 1.0
+        share = (time.monotonic() - self._armed_s) / self.settings["soft_start_s"]
+        if share >= 1.0:
+            self._easing = False
+        return min(1.0, share)
 
     def _check_stale(self) -> None:
         """Simulation: look for commands, unless it was this process that was held up."""
@@ -280,7 +293,9 @@ class AmplifierDriver(ManagedNode):
         else:
             try:
                 if self._worker is not None:
+                    self._armed_s, self._easing = time.monotonic(), True
                     self._worker.arm()
+                    self._armed_s = time.monotonic()
                 else:
                     self._interlock.arm()
                 response.success, response.message = True, "armed"

@@ -29,7 +29,7 @@ class MemoryPort:
         self.sent.append(b"<baud %d>" % baud)
         self.baud = baud
 
-    def send_break(self, duration_s: float) -> None:
+    def send_break(self, _duration_s: float) -> None:
         self.sent.append(b"<break>")
         if self.emulator is not None:
             self.emulator.wrong_baud(time.monotonic())
@@ -59,7 +59,7 @@ class MemoryPort:
             time.sleep(min(timeout_s, 0.001))
         return data
 
-    def drain(self, quiet_s: float, limit_s: float = 2.0) -> bytes:
+    def drain(self, _quiet_s: float, _limit_s: float = 2.0) -> bytes:
         return self.read(0.0)
 
     def close(self) -> None:

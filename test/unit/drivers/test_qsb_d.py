@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 
 import pytest
@@ -166,7 +167,7 @@ def test_a_count_wraps_without_a_jump(raws):
     for tick, raw in enumerate(raws, start=1000):
         port.pending = b"s 0E %08X %08X !\r\n" % (raw, tick)
         counts += [sample.counts for sample in device.read(0.0)]
-    assert [b - a for a, b in zip(counts, counts[1:], strict=False)] in (
+    assert [b - a for a, b in itertools.pairwise(counts)] in (
         [1] * (len(counts) - 1), [-1] * (len(counts) - 1))
 
 
@@ -238,7 +239,7 @@ def test_the_index_sets_the_zero_and_is_switched_off_again(monkeypatch):
         device.read(0.01)
     assert device.index_found()
     assert read_until(device, 2)[-1].counts == 20
-    tail = [data for data in ports.sent if data not in (b"R06\r",)][len(START_UP) - 1:]
+    tail = [data for data in ports.sent if data != b"R06\r"][len(START_UP) - 1:]
     assert tail == [b"S0E\r", b"W0363\r", b"W0303\r"]
     here[0] = 290
     read_until(device, 3)

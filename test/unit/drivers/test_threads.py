@@ -257,7 +257,7 @@ class Counter:
     def index_found(self):
         return False
 
-    def read(self, timeout_s):
+    def read(self, _timeout_s):
         time.sleep(0.001)
         what = self.reads.pop(0) if self.reads else []
         if isinstance(what, Exception):
