@@ -96,8 +96,9 @@ def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, A
     """Return the node parameters of a loop on both devices, at the rate of the counter."""
     period_s = 1.0 / TICKS_PER_SECOND
     return {
-        "encoder_driver": {"device": "qsb_d", "port": str(encoder),
-                           "resolution_m": RESOLUTION_M},
+        # an emulator is a process, which a busy machine may hold up for longer than 20 ms
+        "encoder_driver": {"device": "qsb_d", "port": str(encoder), "retry_s": 0.2,
+                           "resolution_m": RESOLUTION_M, "encoder_timeout_s": 0.1},
         "amplifier_driver": {"device": "copley_ascii", "port": str(amplifier),
                              "current_limit_a": 2.0, "retry_s": 0.2},
         "controller": {"sample_period_s": period_s, "kp": 2000.0, "ki": 30000.0, "kd": 60.0,

@@ -71,8 +71,19 @@ class Setup:
         return [*self.train, *self.held]
 
 
-def make_case(spec: CaseSpec) -> Case:
-    """The case of a specification: the same every time.
+@dataclass(frozen=True)
+class Truth:
+    """What lies behind a case: setup, the plant's rows per run, severities reached."""
+
+    spec: CaseSpec
+    setup: Setup
+    outputs: list[Any]
+    severities: dict[str, float]
+    rng: np.random.Generator
+
+
+def make_truth(spec: CaseSpec, samples: int = SAMPLES) -> Truth:
+    """Draw and simulate what a specification asks for: the same every time.
 
     Raises ValueError if twelve draws in a row gave no usable case.
     """
@@ -81,50 +92,66 @@ def make_case(spec: CaseSpec) -> Case:
     for attempt in source.spawn(12):
         rng = np.random.default_rng(attempt)
         try:
-            return _attempt(spec, rng)
+            return _attempt(spec, rng, samples)
         except ValueError as error:
             reason = str(error)
     raise ValueError(f"case {spec.index} of seed {spec.seed} ({spec.kind}): {reason}")
 
 
-def _attempt(spec: CaseSpec, rng: np.random.Generator) -> Case:
-    setup = _setup(spec, rng)
+def _attempt(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Truth:
+    setup = _setup(spec, rng, samples)
     severities = _fit_severities(spec, setup, rng)
     outputs = [perform(setup, i, setup.effects, rng) for i in range(len(setup.runs()))]
     for run, out in zip(setup.runs(), outputs, strict=True):
         peak = float(np.max(np.abs(out[4])))
         if not math.isfinite(peak) or peak > 6.0 * setup.stage.amplitude:
             raise ValueError(f"{run.kind}: the motion does not stay in its range")
-    shown = [_record(setup, i, out, rng) for i, out in enumerate(outputs)]
+    return Truth(spec, setup, outputs, severities, rng)
+
+
+def make_case(spec: CaseSpec, samples: int = SAMPLES) -> Case:
+    """The case of a specification, with records of so many samples: the same every time.
+
+    Raises ValueError if twelve draws in a row gave no usable case.
+    """
+    return shown(make_truth(spec, samples))
+
+
+def shown(truth: Truth) -> Case:
+    """What is shown of a truth, and its label; call it once for a truth."""
+    spec, setup, rng = truth.spec, truth.setup, truth.rng
+    runs = [_record(setup, i, out, rng) for i, out in enumerate(truth.outputs)]
     cut = len(setup.train)
     remove = tuple(sorted(class_of(spec.effects[0]))) if spec.kind == "left_out" else ()
-    return Case(spec, PERIOD, shown[:cut], shown[cut:], _believed(spec, setup, rng), remove,
-                _label(spec, setup, severities, remove))
+    return Case(spec, PERIOD, runs[:cut], runs[cut:], _believed(spec, setup, rng), remove,
+                _label(spec, setup, truth.severities, remove))
 
 
-def _setup(spec: CaseSpec, rng: np.random.Generator) -> Setup:
+def _setup(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Setup:
     stage = draw_stage(rng, spec.effects)
-    setup = Setup(stage, *draw_runs(rng, stage))
+    setup = Setup(stage, *draw_runs(rng, stage, samples))
     if spec.trap == "rest":
-        zero = Run("rest", NOTHING, np.zeros(SAMPLES))
+        zero = Run("rest", NOTHING, np.zeros(samples))
         setup.train, setup.held = [zero], [zero]
     elif spec.trap == "feedback_noise":
         stage = Stage(stage.base, stage.amplitude, log_uniform(rng, 2e-7, 1e-6),
                       stage.current_noise)
         setup.stage = stage
-        setup.train = [closed_loop(rng, stage, stage.amplitude, 0.05 * stage.amplitude)]
-        setup.held = [closed_loop(rng, stage, 0.6 * stage.amplitude, 0.1 * stage.amplitude)]
+        setup.train = [closed_loop(rng, stage, stage.amplitude, 0.05 * stage.amplitude,
+                                   samples)]
+        setup.held = [closed_loop(rng, stage, 0.6 * stage.amplitude, 0.1 * stage.amplitude,
+                                  samples)]
     elif spec.trap == "transient":
         setup.lead = int(rng.integers(300, 3000))
     if "cross_axis_coupling" in spec.effects:
         setup.neighbour = draw_stage(rng, ())
     for i in range(len(setup.runs())):
         if setup.neighbour is not None:
-            setup.other[i] = _neighbour(rng, setup.neighbour)
-        white = rng.standard_normal(SAMPLES)
+            setup.other[i] = _neighbour(rng, setup.neighbour, samples)
+        white = rng.standard_normal(samples)
         if spec.trap in ("coloured_noise", "feedback_noise"):
             pole = rng.uniform(0.5, 0.98)
-            coloured = lfilter([1.0], [1.0, -pole], rng.standard_normal(SAMPLES + 2000))[2000:]
+            coloured = lfilter([1.0], [1.0, -pole], rng.standard_normal(samples + 2000))[2000:]
             white = 0.6 * white + 0.8 * coloured * math.sqrt(1.0 - pole * pole)
         setup.noise[i] = stage.noise * white
     if spec.trap == "jitter":
@@ -134,10 +161,11 @@ def _setup(spec: CaseSpec, rng: np.random.Generator) -> Setup:
     return setup
 
 
-def _neighbour(rng: np.random.Generator, stage: Stage) -> tuple[Any, Any]:
+def _neighbour(rng: np.random.Generator, stage: Stage,
+               samples: int) -> tuple[Any, Any]:
     """Input (N,) and true position on the fine grid of another axis that moves on its own."""
     kind = "multisine" if rng.random() < 0.5 else "scan"
-    feed = open_loop(rng, stage, kind, stage.amplitude).feed
+    feed = open_loop(rng, stage, kind, stage.amplitude, samples).feed
     base = {n: v for n, v in stage.base.items() if n not in ("encoder_zero", "delay")}
     fine = plant.OTHER_PER_SAMPLE
     return feed, response(base, PERIOD / fine, np.repeat(feed, fine))
@@ -153,7 +181,7 @@ def perform(setup: Setup, number: int, effects: dict[str, Parameters],
     start, past = _start(p, values), 0.0
     feed, noise, reference = run.feed, setup.noise[number], run.reference
     if not run.closed:
-        reference = np.zeros(SAMPLES)
+        reference = np.zeros(len(feed))
     if lead:
         feed, noise, reference = (np.concatenate([a[-lead:], a]) for a in (feed, noise, reference))
     jitter = np.zeros(len(feed))
@@ -258,17 +286,17 @@ def refitted(name: str, stage: Stage) -> bool:
 
 def _record(setup: Setup, number: int, out: Any, rng: np.random.Generator) -> dict[str, Any]:
     run, stage = setup.runs()[number], setup.stage
-    record = {"time_s": PERIOD * np.arange(SAMPLES), "input_v": out[0].copy(),
+    record = {"time_s": PERIOD * np.arange(out.shape[1]), "input_v": out[0].copy(),
               "position_m": out[1].copy()}
     if stage.current_noise is not None:
-        record["current_a"] = out[3] + stage.current_noise * rng.standard_normal(SAMPLES)
+        record["current_a"] = out[3] + stage.current_noise * rng.standard_normal(out.shape[1])
     if run.closed:
         record["reference_m"] = run.reference.copy()
     if number in setup.other and setup.neighbour is not None:
         feed, position = setup.other[number]
         record["other_input_v"] = feed.copy()
         record["other_position_m"] = (position[::plant.OTHER_PER_SAMPLE]
-                                      + setup.neighbour.noise * rng.standard_normal(SAMPLES))
+                                      + setup.neighbour.noise * rng.standard_normal(out.shape[1]))
     return record
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from numba import njit
 from scipy.linalg import expm
 
-STATES = ("position", "velocity", "amplifier", "coil")
-
 
 def system(base: Mapping[str, float]) -> tuple[Any, Any]:
     """A (n, n) and B (n,) of position, velocity and, where they are, amplifier and coil."""
@@ -19,8 +17,7 @@ def system(base: Mapping[str, float]) -> tuple[Any, Any]:
     resistance = base.get("coil_resistance", 0.0)
     settling = base.get("coil_inductance", 0.0) / resistance if resistance > 0.0 else 0.0
     emf, force = base.get("back_emf", 0.0), base["force_constant"] / base["mass"]
-    names = ["position", "velocity"] + ["amplifier"] * (lag > 0.0) + ["coil"] * (settling > 0.0)
-    n = len(names)
+    n = 2 + int(lag > 0.0) + int(settling > 0.0)
     a, b = np.zeros((n, n)), np.zeros(n)
     a[0, 1] = 1.0
     a[1, 0] = -base.get("stiffness", 0.0) / base["mass"]

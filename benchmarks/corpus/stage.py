@@ -79,32 +79,33 @@ def draw_stage(rng: np.random.Generator, effects: tuple[str, ...]) -> Stage:
                  current_noise if recorded else None)
 
 
-def open_loop(rng: np.random.Generator, stage: Stage, kind: str, amplitude: float) -> Run:
+def open_loop(rng: np.random.Generator, stage: Stage, kind: str, amplitude: float,
+              samples: int = SAMPLES) -> Run:
     """A run by input alone whose linear motion has the peak `amplitude` (m)."""
     if kind == "multisine":
         repeat = float(rng.choice([4.0, 4.0, 8.0]))
         low = float(rng.choice([0.25, 0.5]))
-        feed = signals.multisine(rng, PERIOD, SAMPLES, repeat, low,
+        feed = signals.multisine(rng, PERIOD, samples, repeat, low,
                                  float(rng.choice([150.0, 250.0, 400.0])), rng.random() < 0.5)
     elif kind == "chirp":
-        feed = signals.chirp(PERIOD, SAMPLES, 0.5, 200.0, float(rng.choice([6.0, 12.0])))
+        feed = signals.chirp(PERIOD, samples, 0.5, 200.0, float(rng.choice([6.0, 12.0])))
     elif kind == "steps":
-        feed = signals.steps(rng, PERIOD, SAMPLES, rng.uniform(0.7, 2.0))
+        feed = signals.steps(rng, PERIOD, samples, rng.uniform(0.7, 2.0))
     else:
-        feed = signals.scan(rng, PERIOD, SAMPLES, _line_hz(rng, stage))
+        feed = signals.scan(rng, PERIOD, samples, _line_hz(rng, stage))
     motion = response(stage.base, PERIOD, feed)
     feed = feed * amplitude / np.max(np.abs(motion))
     return Run(kind, np.zeros(0), feed)
 
 
 def closed_loop(rng: np.random.Generator, stage: Stage, amplitude: float,
-                dither: float) -> Run:
+                dither: float, samples: int = SAMPLES) -> Run:
     """A scan under control with static feedforward; `dither` (m) is the peak motion that an added
     multisine would cause in open loop."""
-    reference = amplitude * signals.scan(rng, PERIOD, SAMPLES, _line_hz(rng, stage))
+    reference = amplitude * signals.scan(rng, PERIOD, samples, _line_hz(rng, stage))
     feed = 0.9 * reference / float(np.real(transfer(stage.base, PERIOD, [1e-3])[0]))
     if dither > 0.0:
-        feed = feed + open_loop(rng, stage, "multisine", dither).feed
+        feed = feed + open_loop(rng, stage, "multisine", dither, samples).feed
     return Run("closed_scan", reference, feed, signals.gains(stage.base, PERIOD))
 
 
@@ -112,25 +113,26 @@ def _line_hz(rng: np.random.Generator, stage: Stage) -> float:
     return float(min(log_uniform(rng, 0.4, 4.0), 0.25 * stage.natural_hz))
 
 
-def draw_runs(rng: np.random.Generator, stage: Stage) -> tuple[list[Run], list[Run]]:
+def draw_runs(rng: np.random.Generator, stage: Stage,
+              samples: int = SAMPLES) -> tuple[list[Run], list[Run]]:
     """Training runs and held-out runs, which differ in kind."""
     top = stage.amplitude
     choice = rng.random()
     if choice < 0.4:
-        train = [open_loop(rng, stage, "multisine", top)]
+        train = [open_loop(rng, stage, "multisine", top, samples)]
     elif choice < 0.75:
-        train = [open_loop(rng, stage, "multisine", top),
-                 open_loop(rng, stage, "multisine", top / 3.0)]
+        train = [open_loop(rng, stage, "multisine", top, samples),
+                 open_loop(rng, stage, "multisine", top / 3.0, samples)]
     elif choice < 0.9:
-        train = [closed_loop(rng, stage, top, 0.3 * top)]
-        return train, [open_loop(rng, stage, "multisine", rng.uniform(0.5, 1.1) * top)]
+        train = [closed_loop(rng, stage, top, 0.3 * top, samples)]
+        return train, [open_loop(rng, stage, "multisine", rng.uniform(0.5, 1.1) * top, samples)]
     else:
-        train = [open_loop(rng, stage, "chirp", top)]
-        return train, [closed_loop(rng, stage, rng.uniform(0.5, 1.1) * top, 0.1 * top)]
+        train = [open_loop(rng, stage, "chirp", top, samples)]
+        return train, [closed_loop(rng, stage, rng.uniform(0.5, 1.1) * top, 0.1 * top, samples)]
     size = rng.uniform(0.5, 1.2) * top
-    held = [closed_loop(rng, stage, size, 0.0) if rng.random() < 0.5
-            else open_loop(rng, stage, "scan", size)]
+    held = [closed_loop(rng, stage, size, 0.0, samples) if rng.random() < 0.5
+            else open_loop(rng, stage, "scan", size, samples)]
     if rng.random() < 0.4:
         kind = str(rng.choice(["chirp", "steps"]))
-        held.append(open_loop(rng, stage, kind, rng.uniform(0.4, 1.1) * top))
+        held.append(open_loop(rng, stage, kind, rng.uniform(0.4, 1.1) * top, samples))
     return train, held

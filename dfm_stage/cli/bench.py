@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import difflib
 import importlib
+import inspect
 import json
 import os
 import platform
@@ -23,6 +24,7 @@ from dfm_stage.errors import DfmError
 
 ROOT = Path(__file__).resolve().parents[2]
 STDERR = 2
+EXTRA = ("cases", "seed", "resume", "keep", "jobs")
 PR_SET_PDEATHSIG = 1
 COLUMNS = ("key", "value", "unit", "bar", "", "peer", "peer value", "ratio", "how")
 
@@ -60,16 +62,20 @@ def _cpu_model() -> str:
     return platform.machine()
 
 
-def run_one(name: str, folder: Path, quick: bool) -> list[dict[str, Any]]:
+def run_one(name: str, folder: Path, quick: bool,
+            extra: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
     """Figures of one benchmark, run in a process of its own: nothing of another is measured.
 
-    Raises BenchError when it fails, however it fails.
+    `extra` are arguments of its `figures` beyond quick. Raises BenchError when it fails, however
+    it fails.
     """
     with tempfile.TemporaryDirectory(prefix="dfm_stage_bench_") as scratch:
         answer = Path(scratch) / "figures.json"
         command = [sys.executable, "-m", "dfm_stage.cli.bench"]
         command += ["--child", str(answer), str(os.getpid()), "--folder", str(folder)]
         command += [*(["--quick"] if quick else []), name]
+        for option, value in (extra or {}).items():
+            command += [f"--{option}"] if value is True else [f"--{option}", str(value)]
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=STDERR) as child:
             try:
                 code = child.wait()
@@ -93,10 +99,21 @@ def _end_with(parent: int) -> None:
         raise KeyboardInterrupt
 
 
-def _run_child(name: str, folder: Path, quick: bool, answer: Path) -> int:
+def _extra(options: argparse.Namespace) -> dict[str, Any]:
+    """The options that only some benchmarks take, as far as they were given."""
+    given = {name: getattr(options, name) for name in EXTRA}
+    return {name: value for name, value in given.items() if value not in (None, False)}
+
+
+def _run_child(name: str, folder: Path, quick: bool, answer: Path, extra: dict[str, Any]) -> int:
     sys.path.insert(0, str(folder.parent))
     module = importlib.import_module(f"{folder.name}.{name}")
-    figures = [figure.to_dict() for figure in module.figures(quick=quick)]
+    taken = inspect.signature(module.figures).parameters
+    for option in extra:
+        if option not in taken:
+            print(f"bench: benchmark {name} takes no --{option}: leave it out", file=sys.stderr)
+            return 2
+    figures = [figure.to_dict() for figure in module.figures(quick=quick, **extra)]
     answer.write_text(json.dumps(figures), "utf-8")
     return 0
 
@@ -160,6 +177,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write machine and figures")
     parser.add_argument("--quick", action="store_true", help="shorter runs, rougher figures")
     parser.add_argument("--list", action="store_true", help="print the names and stop")
+    some = parser.add_argument_group("for benchmarks of many cases (diagnose)")
+    some.add_argument("--cases", type=int, metavar="N", help="how many cases")
+    some.add_argument("--seed", type=int, metavar="S", help="the seed they are drawn with")
+    some.add_argument("--resume", action="store_true", help="keep the cases answered already")
+    some.add_argument("--keep", type=Path, metavar="DIR", help="the folder of the answers")
+    some.add_argument("--jobs", type=int, metavar="N", help="how many processes at once")
     parser.add_argument("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS)
     parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     return parser
@@ -180,11 +203,14 @@ def _chosen(asked: Sequence[str], folder: Path) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when every benchmark ran, 1 when one failed, 2 for a name or file that cannot be used."""
     options = _parser().parse_args(argv)
+    if options.keep:
+        options.keep = options.keep.resolve()
     folder = options.folder.resolve()
     if options.child:
         answer, parent = options.child
         _end_with(int(parent))
-        return _run_child(options.names[0], folder, options.quick, Path(answer))
+        return _run_child(options.names[0], folder, options.quick, Path(answer),
+                          _extra(options))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         names = _chosen(options.names, folder)
@@ -207,7 +233,7 @@ def _run_all(names: Sequence[str], folder: Path, options: argparse.Namespace) ->
         print(f"[{index}/{len(names)}] {name} ...", file=sys.stderr, flush=True)
         begin = time.monotonic()
         try:
-            report["figures"] += run_one(name, folder, options.quick)
+            report["figures"] += run_one(name, folder, options.quick, _extra(options))
         except BenchError as error:
             report["failed"].append({"bench": name, "reason": str(error)})
             print(f"bench: {error}", file=sys.stderr)

@@ -1,10 +1,9 @@
-"""tune: from a model, or a bag, to a controller's parameters, what they promise, and why."""
+"""tune: from a model, or a bag, to the controllers' parameters, what they promise, and why."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
+    from dfm_stage.cli.tune_verify import Tracking
     from dfm_stage.control import Tuned, Ultimate
     from dfm_stage.model import Model
 
@@ -22,7 +22,8 @@ WAYS = ("raise_gain", "relay")
 EPILOG = """examples:
   ./run tune --model paper_stage
   ./run tune --model my/model.yaml --method lqr --margin 0.6 --out lqr.yaml
-  ./run tune --bag bags/multisine --out pid.yaml
+  ./run tune --bag bags/multisine --out pid.yaml --verify scan
+  ./run tune --model xy_stage --verify scan_xy                  (both axes, one file)
   ./run tune --model paper_stage --method ziegler_nichols     (on the running node graph)
 then:
   ./run controller --ros-args --params-file pid.yaml
@@ -37,8 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                         "config/models; with --bag, where identification starts from")
     parser.add_argument("--bag", metavar="BAG", help="bag or CSV file the model is identified "
                         "from first")
-    parser.add_argument("--axis", metavar="NAME", help="axis, where the model has several; also "
-                        "the node's namespace (default: x)")
+    parser.add_argument("--axis", metavar="NAME", help="one axis of a model that has several "
+                        "(default: all of them); also the node's namespace (default: x)")
     parser.add_argument("--method", choices=METHODS, default="pid",
                         help="default: %(default)s, two degrees of freedom with feedforward")
     parser.add_argument("--margin", type=float, default=0.5, metavar="M",
@@ -49,6 +50,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--no-integral", action="store_true", help="lqr without integral action")
     parser.add_argument("--disturbance", action="store_true",
                         help="lqr with an estimate of a drifting force")
+    parser.add_argument("--feedforward", choices=("auto", "gains", "model", "inverse"),
+                        default="auto", help="pid: three gains; the model's own input with its "
+                        "springs, friction and force constant; or the inverse for the whole "
+                        "reference ahead (default: model where it has such effects, else gains)")
+    parser.add_argument("--notch", action="store_true",
+                        help="pid: take the model's highest mode out of the feedback")
+    parser.add_argument("--verify", metavar="EXPERIMENT", help="run this experiment with the "
+                        "result on the node graph and show the error beside the predicted one")
+    parser.add_argument("--plant", metavar="FILE", help="model the simulated stage runs for "
+                        "--verify and ziegler_nichols (default: the model tuned on)")
     parser.add_argument("--out", metavar="FILE", help="parameter file to write (default: "
                         "<method>.yaml); the identified model goes beside it")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -82,38 +93,56 @@ def _tune(options: argparse.Namespace) -> int:
         raise DfmError("no model: give --model FILE, or --bag BAG to identify one")
     if not 0.0 < options.margin < 1.0:
         raise DfmError(f"--margin {options.margin:g}: give a number between 0 and 1")
-    from dfm_stage.control import tune_lqr, tune_pid, tune_ziegler_nichols
+    from dfm_stage.control import write_text
     from dfm_stage.model import load_model
 
     name = options.model
     if options.bag:
         name = _identified(options, out)
     model = load_model(name)
-    if model.axes:
-        model = model.axis(options.axis)
     if Path(name).is_file():
         name = str(Path(name).resolve())
-    found: dict[str, Ultimate] = {}
-    if options.method == "pid":
-        result = tune_pid(model, options.margin, options.limit)
-    elif options.method == "lqr":
-        result = tune_lqr(model, name, options.margin, options.limit,
-                          lqr_integral=not options.no_integral,
-                          lqr_disturbance=options.disturbance)
-    else:
-        ways = {"both": WAYS, "model": ()}.get(options.way, (options.way,))
-        try:
-            found = {way: _on_the_graph(way, name, options) for way in ways}
-        except TuningFailedError as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 1
-        result = tune_ziegler_nichols(model, next(iter(found.values()), None), options.limit)
-    _write(out, _yaml(result, options.axis or "x", model))
+    names = [options.axis] if options.axis or not model.axes else list(model.axes)
+    axes = {axis or "x": model.axis(axis) if model.axes else model for axis in names}
+    if options.axis and not model.axes:
+        axes = {options.axis: model}
+    results: dict[str, Tuned] = {}
+    found: dict[str, dict[str, Ultimate]] = {}
+    try:
+        for axis, each in axes.items():
+            results[axis], found[axis] = _tuned(axis, each, name, options)
+    except TuningFailedError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    write_text(out, _yaml(results, axes))
+    verified = _verify(out, results, axes, options.plant or name, options)
     if options.json:
-        print(json.dumps(_plain(result, found), indent=1))
+        plain = {axis: _plain(results[axis], found[axis], verified.get(axis)) for axis in axes}
+        said = {"schema": 1, "axes": plain} if len(plain) > 1 else next(iter(plain.values()))
+        print(json.dumps(said, indent=1))
     else:
-        _print(result, found, model, out)
+        for axis in axes:
+            if len(axes) > 1:
+                print(f"axis {axis}")
+            _print(results[axis], found[axis], axes[axis], verified.get(axis))
+        print(f"written: {out}")
     return 0
+
+
+def _tuned(axis: str, model: Model, name: str,
+           options: argparse.Namespace) -> tuple[Tuned, dict[str, Ultimate]]:
+    from dfm_stage.control import tune_lqr, tune_pid, tune_ziegler_nichols
+
+    if options.method == "pid":
+        return tune_pid(model, options.margin, options.limit, model_name=name,
+                        feedforward=options.feedforward, notch=options.notch), {}
+    if options.method == "lqr":
+        return tune_lqr(model, name, options.margin, options.limit,
+                        lqr_integral=not options.no_integral,
+                        lqr_disturbance=options.disturbance), {}
+    ways = {"both": WAYS, "model": ()}.get(options.way, (options.way,))
+    found = {way: _on_the_graph(way, axis, options.plant or name, options) for way in ways}
+    return tune_ziegler_nichols(model, next(iter(found.values()), None), options.limit), found
 
 
 class TuningFailedError(DfmError):
@@ -132,14 +161,13 @@ def _identified(options: argparse.Namespace, out: Path) -> str:
     return str(folder / "model.yaml")
 
 
-def _on_the_graph(way: str, model: str, options: argparse.Namespace) -> Ultimate:
+def _on_the_graph(way: str, axis: str, model: str, options: argparse.Namespace) -> Ultimate:
     """Run one way of tuning on the node graph and return what it found."""
     from dfm_stage.cli.progress import Progress
     from dfm_stage.control import Ultimate
     from dfm_stage.harness import StageGraph
     from dfm_stage.recording import read_bag
 
-    axis = options.axis or "x"
     run = {"name": f"ziegler_nichols_{way}", "mode": "pid", "duration_s": options.duration,
            "axes": {axis: {}},
            "controller": {"tuning": way, "tuning_voltage_v": options.voltage,
@@ -161,22 +189,33 @@ def _on_the_graph(way: str, model: str, options: argparse.Namespace) -> Ultimate
     return Ultimate(state["ultimate_gain_v_m"], state["ultimate_period_s"])
 
 
-def _yaml(result: Tuned, axis: str, model: Model) -> str:
-    lines = [f"# {result.method} for model {model.name}, by tune", "#"]
-    lines += [f"# {reason}" for reason in result.reasons]
-    lines += [f"# {line}" for line in _promises(result)]
-    lines += [f"/stage/{axis}/controller:", "  ros__parameters:"]
-    parameters = {"sample_period_s": model.sample_period, **result.parameters}
-    lines += [f"    {name}: {_scalar(value)}" for name, value in parameters.items()]
-    return "\n".join(lines) + "\n"
+def _verify(file: Path, results: Mapping[str, Tuned], axes: Mapping[str, Model], plant: str,
+            options: argparse.Namespace) -> dict[str, Tracking]:
+    """Run the experiment on the graph with the file and return errors beside the predicted."""
+    if not options.verify:
+        return {}
+    from dfm_stage.cli.graph_run import run_on_graph
+    from dfm_stage.cli.tune_verify import as_experiment, compare
+
+    experiment = as_experiment(options.verify, options.method, file, tuple(axes))
+    with tempfile.TemporaryDirectory(prefix="dfm_stage_tune_") as folder:
+        record = run_on_graph(experiment, Path(folder) / "bag", model=plant, axes=tuple(axes),
+                              label=f"{options.verify} on the node graph")
+    return {axis: compare(record, axis, experiment, axes[axis], results[axis]) for axis in axes}
 
 
-def _scalar(value: Any) -> str:
-    if isinstance(value, float):
-        text = repr(value)
-        mantissa, e, exponent = text.partition("e")
-        return text if "." in mantissa else f"{mantissa}.0{e}{exponent}"
-    return json.dumps(value)
+def _yaml(results: Mapping[str, Tuned], axes: Mapping[str, Model]) -> str:
+    from dfm_stage.control import parameter_text
+
+    comments, nodes = [], {}
+    for axis, result in results.items():
+        comments += [f"{result.method} for model {axes[axis].name}, by tune", "",
+                     *result.reasons, *_promises(result)]
+        nodes[f"/stage/{axis}/controller"] = {"sample_period_s": axes[axis].sample_period,
+                                              **result.parameters}
+        if result.generator:
+            nodes[f"/stage/{axis}/trajectory_generator"] = dict(result.generator)
+    return parameter_text(nodes, comments)
 
 
 def _promises(result: Tuned) -> list[str]:
@@ -191,20 +230,24 @@ def _promises(result: Tuned) -> list[str]:
     return [margins, errors]
 
 
-def _plain(result: Tuned, found: Mapping[str, Ultimate]) -> dict[str, Any]:
+def _plain(result: Tuned, found: Mapping[str, Ultimate],
+           verified: Tracking | None) -> dict[str, Any]:
     m = result.margins
-    return {"schema": 1, "method": result.method, "parameters": dict(result.parameters),
-            "margins": {"modulus": m.modulus, "gain": m.gain, "phase_deg": m.phase_deg,
-                        "crossover_hz": m.crossover_hz},
-            "bandwidth_hz": result.bandwidth_hz,
-            "predicted": {name: {"value": value, "unit": "m"}
-                          for name, value in result.predicted.items()},
-            "ultimate": {way: {"gain_v_m": each.gain_v_m, "period_s": each.period_s}
-                         for way, each in found.items()},
-            "reasons": list(result.reasons)}
+    plain = {"schema": 1, "method": result.method, "parameters": dict(result.parameters),
+             "trajectory_generator": dict(result.generator),
+             "margins": {"modulus": m.modulus, "gain": m.gain, "phase_deg": m.phase_deg,
+                         "crossover_hz": m.crossover_hz},
+             "bandwidth_hz": result.bandwidth_hz,
+             "predicted": {name: {"value": value, "unit": "m"}
+                           for name, value in result.predicted.items()},
+             "ultimate": {way: {"gain_v_m": each.gain_v_m, "period_s": each.period_s}
+                          for way, each in found.items()},
+             "reasons": list(result.reasons)}
+    return plain if verified is None else {**plain, "verified": verified.plain()}
 
 
-def _print(result: Tuned, found: Mapping[str, Ultimate], model: Model, out: Path) -> None:
+def _print(result: Tuned, found: Mapping[str, Ultimate], model: Model,
+           verified: Tracking | None) -> None:
     from dfm_stage.control import sample_model, ultimate
 
     for way, each in found.items():
@@ -212,20 +255,10 @@ def _print(result: Tuned, found: Mapping[str, Ultimate], model: Model, out: Path
     if found:
         exact = ultimate(sample_model(model))
         print(f"the model's own: {exact.gain_v_m:.5g} V/m, {exact.period_s:.4g} s")
-    for name, value in result.parameters.items():
+    for name, value in {**result.parameters, **result.generator}.items():
         shown = f"{value:.6g}" if isinstance(value, float) else value
         print(f"  {name:24} {shown}")
     for line in (*result.reasons, *_promises(result)):
         print(f"- {line}")
-    print(f"written: {out}")
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        with tempfile.NamedTemporaryFile("w", dir=path.absolute().parent, prefix=".tune_",
-                                         delete=False, encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(file.name, 0o644)
-        os.replace(file.name, path)
-    except OSError as error:
-        raise DfmError(f"{path}: cannot write ({error.strerror})") from error
+    if verified is not None:
+        print(f"- {verified}")

@@ -25,6 +25,7 @@ from dfm_stage.control.model_feedforward import (
     feedforward_gains,
     inverse_of,
 )
+from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.parameter_file import parameter_text, read_parameters, write_text
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
@@ -63,8 +64,8 @@ __all__ = [
     "LearningDesign", "LinearStage", "Lqg", "LqrDesign", "LqrSpec", "Margins", "ModelFeedforward",
     "Notch", "Oscillation", "Pid", "PidDesign", "PidGains", "ReferenceShaper", "RelayRun",
     "Sampled", "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
-    "feedback_gain", "feedforward_gains", "finite_horizon", "inverse_input", "inverse_of",
-    "kalman", "linear_stage", "loop_margins", "margins", "neighbours", "oscillation",
+    "feedback_gain", "feedforward_gains", "finite_horizon", "highest_mode", "inverse_input",
+    "inverse_of", "kalman", "linear_stage", "loop_margins", "margins", "neighbours", "oscillation",
     "parameter_text", "periodic_input", "pid_for", "pid_with_margin", "plan_laws",
     "predicted_errors", "read_parameters", "run_on_model", "sample_model", "sample_stage", "shape",
     "shaper", "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate", "ultimate_from_relays",

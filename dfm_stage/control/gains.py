@@ -101,6 +101,11 @@ class PidGains:
                 raise ControlError(f"{where}: there is no parameter {name!r}, {hint}")
         return replace(self, **values)
 
+    def without_feedforward(self) -> PidGains:
+        """Return these gains with the three feedforward gains at zero."""
+        return replace(self, feedforward_position=0.0, feedforward_velocity=0.0,
+                       feedforward_acceleration=0.0)
+
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters by name."""
         return asdict(self)

@@ -17,6 +17,7 @@ from dfm_stage.control.gains import PID_PARAMETERS, PidGains
 from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
 from dfm_stage.control.model_feedforward import ModelFeedforward
+from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.shaping import ReferenceShaper, shaper
 from dfm_stage.control.stage import command_limit
@@ -84,29 +85,11 @@ def plan_laws(values: Mapping[str, Any], model: Model | None,
         gains = gains.changed({"notch_hz": frequency, "notch_depth_damping": damping})
     feedforward = None
     if model is not None and values["feedforward"] == "model":
-        gains = gains.changed({f"feedforward_{name}": 0.0 for name in Point._fields})
+        gains = gains.without_feedforward()
         feedforward = ModelFeedforward(model, gains)
     Pid(gains, values["sample_period_s"])
     return Plan(values["mode"], gains, limit, feedforward, _shaping(values, model),
                 _design(values, model, last) if model is not None else None)
-
-
-def highest_mode(model: Model) -> tuple[float, float]:
-    """Return frequency (Hz) and damping ratio of a model's second mode, else of its first.
-
-    Raises
-    ------
-    ControlError
-        If it has neither a second mode nor a spring.
-    """
-    mode = model.effect("second_mode")
-    if mode:
-        return mode.parameters["frequency"], mode.parameters["damping_ratio"]
-    m, k = model.base["mass"], model.base.get("stiffness", 0.0)
-    if not k > 0.0:
-        raise ControlError(f"model {model.name} has no mode: neither a second_mode nor a spring")
-    w = math.sqrt(k / m)
-    return w / (2.0 * math.pi), min(0.99, 0.5 * model.base.get("damping", 0.0) / (m * w))
 
 
 def _shaping(values: Mapping[str, Any], model: Model | None) -> tuple[float, ...]:

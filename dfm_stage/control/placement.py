@@ -27,7 +27,8 @@ class PidDesign:
 def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
             sample_period_s: float = 1e-3,
             damping_ratio: float = 0.8, integral_ratio: float = 0.3, output_limit_v: float = 10.0,
-            feedforward: bool = True) -> PidDesign:
+            feedforward: bool = True,
+            notch: tuple[float, float] | None = None) -> PidDesign:
     """Return PID gains that put the poles of a mass on a spring where they are wanted.
 
     With m x'' + c x' + k x = K u and w = 2 pi bandwidth_hz, the gains
@@ -54,6 +55,8 @@ def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
     feedforward : bool
         Add the inverse model's output, and let the reference's velocity act in the derivative
         part; steps of the reference still give no derivative kick.
+    notch : tuple of float, optional
+        Frequency (Hz) and damping ratio of a mode that a notch takes out of the feedback.
 
     Raises
     ------
@@ -85,6 +88,8 @@ def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
         feedforward_velocity=c / gain + kd if feedforward else 0.0,
         feedforward_acceleration=(m / gain - kd * (filter_s + 0.5 * sample_period_s)
                                   if feedforward else 0.0))
+    if notch is not None:
+        gains = gains.changed({"notch_hz": notch[0], "notch_depth_damping": notch[1]})
     found = margins(stage, gains)
     if not found.stable:
         raise ControlError(f"bandwidth_hz = {bandwidth_hz:g} Hz is unstable with the model's "
@@ -94,7 +99,8 @@ def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
               f"{_FILTER_RATIO * bandwidth_hz:g} Hz; "
               + ("inverse model fed forward; " if feedforward else
                  f"setpoint weight {weight:.2f} cancels the integral's pole; ")
-              + f"the sampled loop with delay and lag keeps a modulus margin of "
+              + (f"notch at {notch[0]:.4g} Hz; " if notch else "")
+            + f"the sampled loop with delay and lag keeps a modulus margin of "
               f"{found.modulus:.2f}, {found.phase_deg:.0f} degrees of phase and a gain margin of "
               f"{found.gain:.1f}")
     return PidDesign(gains, found, reason)
@@ -103,7 +109,8 @@ def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
 def pid_with_margin(base: Mapping[str, float] | Model, modulus_margin: float = 0.5, *,
                     sample_period_s: float = 1e-3, damping_ratio: float = 0.8,
                     integral_ratio: float = 0.3, output_limit_v: float = 10.0,
-                    feedforward: bool = True) -> PidDesign:
+                    feedforward: bool = True,
+                    notch: tuple[float, float] | None = None) -> PidDesign:
     """Return the fastest `pid_for` that keeps the modulus margin; its bandwidth to 1 %.
 
     Raises
@@ -117,7 +124,7 @@ def pid_with_margin(base: Mapping[str, float] | Model, modulus_margin: float = 0
     def design(bandwidth_hz: float) -> PidDesign:
         return pid_for(base, bandwidth_hz, sample_period_s=sample_period_s,
                        damping_ratio=damping_ratio, integral_ratio=integral_ratio,
-                       output_limit_v=output_limit_v, feedforward=feedforward)
+                       output_limit_v=output_limit_v, feedforward=feedforward, notch=notch)
 
     values, _ = _stage_of(base, sample_period_s)
     spring = math.sqrt(values.get("stiffness", 0.0) / values["mass"])

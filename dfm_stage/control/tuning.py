@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,13 @@ from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
 from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LqrDesign, LqrSpec, design_lqr
+from dfm_stage.control.model_feedforward import (
+    EffectInput,
+    ModelFeedforward,
+    feedforward_gains,
+    inverse_of,
+)
+from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import pid_with_margin
 from dfm_stage.control.sampled import (
@@ -23,11 +30,12 @@ from dfm_stage.control.sampled import (
     frequency_grid,
     loop_margins,
 )
-from dfm_stage.control.stage import sample_model
+from dfm_stage.control.stage import command_limit, sample_model
 from dfm_stage.control.ziegler_nichols import Ultimate, ultimate, ziegler_nichols
 from dfm_stage.model import Model, Plant
 
 Array = NDArray[np.float64]
+FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
 _INTEGRAL = 0.08
 _ERROR_M = 2.5e-4
 
@@ -38,7 +46,7 @@ class Tuned:
 
     `bandwidth_hz` is the highest frequency at which the closed loop L / (1 + L) still follows to
     -3 dB. `predicted` are errors in m on the model, noise included, measured from its true
-    position.
+    position. `generator` are parameters of the trajectory generator, if there are any.
     """
 
     method: str
@@ -47,20 +55,76 @@ class Tuned:
     bandwidth_hz: float
     predicted: Mapping[str, float]
     reasons: tuple[str, ...]
+    generator: Mapping[str, Any] = field(default_factory=dict)
 
 
-def tune_pid(model: Model, modulus_margin: float = 0.5, output_limit_v: float = 10.0) -> Tuned:
-    """Return the fastest PID with feedforward that keeps the modulus margin on the whole model.
+def tune_pid(model: Model, modulus_margin: float = 0.5, output_limit_v: float = 10.0, *,
+             model_name: str = "", feedforward: str = "auto", notch: bool = False) -> Tuned:
+    """Return the fastest PID that keeps the modulus margin on the whole model, with feedforward.
+
+    Parameters
+    ----------
+    model : Model
+        One axis.
+    modulus_margin : float
+        To keep, 0 to 1.
+    output_limit_v : float
+        Largest output; a saturation of the model lowers it.
+    model_name : str
+        What the controller node is to load where its feedforward comes from the model.
+    feedforward : str
+        "gains": three numbers, the inverse of the model's linear part. "model": the node also
+        counts the effects of `model_name`. "inverse": none here; the whole reference is inverted
+        ahead by the trajectory generator (`inverse_model`), and the feedback acts on the error
+        alone. "auto": model where the model has effects that count and a name, else gains.
+    notch : bool
+        Take the highest mode out of the feedback.
 
     Raises
     ------
     ControlError
-        If no bandwidth keeps it.
+        If no bandwidth keeps the margin, or feedforward is none of these.
     """
+    if feedforward not in ("auto", *FEEDFORWARD_CHOICES):
+        raise ControlError(f"feedforward must be auto, {', '.join(FEEDFORWARD_CHOICES)}, "
+                           f"not {feedforward!r}")
+    effects = EffectInput(model)
+    if feedforward == "auto":
+        feedforward = "model" if effects.any and model_name else "gains"
+    if feedforward != "gains" and not model_name:
+        raise ControlError(f"feedforward {feedforward} needs the model's name or file")
+    limit = command_limit(model, output_limit_v)
+    mode = highest_mode(model) if notch else None
     design = pid_with_margin(model, modulus_margin, sample_period_s=model.sample_period,
-                             output_limit_v=output_limit_v)
-    return _of_pid(model, design.gains, "pid", (
-        design.reason, f"the fastest that keeps the modulus margin of {modulus_margin:g}"))
+                             output_limit_v=limit, feedforward=False, notch=mode)
+    gains, extra = design.gains, {}
+    reasons = [design.reason, f"the fastest that keeps the modulus margin of {modulus_margin:g}"]
+    if limit < output_limit_v:
+        reasons.append(f"the model saturates at {limit:g} V: that is the output's limit")
+    if feedforward == "inverse":
+        gains = gains.changed({"setpoint_weight": 1.0, "derivative_weight": 1.0})
+        extra = {"inverse_model": model_name}
+        reasons.append("the generator inverts the model for the whole reference ahead; the "
+                       "feedback acts on the error alone")
+    else:
+        position, velocity, acceleration = feedforward_gains(sample_model(model), gains)
+        gains = gains.changed({"feedforward_position": position, "feedforward_velocity": velocity,
+                               "feedforward_acceleration": acceleration})
+        reasons.append("feedforward exact for a reference of constant acceleration, with delay, "
+                       "lag and sampling")
+    parameters: dict[str, Any] = {"mode": "pid", **gains.to_dict()}
+    forward = None
+    if feedforward == "model":
+        forward = ModelFeedforward(model, gains)
+        parameters |= {"feedforward": "model", "model": model_name}
+        reasons.append("the model's own input for the reference"
+                       + (f", with {', '.join(effects.covers)}" if effects.any else ""))
+    found, bandwidth = pid_margins(model, gains)
+    inverse = feedforward == "inverse"
+    used = gains if forward is None else gains.without_feedforward()
+    predicted = predicted_errors(model, Pid(used, model.sample_period), forward=forward,
+                                 inverse=inverse)
+    return Tuned("pid", parameters, found, bandwidth, predicted, tuple(reasons), extra)
 
 
 def tune_ziegler_nichols(model: Model, found: Ultimate | None = None,
@@ -149,12 +213,17 @@ def _bandwidth(f: Array, loop: NDArray[np.complex128]) -> float:
     return float(f[following[-1]]) if following.size else 0.0
 
 
-def predicted_errors(model: Model, controller: Pid | Lqg, seed: int = 0) -> dict[str, float]:
+def predicted_errors(model: Model, controller: Pid | Lqg, seed: int = 0, *,
+                     forward: ModelFeedforward | None = None,
+                     inverse: bool = False) -> dict[str, float]:
     """Return errors of the true position on the model, m: `step_1mm_after_5s` (largest from 5 s
-    on), `sine_1mm_half_hz_peak` (after two of its periods) and `at_rest_rms`."""
+    on), `sine_1mm_half_hz_peak` (after two of its periods) and `at_rest_rms`.
+
+    `forward` and `inverse` (for the sine) as in `run_on_model`.
+    """
     h = model.sample_period
     t = np.arange(round(8.0 / h)) * h
-    step = run_on_model(model, controller, np.full(t.size, 1e-3), seed=seed)
+    step = run_on_model(model, controller, np.full(t.size, 1e-3), seed=seed, forward=forward)
     w = math.pi
     ramp = np.clip(t / 2.0, 0.0, 1.0)
     rise = ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2)
@@ -164,7 +233,8 @@ def predicted_errors(model: Model, controller: Pid | Lqg, seed: int = 0) -> dict
     sine = 1e-3 * rise * s
     velocity = 1e-3 * (slope * s + rise * w * c)
     acceleration = 1e-3 * (bend * s + 2.0 * slope * w * c - rise * w * w * s)
-    follow = run_on_model(model, controller, sine, velocity, acceleration, seed=seed)
+    follow = run_on_model(model, controller, sine, velocity, acceleration, seed=seed,
+                          forward=forward, inverse=inverse)
     return {"step_1mm_after_5s": float(np.max(np.abs(step[t >= 5.0] - 1e-3))),
             "sine_1mm_half_hz_peak": float(np.max(np.abs((follow - sine)[t >= 4.0]))),
             "at_rest_rms": float(np.std(step[t >= 6.0]))}
@@ -172,23 +242,32 @@ def predicted_errors(model: Model, controller: Pid | Lqg, seed: int = 0) -> dict
 
 def run_on_model(model: Model, controller: Pid | Lqg, position: Array,
                  velocity: Array | None = None, acceleration: Array | None = None,
-                 added: Array | None = None, seed: int = 0) -> Array:
+                 added: Array | None = None, seed: int = 0, *,
+                 forward: ModelFeedforward | None = None, inverse: bool = False) -> Array:
     """Return the true position (N,), m, of the model under a controller, which is reset first.
 
     `position`, `velocity`, `acceleration` (N,) are the reference, `added` (N,) V what is added to
-    the controller's output.
+    the controller's output. `forward` is the feedforward of a PID, `inverse` adds the model's
+    inverse of the whole reference.
     """
     zero = np.zeros(position.size)
     reference = np.column_stack([each if each is not None else zero for each in (
-        position, velocity, acceleration, added)]).tolist()
+        position, velocity, acceleration, added)])
+    if inverse:
+        reference[:, 3] += inverse_of(model, *reference[:, :3].T)
     plant = Plant(model, seed=seed)
+    limit = command_limit(model, 1e6)
     controller.reset()
     known = isinstance(controller, Lqg)
     out = np.empty(position.size)
-    for k, (r, v, a, extra) in enumerate(reference):
+    for k, (r, v, a, extra) in enumerate(reference.tolist()):
         sample = plant.sample()
         out[k] = sample.position_m
-        total = controller.step(r, sample.reading_m, v, a) + extra
+        if isinstance(controller, Pid) and forward is not None:
+            asked = controller.step(r, sample.reading_m, v, a, 0.0, forward.at(r, v, a))
+        else:
+            asked = controller.step(r, sample.reading_m, v, a)
+        total = min(limit, max(-limit, asked + extra))
         if known:
             controller.applied(total)
         plant.advance(total)

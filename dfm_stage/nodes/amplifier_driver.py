@@ -52,7 +52,7 @@ class AmplifierDriver(ManagedNode):
                 "0 = no limit, only in simulation", "A", 0.0, 100.0),
         Setting("autoarm", True, "arm at start; only in simulation"),
         Setting("baud", 115200, "hardware: rate of the line", "", 9600, 115200),
-        Setting("gain_a_per_v", 1.0, "hardware: output per unit of command; 1 = commands are "
+        Setting("amperes_per_volt", 1.0, "hardware: output per unit of command; 1 = commands are "
                 "amperes, as with a model of drive: current", "A/V", -100.0, 100.0),
         Setting("continuous_limit_a", 0.0, "hardware: continuous limit that must be set in the "
                 "drive; 0 = current_limit_a", "A", 0.0, 100.0),
@@ -60,6 +60,8 @@ class AmplifierDriver(ManagedNode):
                 "s", 0.0, 10.0),
         Setting("ramp_a_per_s", 0.0, "hardware: slope of the output in the drive; 0 = step",
                 "A/s", 0.0, 1e6),
+        Setting("soft_start_s", 0.2, "hardware: commands grow to their full size over this time "
+                "after arming", "s", 0.001, 10.0),
         Setting("shape_last_count", True, "hardware: spread what a current step leaves over "
                 "(sigma-delta) instead of rounding"),
         Setting("measurement_timeout_s", 0.02, "hardware: a command that answers an older "
@@ -73,12 +75,14 @@ class AmplifierDriver(ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._limit_a: float = self.settings["current_limit_a"]
-        self._gain: float = self.settings["gain_a_per_v"]
+        self._gain: float = self.settings["amperes_per_volt"]
         self._interlock = self._new_interlock()
         self._off_bits = int(Cause.DISARMED)
         self._seq = 0
         self._answered = _NO_SAMPLE
         self._checked_s = time.monotonic()
+        self._armed_s = 0.0
+        self._easing = False
         self._current = math.nan
         self._encoder: DiagnosticStatus | None = None
         self._worker: AmplifierWorker | None = None
@@ -172,9 +176,18 @@ class AmplifierDriver(ManagedNode):
         worker = self._worker
         if worker is not None:
             if interlock.armed:
-                worker.command(value * self._gain, command.measurement_seq)
+                worker.command(value * self._gain * self._eased_in(), command.measurement_seq)
             return
         self._apply(stamp, value, 0 if interlock.armed else self._off_bits)
+
+    def _eased_in(self) -> float:
+        """Share of a command that goes out: a controller may have wound up while it was off."""
+        if not self._easing:
+            return 1.0
+        share = (time.monotonic() - self._armed_s) / self.settings["soft_start_s"]
+        if share >= 1.0:
+            self._easing = False
+        return min(1.0, share)
 
     def _check_stale(self) -> None:
         """Simulation: look for commands, unless it was this process that was held up."""
@@ -280,7 +293,9 @@ class AmplifierDriver(ManagedNode):
         else:
             try:
                 if self._worker is not None:
+                    self._armed_s, self._easing = time.monotonic(), True
                     self._worker.arm()
+                    self._armed_s = time.monotonic()
                 else:
                     self._interlock.arm()
                 response.success, response.message = True, "armed"

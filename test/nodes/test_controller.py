@@ -166,3 +166,99 @@ def test_the_excitation_is_the_command_in_open_loop(loop):
     stage = loop(mode="open_loop", model="paper_stage")
     stage.reference, stage.added = (1e-3, 0.0, 0.0), 0.07
     assert np.all(stage.run(50) == 0.07)
+
+
+def test_all_modes_change_without_a_bump_through_the_node(loop):
+    stage = loop(plant="raster_bench")
+    stage.set(model="raster_bench")
+    stage.reference = (1e-3, 0.0, 0.0)
+    volts = [stage.run(3000)]
+    for mode in ("lqr", "open_loop", "pid", "open_loop", "lqr", "pid"):
+        held = stage.sent[-1][4]
+        stage.set(mode=mode)
+        volts.append(stage.run(600))
+        first = volts[-1][0]
+        assert abs(first - held) < 0.03, mode
+        if mode == "open_loop":
+            assert abs(held) > 0.1 or mode
+            assert not np.any(volts[-1][200:])       # then it is the excitation alone
+            assert np.max(np.abs(np.diff(volts[-1]))) < 0.02
+
+
+def amplifier(stage: Loop, limit: float) -> None:
+    """Let an amplifier answer each command, with less than it asks for beyond a limit."""
+    send = stage.node._out.send
+
+    def answered(*fields) -> None:
+        send(*fields)
+        given = min(limit, max(-limit, fields[4]))
+        stage.sent[-1] = (*fields[:4], given, *fields[5:])
+        stage.node._on_amplifier(SimpleNamespace(measurement_seq=fields[2], voltage=given))
+
+    stage.node._out.send = answered
+
+
+@pytest.mark.parametrize("mode", ["pid", "lqr"])
+def test_what_the_amplifier_gave_keeps_the_integral_from_winding_up(loop, mode):
+    late = {}
+    for told in (True, False):
+        stage = loop(plant="raster_bench", mode=mode, model="raster_bench",
+                     amplifier_feedback=str(told).lower())
+        amplifier(stage, 1.0)
+        if not told:
+            stage.node._on_amplifier = lambda state: None
+        stage.reference = (4e-3, 0.0, 0.0)              # 2.3 V would hold it
+        stage.run(3000)
+        stage.reference = (0.5e-3, 0.0, 0.0)
+        stage.run(3000)
+        late[told] = np.sum(np.abs(np.array(stage.position[3000:]) - 0.5e-3)) * 1e-3
+        assert stage.node.counters.get("amplifier_gave_less", 0) > 1000 or not told
+    assert late[True] < 0.7 * late[False]
+
+
+def test_a_saturation_of_the_model_is_the_outputs_limit(loop, tmp_path):
+    from dfm_stage.model import save_model
+
+    path = tmp_path / "saturated.yaml"
+    save_model(load_model("raster_bench").with_effect("saturation", {"limit": 1.0}), path)
+    stage = loop(plant=str(path), model=str(path))
+    stage.reference = (4e-3, 0.0, 0.0)
+    assert np.max(np.abs(stage.run(2000))) == 1.0
+    stage.reference = (0.5e-3, 0.0, 0.0)
+    stage.run(2500)
+    assert stage.position[-1] == pytest.approx(0.5e-3, abs=2e-6)
+
+
+def test_the_guard_watches_in_open_loop_too(loop):
+    stage = loop(mode="open_loop")
+    for _ in range(8000):                              # 0.5 V at resonance: 12 mm unguarded
+        stage.added = 0.5 * np.sin(24.5 * stage.k * 1e-3)
+        stage.run(1)
+    assert np.max(np.abs(stage.position)) < 7.7e-3
+    assert "travel" in stage.node._guard.tripped
+    assert "output is zero" in stage.node.warnings_active["guard"]
+    assert not np.any([each[4] for each in stage.sent[-1000:]])
+    stage.added = 0.0
+    stage.run(4000)
+    assert np.ptp(stage.position[-300:]) < 1e-4
+
+
+def test_feedforward_notch_and_shaper_come_from_the_model(loop):
+    stage = loop(plant="raster_bench", model="raster_bench")
+    stage.set(feedforward="model", notch="model")
+    assert stage.node._laws.pid.gains.notch_hz == 16.02
+    with pytest.raises(DfmError, match="feedforward model needs the parameter model"):
+        stage.set(model="")
+
+
+def test_a_shaped_step_does_not_wake_the_mode_of_the_model(loop):
+    vibration = {}
+    for kind in ("none", "zv", "zvd"):
+        stage = loop(plant="paper_stage", model="paper_stage", feedforward="model", shaper=kind,
+                     kp=0.0, ki=0.0, kd=0.0)
+        stage.run(10)
+        stage.reference = (1e-3, 0.0, 0.0)
+        stage.run(3000)
+        vibration[kind] = np.ptp(stage.position[-2000:])
+    assert vibration["zv"] < 0.02 * vibration["none"]
+    assert vibration["zvd"] < 0.02 * vibration["none"]

@@ -139,3 +139,23 @@ def runs(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+MANY = '''
+"""Takes a number of cases."""
+from benchmarks.figure import Figure
+
+
+def figures(quick=False, *, cases=None, resume=False):
+    return [Figure("many.cases", float(cases), "1"), Figure("many.resume", float(resume), "1")]
+'''
+
+
+def test_an_option_reaches_only_the_benchmark_that_takes_it(folder: Path, tmp_path, capfd) -> None:
+    (folder / "many.py").write_text(MANY)
+    out = tmp_path / "bench.json"
+    asked = ["--folder", str(folder), "--json", str(out), "--cases", "7", "--resume"]
+    assert bench.main([*asked, "many"]) == 0
+    assert [f["value"] for f in json.loads(out.read_text())["figures"]] == [7.0, 1.0]
+    assert bench.main([*asked, "good"]) == 1
+    assert "benchmark good takes no --cases" in capfd.readouterr().err

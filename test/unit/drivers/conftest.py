@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from dfm_stage.drivers.emulators.pty_port import Emulator, PtyPort
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 class RunningPort:

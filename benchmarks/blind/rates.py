@@ -1,0 +1,168 @@
+"""From scores to the figures, the confusion matrix, the failures and the detection limits."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind.scoring import Score, detection_limit, wilson
+from benchmarks.figure import BarKind, Figure
+
+LARGE = 3.0
+ERASED = ("none", "trap")
+
+
+def _rate(key: str, hits: Iterable[bool], bar: float | None, kind: BarKind, what: str,
+          bar_to: float | None = None) -> Figure:
+    found = list(hits)
+    low, high = wilson(sum(found), len(found))
+    value = 100.0 * sum(found) / len(found) if found else float("nan")
+    return Figure(f"diagnose.{key}", value, "%", bar if found else None, how=(
+        f"{sum(found)} of {len(found)} {what}, Wilson {low:.1f} to {high:.1f} %"),
+        bar_kind=kind if found and bar is not None else None, bar_to=bar_to)
+
+
+def large_effects(scores: Iterable[Score]) -> list[Score]:
+    """Single effects at severity 3 and 10 that the data can tell apart."""
+    return [s for s in scores if s.kind == "effect" and s.severity >= LARGE and s.counted]
+
+
+def accuracy(scores: Sequence[Score]) -> list[Figure]:
+    """The rates of the verdicts; also what a baseline is measured by."""
+    large = large_effects(scores)
+    others = [s for s in scores if s.kind == "effect" and s.severity >= LARGE and not s.counted]
+    nothing = [s for s in scores if s.kind == "none"]
+    traps = [s for s in scores if s.kind == "trap"]
+    retune = [s for s in scores if s.kind == "retune"]
+    pairs = [s for s in scores if s.kind == "pair" and s.counted]
+    left = [s for s in scores if s.kind == "left_out" and s.counted]
+    skipped = sum(s.kind == "left_out" and not s.counted for s in scores)
+    return [
+        _rate("exact_percent", (s.exact for s in large), 95.0, "at least",
+              "single effects at severity 3 and 10 named exactly"),
+        _rate("class_percent", (s.right_class for s in large), 99.0, "at least",
+              "of the same in the right class; beside them "
+              f"{sum(s.exact for s in others)} of {len(others)} that the data cannot tell apart "
+              "answered as expected"),
+        _rate("false_name_percent", (s.false_name for s in nothing), 1.0, "at most",
+              "cases with nothing missing were given a name; "
+              f"verdict none in {sum(s.exact for s in nothing)}"),
+        _rate("trap_name_percent", (s.false_name for s in traps), None, "at most",
+              f"traps were given a name ({_by_trap(traps)})"),
+        _rate("retune_percent", (s.exact for s in retune), 95.0, "at least",
+              "models with wrong numbers answered by retune; "
+              f"{sum(s.false_name for s in retune)} were given a name"),
+        _rate("pair_percent", (s.exact for s in pairs), 85.0, "at least",
+              "pairs at severity 10 with both named"),
+        _rate("spurious_third_percent", (s.spurious for s in pairs), 2.0, "at most",
+              "pairs with a name that is not there"),
+        _rate("unknown_percent", (s.exact for s in left), 90.0, "at least",
+              f"left out of the library answered by unknown; {skipped} more not counted, as a "
+              "remaining candidate comes to 1.05 of the noise on held-out data"),
+        _rate("confident_wrong_percent", (s.spurious for s in left), 3.0, "at most",
+              "left out of the library given a name"),
+    ]
+
+
+def _by_trap(traps: Sequence[Score]) -> str:
+    kinds: dict[str, list[Score]] = defaultdict(list)
+    for score in traps:
+        kinds[score.label.removeprefix("trap ")].append(score)
+    return ", ".join(f"{name} {sum(s.false_name for s in found)}/{len(found)}"
+                     for name, found in sorted(kinds.items())) or "none run"
+
+
+def figures_of(scores: Sequence[Score], suffix: str = "") -> list[Figure]:
+    """Every figure of the contract but `seconds`, keys ending in `suffix`."""
+    found = accuracy(scores)
+    ratios = [s.held_out_over_floor for s in scores
+              if s.held_out_over_floor is not None and s.severity >= LARGE]
+    if ratios:
+        found.append(Figure(
+            "diagnose.held_out_over_floor", float(np.percentile(ratios, 95.0)), "1", 1.2, how=(
+                f"95th percentile of {len(ratios)} correctly named; median "
+                f"{statistics.median(ratios):.3f}, at most 1.2 in "
+                f"{sum(r <= 1.2 for r in ratios)}"), bar_kind="at most"))
+    cases = sum(bool(s.covered) for s in scores)
+    found.append(_rate("interval_coverage_percent", (hit for s in scores for hit in s.covered),
+                       92.0, "between", f"parameter intervals of {cases} correctly named cases "
+                       "hold the truth", 98.0))
+    times = [s.seconds for s in scores if s.seconds is not None]
+    if times:
+        found.append(Figure(
+            "diagnose.case_seconds", statistics.median(times), "s", 10.0, how=(
+                f"median processor time of {len(times)} cases; 90 % within "
+                f"{np.percentile(times, 90.0):.1f} s, longest {max(times):.1f} s"),
+            bar_kind="at most"))
+    return [_named(figure, suffix) for figure in found]
+
+
+def _named(figure: Figure, suffix: str) -> Figure:
+    from dataclasses import replace
+
+    return replace(figure, key=figure.key + suffix)
+
+
+def beside(ours: Sequence[Figure], others: Mapping[str, Sequence[Score]]) -> list[Figure]:
+    """Our figures with the first baseline as peer, and the figures of every baseline."""
+    from dataclasses import replace
+
+    found = list(ours)
+    for number, (name, scores) in enumerate(others.items()):
+        theirs = {figure.key: figure for figure in accuracy(scores)}
+        if number == 0:
+            found = [figure if figure.key not in theirs else replace(
+                figure, peer=name, peer_value=theirs[figure.key].value) for figure in found]
+        found += [replace(figure, key=f"{figure.key}.{name}", bar=None, bar_kind=None)
+                  for figure in theirs.values()]
+    return found
+
+
+def limits(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
+    """Per effect: share named exactly and cases by severity, and the detection limit."""
+    found: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
+    for score in scores:
+        if score.kind == "effect":
+            found[score.label][score.severity].append(score.exact)
+    table = {}
+    for name, by_size in sorted(found.items()):
+        shares = {size: sum(hits) / len(hits) for size, hits in sorted(by_size.items())}
+        table[name] = {"shares": shares, "cases": {s: len(h) for s, h in sorted(by_size.items())},
+                       "limit": detection_limit(shares)}
+    return table
+
+
+def confusion(scores: Iterable[Score]) -> dict[str, Counter[str]]:
+    """Row: what was there (effects at severity 3 and more); column: the answer."""
+    rows: dict[str, Counter[str]] = defaultdict(Counter)
+    for score in scores:
+        if score.kind != "effect" or score.severity >= LARGE:
+            rows[score.label][score.answer] += 1
+    return dict(sorted(rows.items()))
+
+
+def report(scores: Sequence[Score], others: Mapping[str, Sequence[Score]]) -> str:
+    """Confusion matrix, failures and detection limits as text."""
+    lines = ["CONFUSION (effects at severity 3 and 10; answers by number)"]
+    lines += [f"  {name:34s} " + ", ".join(f"{answer} {n}" for answer, n in row.most_common())
+              for name, row in confusion(scores).items()]
+    lines += ["", "DETECTION LIMITS (share named exactly by severity; limit: half of them)"]
+    for name, row in limits(scores).items():
+        limit = "-" if row["limit"] is None else f"{row['limit']:.2f}"
+        lines.append(f"  {name:26s} limit {limit:>5s}   " + "  ".join(
+            f"{size:g}: {share:.2f} ({row['cases'][size]})"
+            for size, share in row["shares"].items()))
+    wrong: Callable[[Score], bool] = lambda s: s.counted and not s.exact and (  # noqa: E731
+        s.kind != "effect" or s.severity >= LARGE)
+    lines += ["", "FAILURES"]
+    lines += [f"  case {s.index:5d}  {s.label:34s} severity {s.severity:g}: {s.answer} "
+              f"{' '.join(s.notes)[:120]}" for s in scores if wrong(s)]
+    for name, theirs in others.items():
+        rates = ", ".join(f"{f.key.removeprefix('diagnose.')} {f.value:.1f}"
+                          for f in accuracy(theirs))
+        lines += ["", f"BASELINE {name}: {rates}"]
+    return "\n".join(lines)

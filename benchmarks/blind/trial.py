@@ -1,0 +1,104 @@
+"""One blind trial: the case is shown, the answer kept; whoever answers never sees the label."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.corpus.case import Case, make_truth, shown
+from benchmarks.corpus.case_files import write_label, write_whole
+from benchmarks.corpus.plan import CaseSpec
+from benchmarks.corpus.rivals import separability
+
+Answerer = Callable[[Case], dict[str, Any]]
+LONGEST_S = 600
+SEPARATED_FROM = 3.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """A case to run, the folder its answer goes to, and who answers besides the diagnosis."""
+
+    spec: CaseSpec
+    folder: Path
+    baselines: bool = True
+    resume: bool = True
+
+    @property
+    def answer_path(self) -> Path:
+        """The file of the answer."""
+        return self.folder / "answers" / f"case_{self.spec.index:05d}.json"
+
+    @property
+    def label_path(self) -> Path:
+        """The file of the label."""
+        return self.folder / "labels" / f"case_{self.spec.index:05d}.json"
+
+
+def diagnosed(case: Case) -> dict[str, Any]:
+    """The library's answer, as diagnosis.json holds it."""
+    from benchmarks.blind.as_records import model_of, records_of
+    from dfm_stage import diagnosis
+    from dfm_stage.model import EFFECTS
+
+    library = [name for name in EFFECTS if name not in case.remove]
+    diagnose: Any = diagnosis.diagnose  # type: ignore[attr-defined,unused-ignore]
+    result = diagnose(records_of(case, "run"), model_of(case),
+                      holdout=records_of(case, "holdout"), library=library)
+    answer: dict[str, Any] = json.loads(json.dumps(result.to_dict()))
+    return answer
+
+
+def run_case(job: Job, answerer: Answerer | None = None) -> Path:
+    """Answer one case and keep the answer and, apart from it, the label; return the answer's
+    file. With `resume` a case that was answered is left as it is."""
+    if job.resume and job.answer_path.exists() and job.label_path.exists():
+        return job.answer_path
+    kept: dict[str, Any] = {"spec": job.spec.to_dict()}
+    begin = time.perf_counter()
+    truth = make_truth(job.spec)
+    case = shown(truth)
+    kept["generation_s"] = time.perf_counter() - begin
+    kept["answer"], kept["seconds"] = _timed(case, answerer or diagnosed)
+    if job.spec.kind == "effect" and job.spec.severity >= SEPARATED_FROM:
+        case.label.update(separability(truth).to_dict())
+    write_label(case, job.folder / "labels")
+    if job.baselines:
+        from benchmarks.blind.baselines import pysindy_answer, stepwise_answer
+
+        for name, baseline in (("pysindy", pysindy_answer), ("stepwise_bic", stepwise_answer)):
+            kept[name], kept[f"{name}_seconds"] = _timed(case, baseline)
+    write_whole(job.answer_path, json.dumps(kept, indent=1) + "\n")
+    return job.answer_path
+
+
+def _timed(case: Case, answerer: Answerer) -> tuple[dict[str, Any], float]:
+    """The answer and the processor time it took (s); a failure is an answer, too."""
+    begin = time.process_time()
+    before = signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(LONGEST_S)
+    try:
+        answer = answerer(case)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it counts as a wrong answer
+        answer = {"error": f"{type(error).__name__}: {error}"}
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    return answer, time.process_time() - begin
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError(f"no answer in {LONGEST_S} s")
+
+
+def one_thread_each() -> None:
+    """Set before workers start: every library gets one thread."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+                 "NUMBA_NUM_THREADS"):
+        os.environ[name] = "1"

@@ -1,0 +1,201 @@
+"""From a failure to zero current in the emulated drive, in separate processes.
+
+The loop swings the stage; at a moment with current in the coil something is broken. Both the
+failure and the drive's output are dated on the steady clock, which all processes share: the
+emulator writes every change of its output to a file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dfm_interfaces.msg import AmplifierState, Command
+from dfm_stage.emulated import EmulatedGraph
+from dfm_stage.harness import HarnessError
+from dfm_stage.nodes.wire import codec
+
+NODES = ("sim_plant", "encoder_driver", "amplifier_driver", "controller",
+         "trajectory_generator")
+MOVING = {
+    "trajectory_generator": {
+        "autostart": True, "repeat": True, "duration_s": 600.0, "reference.kind": "sine",
+        "reference.amplitude_m": 5e-4, "reference.frequency_hz": 2.0}}
+LEAST_CURRENT_A = 0.05
+PATIENCE_S = 20.0
+
+
+class OutputFile:
+    """The emulator's log of its output."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+        self.changes: list[tuple[int, float]] = []
+        self.off = True
+
+    def read(self) -> None:
+        """Take over what was written since."""
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            data = file.read()
+        whole = data[:data.rfind(b"\n") + 1]
+        self._offset += len(whole)
+        for line in whole.decode().splitlines():
+            when, current, state = line.split()
+            self.changes.append((int(when), float(current)))
+            self.off = state == "off"
+
+    @property
+    def current_a(self) -> float:
+        """The output now."""
+        self.read()
+        return self.changes[-1][1] if self.changes else 0.0
+
+    def zero_since(self, after_ns: int) -> int | None:
+        """Return when the output became zero, if it then went off, after `after_ns`."""
+        self.read()
+        if not self.off or not self.changes or self.changes[-1][0] < after_ns:
+            return None
+        index = len(self.changes) - 1
+        while index and self.changes[index - 1][1] == 0.0:
+            index -= 1
+        return self.changes[index][0]
+
+
+@dataclass
+class Trial:
+    """A way to fail: `strike` returns the steady clock in ns, `mend` undoes it."""
+
+    strike: Callable[[], int]
+    mend: Callable[[], None]
+    latched: tuple[str, ...]
+
+
+@dataclass
+class ZeroCurrentRig:
+    """The emulated stage in motion, to be struck again and again."""
+
+    graph: EmulatedGraph
+    output: OutputFile
+    reasons: list[str] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)
+
+    def trial(self, kind: str) -> Trial:
+        """Return the way to fail of this name."""
+        return {
+            "killed_controller": Trial(self._kill, self._restart, ("stale command",)),
+            "stalled_controller": Trial(self._stall, self._resume, ("stale command",)),
+            "nan_command": Trial(self._nan, lambda: None, ("not finite",)),
+            "pulled_encoder": Trial(self._pull, lambda: None, ("encoder", "stale command")),
+        }[kind]
+
+    def measure(self, kind: str) -> float:
+        """Fail once; return the time to zero current, ms; then mend, clear and arm."""
+        graph, trial = self.graph, self.trial(kind)
+        self._wait_for_current()
+        struck_ns = trial.strike()
+        graph.spin_until(lambda: self.output.zero_since(struck_ns) is not None, PATIENCE_S,
+                         "zero current")
+        graph.spin(0.05)
+        zero_ns = self.output.zero_since(struck_ns)
+        if zero_ns is None:
+            raise HarnessError("the output came back by itself")
+        trial.mend()
+        done, words = graph.trigger("amplifier_driver", "clear")
+        if not done:
+            raise HarnessError(f"{kind}: clear was refused: {words}")
+        if not any(f"{cause}:" in words for cause in trial.latched):
+            # a busy machine held up an emulator, and the driver noticed before it was struck
+            self.others.append(words)
+            return math.nan
+        self.reasons.append(words)
+        return max(0.0, (zero_ns - struck_ns) * 1e-6)
+
+    def _wait_for_current(self) -> None:
+        """Arm, and wait for current; a machine that held the emulators up asks for it again."""
+        deadline = time.monotonic() + PATIENCE_S
+        while abs(self.output.current_a) <= LEAST_CURRENT_A or self.output.off:
+            if self.output.off:
+                for kind, service in (("amplifier_driver", "clear"), ("encoder_driver", "home"),
+                                      ("amplifier_driver", "arm")):
+                    self.graph.trigger(kind, service)
+                self.graph.spin(0.1)
+            self.graph.spin(0.005)
+            if time.monotonic() > deadline:
+                raise HarnessError("no current in the coil: "
+                                   f"{self.graph.trigger('amplifier_driver', 'arm')[1]}")
+
+    def _controller(self):
+        return next(each for each in self.graph._launched if each.kind == "controller")
+
+    def _signal(self, number: int) -> int:
+        now = time.monotonic_ns()
+        os.kill(self._controller().process.pid, number)
+        return now
+
+    def _kill(self) -> int:
+        controller = self._controller()
+        self.graph._launched.remove(controller)
+        self._killed = controller
+        now = time.monotonic_ns()
+        controller.process.send_signal(signal.SIGKILL)
+        return now
+
+    def _restart(self) -> None:
+        self._killed.process.wait()
+        self.graph._launch("controller", self._killed.namespace)
+
+    def _stall(self) -> int:
+        return self._signal(signal.SIGSTOP)
+
+    def _resume(self) -> None:
+        self._signal(signal.SIGCONT)
+
+    def _nan(self) -> int:
+        publisher = self._publisher
+        now = time.monotonic_ns()
+        publisher.publish(self._encode(time.time_ns(), 0, 0, time.time_ns(), math.nan, False))
+        return now
+
+    def _pull(self) -> int:
+        return self.graph.devices["encoder"].inject("disconnect 0.2")
+
+    def prepare(self) -> None:
+        """Make what single trials need."""
+        self._encode = codec(Command, "x").encode
+        self._publisher = None
+
+    def open_publisher(self) -> None:
+        """Be able to send a NaN; named like the controller, or it would be a second sender."""
+        import rclpy
+
+        self._sender = rclpy.create_node(
+            "controller", namespace="/stage/x", context=self.graph._context,
+            use_global_arguments=False, start_parameter_services=False, enable_rosout=False)
+        self._publisher = self._sender.create_publisher(Command, "command", 10)
+        self.graph.spin_until(lambda: self._publisher.get_subscription_count() > 0, PATIENCE_S,
+                              "amplifier_driver")
+
+
+@contextlib.contextmanager
+def moving_stage(**parameters):
+    """Yield a ZeroCurrentRig on a stage that swings under control."""
+    with EmulatedGraph(nodes=NODES, parameters={**MOVING, **parameters}) as graph:
+        states = []
+        graph._client_node.create_subscription(AmplifierState, "/stage/x/amplifier",
+                                               states.append, 10)
+        graph.bring_to_life()
+        rig = ZeroCurrentRig(graph, OutputFile(graph.output_log))
+        rig.prepare()
+        try:
+            yield rig
+        finally:
+            with contextlib.suppress(Exception):
+                graph.trigger("amplifier_driver", "disarm")

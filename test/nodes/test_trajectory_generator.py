@@ -1,0 +1,71 @@
+"""The trajectory generator refuses what would leave a limit, before it starts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.parameter import Parameter
+
+from dfm_stage.errors import DfmError
+from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
+
+
+@pytest.fixture
+def make():
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    nodes = []
+
+    def start(**parameters):
+        args = ["--ros-args"]
+        for name, value in parameters.items():
+            args += ["-p", f"{name.replace('__', '.')}:={value}"]
+        nodes.append(TrajectoryGenerator(context=context, cli_args=args))
+        return nodes[-1]
+
+    yield start
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def refused(node, **values) -> str:
+    result = node.set_parameters_atomically(
+        [Parameter(name.replace("__", "."), value=value) for name, value in values.items()])
+    assert not result.successful
+    return result.reason
+
+
+def test_a_movement_beyond_the_travel_is_refused_at_start_and_at_run_time(make):
+    with pytest.raises(DfmError, match=r"position of .* at t = .* exceeds the limit of 0\.0077 m; "
+                                       r"make the movement smaller.*not started"):
+        make(reference__kind="sine", reference__amplitude_m=8e-3, reference__frequency_hz=0.5)
+    node = make(reference__kind="sine", reference__amplitude_m=5e-3, reference__frequency_hz=0.5)
+    assert "position of" in refused(node, reference__amplitude_m=8e-3)
+    assert "velocity of" in refused(node, limits__velocity_m_s=0.01)
+    assert "voltage of 11 V" in refused(node, excitation__kind="hold", excitation__voltage_v=11.0)
+    assert "needs a model" in refused(node, limits__force_n=1.0)
+    assert "force of" in refused(node, limits__force_n=1.0, limits__model="paper_stage")
+    assert "coil_resistance" in refused(node, limits__current_a=1.0, limits__model="paper_stage")
+
+
+def test_an_experiment_that_leaves_a_limit_is_refused_before_its_first_sample(make, tmp_path):
+    file = tmp_path / "e.yaml"
+    file.write_text("name: swing\nmode: open_loop\nduration_s: 4\naxes:\n  x:\n    excitation: "
+                    "{kind: sine, amplitude_v: 0.5, frequency_hz: 3.9}\n", encoding="utf-8")
+    node = make(limits__model="paper_stage")
+    with pytest.raises(DfmError, match=r"^swing: position of .*it was not started"):
+        node._make_run(str(file))
+    node.set_parameters([Parameter("limits.travel_m", value=13e-3)])
+    assert node._make_run(str(file)).count == 4000
+
+
+def test_the_inverse_of_a_model_is_added_ahead(make):
+    node = make(reference__kind="raster", inverse_model="raster_bench", duration_s=3.0)
+    run = node._make_run()
+    assert np.max(np.abs(run.voltage)) > 1.0
+    from dfm_stage.model import Simulator, load_model
+
+    moved = Simulator(load_model("raster_bench")).run(run.voltage).position
+    assert np.max(np.abs(moved - run.position)) < 1e-7
