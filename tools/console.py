@@ -39,7 +39,7 @@ class Steps:
 
     def __init__(self, lock_fd: int) -> None:
         self._lock_fd = lock_fd
-        self._start = time.monotonic()
+        self._began = time.monotonic()
         self.log = Path(os.devnull)
 
     def log_to(self, path: Path) -> None:
@@ -51,7 +51,7 @@ class Steps:
     def step(self, title: str) -> Iterator[None]:
         """Time the body: `[  1.2 s] title ... 3.4 s`."""
         begin = time.monotonic()
-        say(f"[{begin - self._start:5.1f} s] {title} ...", end="")
+        say(f"[{begin - self._began:5.1f} s] {title} ...", end="")
         try:
             yield
         except BaseException:
@@ -71,6 +71,34 @@ class Steps:
         The child keeps the set-up lock open, so a second set-up waits for it even when this
         process was killed. It gets a session of its own: all of it is ended when we are.
         """
+        child, before = self._start(command, env, cwd)
+        try:
+            code = child.wait()
+        except BaseException:
+            _end_session(child)
+            raise
+        if code != 0:
+            raise SetupError(self._reason(what, before), exit_code=1)
+
+    @contextlib.contextmanager
+    def beside(
+        self, command: Sequence[str | os.PathLike[str]], env: Mapping[str, str], title: str,
+        cwd: Path,
+    ) -> Iterator[None]:
+        """Run a command that may fail beside the body, and wait for it at the end."""
+        child, _ = self._start(command, env, cwd)
+        try:
+            yield
+            with self.step(title):
+                child.wait()
+        except BaseException:
+            _end_session(child)
+            raise
+
+    def _start(
+        self, command: Sequence[str | os.PathLike[str]], env: Mapping[str, str], cwd: Path | None
+    ) -> tuple[subprocess.Popen[bytes], int]:
+        """Start a command; the process, and where in the log its output begins."""
         with self.log.open("ab") as log:
             log.write(f"\n$ {' '.join(map(str, command))}\n".encode())
             log.flush()
@@ -85,13 +113,7 @@ class Steps:
                 pass_fds=(self._lock_fd,),
                 start_new_session=True,
             )
-            try:
-                code = child.wait()
-            except BaseException:
-                _end_session(child)
-                raise
-        if code != 0:
-            raise SetupError(self._reason(what, before), exit_code=1)
+        return child, before
 
     def _reason(self, what: str, since: int) -> str:
         with self.log.open("rb") as log:

@@ -70,7 +70,9 @@ def prepare() -> tuple[Path, dict[str, str]]:
             if workspace.stale(ROOT, folder):
                 steps.log_to(folder / "logs/build.log")
                 variables = workspace.variables(host, folder, os.environ)
-                workspace.build(ROOT, folder, steps, variables)
+                compiling = [folder / "env/bin/python", "-m", "dfm_stage.compile_all"]
+                with steps.beside(compiling, variables, "simulator compiled", ROOT):
+                    workspace.build(ROOT, folder, steps, variables)
     variables = workspace.variables(host, folder, os.environ)
     wanted, used = (v.get("RMW_IMPLEMENTATION") for v in (os.environ, variables))
     if wanted and wanted != used:
