@@ -26,7 +26,7 @@ from benchmarks.corpus.case_files import write_whole
 from benchmarks.figure import Figure
 
 SEED = 20_261_121
-CASES, QUICK_CASES = 106, 12
+CASES, QUICK_CASES = 107, 12
 KEEP = Path(__file__).resolve().parents[1] / ".dfm" / "bench" / "diagnose"
 LONG_SAMPLES = 60_000
 BASELINES = ("pysindy", "stepwise_bic")

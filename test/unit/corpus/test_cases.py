@@ -100,7 +100,7 @@ def test_records_say_nothing_of_the_truth(tmp_path) -> None:
 def test_train_and_held_out_differ_in_kind() -> None:
     for spec in case_plan(8, 2):
         label = make_case(spec, SHORT).label
-        if spec.trap not in ("rest", "feedback_noise"):
+        if spec.trap not in ("rest", "feedback_noise", "free_stage"):
             assert not set(label["train"]) & set(label["held_out"])
 
 
