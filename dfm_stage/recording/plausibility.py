@@ -41,8 +41,9 @@ def _spikes(position: FloatArray, unit: str) -> list[str]:
     if not len(places) or usual == 0.0:
         return []
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-    return [f"the position jumps and comes back at sample {places[0]} ({position[places[0]]:.4g} "
-            f"{unit}){more}; leave those cells empty to have them count as missing"]
+    text = (f"the position jumps and comes back at sample {places[0]}{more} "
+            f"({position[places[0]]:.4g} {unit}); empty cells would count as missing samples")
+    return [text]
 
 
 def _axis_doubts(drive: FloatArray, drive_unit: str, position: FloatArray,
