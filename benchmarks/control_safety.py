@@ -12,13 +12,15 @@ import numpy as np
 
 from benchmarks.control_scan import LIMIT_V, Controller
 from benchmarks.figure import Figure
-from dfm_stage.control import Guard, Lqg, Pid, parameter_text
+from dfm_stage.control import Guard, Lqg, Pid, parameter_text, sample_model
+from dfm_stage.control.sampled import closed_loop_poles
 from dfm_stage.model import Model, Plant, save_model
 
 TRAVEL_M, RESISTANCE_OHM = 7.7e-3, 8.0
 CURRENT_A = LIMIT_V / RESISTANCE_OHM
-SAMPLES = 600
+SAMPLES, SAMPLES_UNSTABLE = 600, 10_000
 OFF_BY = 0.2
+BOUNDED_M = 1e-3
 
 
 @dataclass
@@ -30,6 +32,8 @@ class Worst:
     outside: int = 0
     over_current: int = 0
     let_go: int = 0
+    unstable: int = 0
+    moving: int = 0
 
 
 def random_starts(controllers: list[Controller], stage: Model, count: int) -> list[Figure]:
@@ -44,11 +48,15 @@ def random_starts(controllers: list[Controller], stage: Model, count: int) -> li
         how = (f"of {count} starts, |x| <= 5 mm, |v| <= 50 mm/s, force steps up to 1 N, every "
                f"parameter up to {OFF_BY:.0%} off; furthest {worst.travel_m * 1e3:.2f} of "
                f"{TRAVEL_M * 1e3:g} mm, {worst.current_a:.2f} of {CURRENT_A:g} A; the guard let "
-               f"go {worst.let_go} times")
+               f"go {worst.let_go} times; {worst.unstable} loops are unstable by their poles and "
+               f"were run for 10 s")
         out += [Figure(f"control.{each.name}.random_outside", float(worst.outside), "", 0.0,
                        bar_kind="at most", how=how),
                 Figure(f"control.{each.name}.random_over_current", float(worst.over_current), "",
-                       0.0, bar_kind="at most", how=f"of the same, with {RESISTANCE_OHM:g} ohm")]
+                       0.0, bar_kind="at most", how=f"of the same, with {RESISTANCE_OHM:g} ohm"),
+                Figure(f"control.{each.name}.random_unstable", float(worst.unstable), "",
+                       how=f"of the same; {worst.moving} of them neither let go nor bounded to "
+                       f"{BOUNDED_M * 1e3:g} mm in their last second")]
     return out
 
 
@@ -67,11 +75,14 @@ def _one_start(controller: Controller, real: Model, rng: np.random.Generator, se
     plant.reset(position=rng.uniform(-5e-3, 5e-3), velocity=rng.uniform(-0.05, 0.05))
     force, at = float(rng.uniform(-1.0, 1.0)), int(rng.integers(0, 300))
     law.reset()
-    travel = current = 0.0
-    for k in range(SAMPLES):
+    stable = _stable(controller, real)
+    travel = current = late = 0.0
+    samples = SAMPLES if stable else SAMPLES_UNSTABLE
+    for k in range(samples):
         sample = plant.sample()
         travel = max(travel, abs(sample.position_m))
         current = max(current, abs(sample.current))
+        late = max(late, abs(sample.position_m)) if k > samples - 1000 else 0.0
         volts = law.step(0.0, sample.reading_m)
         if not guard.check(sample.reading_m, volts, LIMIT_V):
             volts = 0.0
@@ -82,6 +93,15 @@ def _one_start(controller: Controller, real: Model, rng: np.random.Generator, se
     worst.outside += travel > TRAVEL_M
     worst.over_current += current > CURRENT_A * (1.0 + 1e-9)
     worst.let_go += bool(guard.tripped)
+    worst.unstable += not stable
+    worst.moving += not stable and not guard.tripped and late > BOUNDED_M
+
+
+def _stable(controller: Controller, real: Model) -> bool:
+    stage, law = sample_model(real), controller.law
+    poles = (np.linalg.eigvals(law.design.closed_loop(stage)) if isinstance(law, Lqg)
+             else closed_loop_poles(stage, law.gains))
+    return bool(np.max(np.abs(poles)) < 1.0)
 
 
 def diverging(stage: Model) -> list[Figure]:
