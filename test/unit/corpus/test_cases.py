@@ -10,7 +10,7 @@ from benchmarks.corpus import case_plan, make_case
 from benchmarks.corpus.case import make_truth
 from benchmarks.corpus.case_files import write_case
 from benchmarks.corpus.plan import BLOCK, EFFECTS, SEVERITIES, CaseSpec, class_of
-from benchmarks.corpus.rivals import DISTANCE, separability
+from benchmarks.corpus.rivals import DISTANCE, pair_separability, separability
 from benchmarks.corpus.severity import scale_for
 
 SHORT = 4000
@@ -122,3 +122,13 @@ def test_separability_by_information() -> None:
     clear = make_truth(CaseSpec(0, 4, "effect", ("cubic_stiffness",), 10.0), 2000)
     lost = make_truth(CaseSpec(0, 4, "effect", ("cubic_stiffness",), 0.02), 2000)
     assert separability(lost).distance < DISTANCE < separability(clear).distance
+
+
+def test_of_a_pair_each_effect_is_seen_beside_the_other() -> None:
+    pair = make_truth(CaseSpec(2, 6, "pair", ("cubic_stiffness", "thermal_drift"), 10.0), SHORT)
+    found = pair_separability(pair)
+    assert found["separable"]
+    # the linear refit cannot make more of an effect than there is on all runs together
+    assert 5.0 < found["margins"]["thermal_drift"] < 20.0
+    faint = make_truth(CaseSpec(2, 6, "pair", ("cubic_stiffness", "thermal_drift"), 0.01), SHORT)
+    assert not pair_separability(faint)["separable"]
