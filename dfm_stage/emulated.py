@@ -101,8 +101,11 @@ def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, A
                            "resolution_m": RESOLUTION_M, "encoder_timeout_s": 0.1},
         "amplifier_driver": {"device": "copley_ascii", "port": str(amplifier),
                              "current_limit_a": 2.0, "retry_s": 0.2},
+        # feedforward: what the spring, the damper and the mass of current_stage take, per N/A
         "controller": {"sample_period_s": period_s, "kp": 2000.0, "ki": 30000.0, "kd": 60.0,
-                       "output_limit_v": 2.0},
+                       "output_limit_v": 2.0, "derivative_weight": 1.0,
+                       "feedforward_position": 600.7, "feedforward_velocity": 1.705,
+                       "feedforward_acceleration": 1.0},
         "trajectory_generator": {"sample_period_s": period_s},
     }
 
@@ -185,6 +188,11 @@ class EmulatedGraph(StageGraph):
                     raise HarnessError(f"{kind} refused to {name}: see its log and diagnostics")
         self._insist("encoder_driver", "home")
         self._insist("amplifier_driver", "arm")
+
+    def cut(self) -> str:
+        """Return why the output was cut, if it was; asks the driver to arm an armed output."""
+        done, message = self.trigger("amplifier_driver", "arm")
+        return "" if done else message
 
     def _insist(self, kind: str, service: str) -> None:
         deadline = time.monotonic() + SERVICE_S

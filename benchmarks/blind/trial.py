@@ -8,13 +8,14 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from benchmarks.corpus.case import Case, make_truth, shown
 from benchmarks.corpus.case_files import write_label, write_whole
 from benchmarks.corpus.plan import CaseSpec
-from benchmarks.corpus.rivals import separability
+from benchmarks.corpus.rivals import pair_separability, separability
 
 Answerer = Callable[[Case], dict[str, Any]]
 LONGEST_S = 600
@@ -68,11 +69,15 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
     kept["answer"], kept["seconds"] = _timed(case, answerer or diagnosed)
     if job.spec.kind == "effect" and job.spec.severity >= SEPARATED_FROM:
         case.label.update(separability(truth).to_dict())
+    elif job.spec.kind == "pair":
+        case.label.update(pair_separability(truth))
     write_label(case, job.folder / "labels")
     if job.baselines:
         from benchmarks.blind.baselines import pysindy_answer, stepwise_answer
 
         for name, baseline in (("pysindy", pysindy_answer), ("stepwise_bic", stepwise_answer)):
+            if name == "pysindy" and find_spec("pysindy") is None:
+                continue
             kept[name], kept[f"{name}_seconds"] = _timed(case, baseline)
     write_whole(job.answer_path, json.dumps(kept, indent=1) + "\n")
     return job.answer_path

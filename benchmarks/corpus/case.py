@@ -141,6 +141,12 @@ def _setup(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Setup:
                                    samples)]
         setup.held = [closed_loop(rng, stage, 0.6 * stage.amplitude, 0.1 * stage.amplitude,
                                   samples)]
+    elif spec.trap == "free_stage":
+        stage = _freed(stage)
+        setup.stage = stage
+        setup.train = [closed_loop(rng, stage, size * stage.amplitude, 0.1 * stage.amplitude,
+                                   samples) for size in (1.0, 0.5)]
+        setup.held = [closed_loop(rng, stage, 0.7 * stage.amplitude, 0.0, samples)]
     elif spec.trap == "transient":
         setup.lead = int(rng.integers(300, 3000))
     if "cross_axis_coupling" in spec.effects:
@@ -159,6 +165,12 @@ def _setup(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Setup:
         speed = rms(np.gradient(motion, PERIOD))
         setup.jitter_s = min(rng.uniform(0.3, 1.0) * stage.noise / speed, 5e-5)
     return setup
+
+
+def _freed(stage: Stage) -> Stage:
+    """The stage without its spring: on air bearings, damped by what there is."""
+    base = {name: value for name, value in stage.base.items() if name != "stiffness"}
+    return Stage(base, stage.amplitude, stage.noise, stage.current_noise)
 
 
 def _neighbour(rng: np.random.Generator, stage: Stage,
@@ -200,7 +212,8 @@ def perform(setup: Setup, number: int, effects: dict[str, Parameters],
 def _start(p: Any, values: dict[str, float]) -> Any:
     """The stage at rest where its constant force holds it, shaken as long before as after."""
     start = np.zeros(plant.STATES)
-    start[plant.X1] = values.get("offset", 0.0) / values["stiffness"]
+    if "offset" in values:
+        start[plant.X1] = values["offset"] / values["stiffness"]
     start[plant.CREEP] = start[plant.X1]
     if p[plant.SHAKE] != 0.0 and p[plant.COULOMB] == 0.0:
         w = 2.0 * math.pi * p[plant.SHAKE_HZ]

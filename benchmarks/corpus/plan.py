@@ -24,8 +24,9 @@ CLASSES: tuple[frozenset[str], ...] = (
 """Effects that some data cannot tell apart; each other effect is a class of its own."""
 
 SEVERITIES = (0.1, 0.3, 1.0, 3.0, 10.0)
-TRAPS = ("coloured_noise", "jitter", "transient", "feedback_noise", "rest", "weak")
-BLOCK = 106
+TRAPS = ("coloured_noise", "jitter", "transient", "feedback_noise", "rest", "weak",
+         "free_stage")
+BLOCK = 107
 NONE_PER_BLOCK, RETUNE_PER_BLOCK, PAIRS_PER_BLOCK, LEFT_OUT_PER_BLOCK = 15, 6, 6, 7
 
 

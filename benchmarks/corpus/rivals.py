@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from benchmarks.corpus import plant
 from benchmarks.corpus.case import NOTHING, Truth
-from benchmarks.corpus.linear import response
+from benchmarks.corpus.linear import response, sensitivities
 from benchmarks.corpus.plan import class_of
 from benchmarks.corpus.severity import FREE
 from benchmarks.corpus.stage import NO_LOOP, PERIOD
@@ -88,24 +87,29 @@ class _Fit:
         setup = truth.setup
         self.stage, self.rival = setup.stage, rival
         self.commands = [np.ascontiguousarray(out[0]) for out in outputs]
+        self.others = [setup.other[i][1] if i in setup.other else NOTHING
+                       for i in range(len(outputs))]
         self.free = [name for name in FREE if self.stage.base.get(name, 0.0) > 0.0]
-        self.wanted = self._outputs(self.stage.base, setup.effects)
+        self.electric = self.stage.current_noise is not None and (
+            rival != "" and "coil_inductance" in (rival, *setup.effects))
+        self.wanted = self.outputs(self.stage.base, setup.effects)
         self.nuisance = self._nuisance()
+        self.base_slopes = None if self.electric else self._linear_slopes()
 
-    def _outputs(self, base: dict[str, float], effects: dict[str, Parameters]) -> Any:
-        """Reading over its noise, and current over its own where recorded, all runs in a row."""
+    def outputs(self, base: dict[str, float], effects: dict[str, Parameters]) -> Any:
+        """Reading over its noise, and where it can tell the current over its own."""
         p = plant.numbers(plant_values(base, effects))
         lags = [p[plant.SECOND_LAG], p[plant.INDUCTANCE] / max(p[plant.RESISTANCE], 1e-9)]
         finest = max(min([COARSE, *(lag for lag in lags if lag > 0.0)]), 2e-6)
         start = np.zeros(plant.STATES)
         readings, currents = [], []
-        for command in self.commands:
+        for command, other in zip(self.commands, self.others, strict=True):
             none = np.zeros(command.size)
             out = np.empty((6, command.size))
-            plant.run(p, PERIOD, finest, none, command, NO_LOOP, none, none, NOTHING, start, 0.0,
+            plant.run(p, PERIOD, finest, none, command, NO_LOOP, none, none, other, start, 0.0,
                       out)
             readings.append(out[2] / self.stage.noise)
-            if self.stage.current_noise is not None:
+            if self.electric and self.stage.current_noise is not None:
                 currents.append(out[3] / self.stage.current_noise)
         return np.nan_to_num(np.concatenate([*readings, *currents]), nan=1e6)
 
@@ -130,18 +134,89 @@ class _Fit:
             base[name] *= math.exp(value)
         parameters = {n: s * math.exp(v) for n, s, v in
                       zip(names, signs, z[len(self.free):], strict=True)}
-        left = self._outputs(base, {self.rival: FIXED.get(self.rival, {}) | parameters}
+        left = self.outputs(base, {self.rival: FIXED.get(self.rival, {}) | parameters}
                              ) - self.wanted
-        return left - self.nuisance @ (self.nuisance.T @ left)
+        return self.free_of_states(left)
+
+    def free_of_states(self, signal: Any) -> Any:
+        """The signal without what first states and offsets can explain."""
+        return signal - self.nuisance @ (self.nuisance.T @ signal)
+
+    def _slopes(self, z: Any, names: list[str], signs: list[float], at: Any) -> Any:
+        """Columns d residual / d z; the base's from the linear stage where that will do."""
+        columns = [] if self.base_slopes is None else list(self.base_slopes.T)
+        for i in range(len(columns), z.size):
+            moved = z.copy()
+            moved[i] += 1e-4
+            columns.append((self.residual(moved, names, signs) - at) / 1e-4)
+        return np.column_stack(columns)
+
+    def _linear_slopes(self) -> Any:
+        """The same of the base parameters' logarithms, as if the stage were linear."""
+        parts = [sensitivities(self.stage.base, self.free, PERIOD, command)[1]
+                 for command in self.commands]
+        slopes = np.concatenate(parts)[:, :len(self.free)] / self.stage.noise
+        slopes = slopes * [self.stage.base[name] for name in self.free]
+        return self.free_of_states(slopes)
 
     def best(self, start: Parameters, steps: int) -> float:
+        """Squares left after at most so many damped Gauss-Newton steps from `start`."""
         names = list(start)
         signs = [math.copysign(1.0, start[n]) for n in names]
         z = np.concatenate([np.zeros(len(self.free)), [math.log(abs(start[n])) for n in names]])
-        residual: Callable[[Any], Any] = lambda v: self.residual(v, names, signs)  # noqa: E731
-        found = least_squares(residual, z, x_scale="jac", max_nfev=steps, diff_step=1e-5,
-                              bounds=(z - 5.0, z + 5.0), ftol=1e-3)
-        return float(2.0 * found.cost)
+        left = self.residual(z, names, signs)
+        cost = float(left @ left)
+        for _ in range(steps):
+            slopes = self._slopes(z, names, signs, left)
+            step = np.clip(-np.linalg.lstsq(slopes, left, rcond=1e-8)[0], -2.0, 2.0)
+            for _ in range(4):
+                tried = self.residual(z + step, names, signs)
+                if float(tried @ tried) < cost:
+                    break
+                step = 0.3 * step
+            else:
+                break
+            fell = 1.0 - float(tried @ tried) / cost
+            z, left, cost = z + step, tried, float(tried @ tried)
+            if fell < 1e-3 or cost < 0.1 * DISTANCE:
+                break
+        return cost
+
+
+def margins(truth: Truth) -> dict[str, float]:
+    """Of each of two effects, what it adds beyond a linear refit of the base and of the other
+    effect's parameters: RMS over the noise, all runs. Small where the other one hides it."""
+    fit = _Fit(truth, "", truth.outputs)
+    effects, base = truth.setup.effects, truth.setup.stage.base
+    found = {}
+    for name in effects:
+        if name == "encoder_quantization":  # white, and nothing else rounds
+            found[name] = effects[name]["step"] / math.sqrt(12.0) / truth.setup.stage.noise
+            continue
+        kept = {n: v for n, v in effects.items() if n != name}
+        without = fit.outputs(base, kept)
+        columns = [fit.base_slopes]
+        for other, values in kept.items():
+            for parameter, value in values.items():
+                step = 1e-4 * value
+                if step == 0.0:
+                    continue
+                moved = {**kept, other: {**values, parameter: value + step}}
+                column = fit.free_of_states(fit.outputs(base, moved) - without)
+                columns.append((column / max(float(np.linalg.norm(column)), 1e-300))[:, None])
+        slopes = np.hstack([c for c in columns if c is not None])
+        gap = fit.free_of_states(fit.wanted - without)
+        slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        gap = gap - slopes @ np.linalg.lstsq(slopes, gap, rcond=1e-9)[0]
+        found[name] = float(np.sqrt(np.mean(gap**2)))
+    return found
+
+
+def pair_separability(truth: Truth) -> dict[str, Any]:
+    """What the label of a pair says: whether each effect can be seen beside the other."""
+    seen = margins(truth)
+    samples = sum(out.shape[1] for out in truth.outputs)
+    return {"margins": seen, "separable": min(seen.values()) ** 2 * samples >= DISTANCE}
 
 
 FIXED: dict[str, Parameters] = {

@@ -42,8 +42,9 @@ class Stage:
 
     @property
     def natural_hz(self) -> float:
-        """Undamped natural frequency."""
-        return math.sqrt(self.base["stiffness"] / self.base["mass"]) / (2.0 * math.pi)
+        """Undamped natural frequency; 8 Hz, a scan's pace, for a stage without a spring."""
+        stiffness = self.base.get("stiffness", 0.0)
+        return math.sqrt(stiffness / self.base["mass"]) / (2.0 * math.pi) or 8.0
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -103,7 +104,9 @@ def closed_loop(rng: np.random.Generator, stage: Stage, amplitude: float,
     """A scan under control with static feedforward; `dither` (m) is the peak motion that an added
     multisine would cause in open loop."""
     reference = amplitude * signals.scan(rng, PERIOD, samples, _line_hz(rng, stage))
-    feed = 0.9 * reference / float(np.real(transfer(stage.base, PERIOD, [1e-3])[0]))
+    feed = np.zeros(samples)
+    if "stiffness" in stage.base:
+        feed = 0.9 * reference / float(np.real(transfer(stage.base, PERIOD, [1e-3])[0]))
     if dither > 0.0:
         feed = feed + open_loop(rng, stage, "multisine", dither, samples).feed
     return Run("closed_scan", reference, feed, signals.gains(stage.base, PERIOD))

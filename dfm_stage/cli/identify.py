@@ -28,7 +28,7 @@ examples:
   ./run identify log.csv --time t --input iq --output theta --input-unit A --output-unit rad
 """
 STEPS = ("reading", "frequency response", "model", "residuals", "hold-out", "report")
-SUMMARY = ("natural_frequency_hz", "damping_ratio", "gain")
+FEWEST_SAMPLES = 100
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -129,10 +129,13 @@ def _source(path: str, options: argparse.Namespace) -> Source:
                          input_unit=options.input_unit, output_unit=options.output_unit,
                          sample_period=options.sample_period)
     skip = round(options.skip / record.sample_period)
-    if skip < 0 or len(record) - skip < 100:
+    if len(record) < FEWEST_SAMPLES:
+        raise DfmError(f"{path}: {len(record)} samples are too few to identify from: record "
+                       f"{FEWEST_SAMPLES} or more")
+    if skip < 0 or len(record) - skip < FEWEST_SAMPLES:
         raise DfmError(f"{path}: --skip {options.skip:g} leaves {len(record) - skip} of "
                        f"{len(record)} samples: skip between 0 and "
-                       f"{max(len(record) - 100, 0) * record.sample_period:g} s")
+                       f"{(len(record) - FEWEST_SAMPLES) * record.sample_period:g} s")
     record = record.slice(skip) if skip else record
     name = Path(path).name or str(path)
     return Source(name, record.axis(options.axis), record.sample_period, tuple(record.warnings))

@@ -101,8 +101,15 @@ def to_physical(found: Estimate, groups: Sequence[Coordinates], model: Model) ->
             names[k], units[k] = name, limits.unit
             low[k], high[k] = limits.low, limits.high
     at_bound = tuple(n for n in found.at_bound if n in names)
-    at_bound += tuple(n for g in groups for n in g.names
-                      if values[names.index(n)] <= low[names.index(n)])
+    for coordinates in groups:
+        at = np.array([names.index(n) for n in coordinates.names])
+        near = 1e-6 * max(np.abs(values[at]).max(), 1e-300)
+        values[at] = np.where(values[at] - low[at] <= near, low[at], values[at])
+        stopped = [n for n, k in zip(coordinates.names, at, strict=True)
+                   if values[k] == low[k] or high[k] - values[k] <= near]
+        if not stopped and any(n in found.at_bound for n in coordinates.fitted):
+            stopped = list(coordinates.names)
+        at_bound += tuple(stopped)
     verdict = _reworded(found.identifiability, groups)
     message = found.message
     if found.status == "at_bound":

@@ -115,6 +115,10 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     if not sources:
         raise IdentificationError("no record to identify from: give at least one")
     _check_alike([*sources, *holdout])
+    for source in sources:
+        if np.ptp(source.axis.position) == 0.0:
+            raise IdentificationError(f"{source.name}: the position never changes: check the "
+                                      "encoder, or leave the record out")
     if model is None:
         _check_excited(sources)
     fixed = dict(fixed or {})

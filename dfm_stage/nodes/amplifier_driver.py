@@ -114,7 +114,7 @@ class AmplifierDriver(ManagedNode):
         return Interlock(
             limit, 0.0 if self.lockstep else self.settings["stale_timeout_s"],
             0.0 if self.simulated else self.settings["measurement_timeout_s"],
-            self.settings["divergence_window_s"], self._on_trip)
+            0.0 if self.lockstep else self.settings["divergence_window_s"], self._on_trip)
 
     # Life cycle
 

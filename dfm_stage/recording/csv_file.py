@@ -35,7 +35,8 @@ class CsvTable:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.warnings: list[str] = []
-        lines = _text(path).splitlines()
+        text = _text(path)
+        lines = text.splitlines()
         kept = [number for number, line in enumerate(lines)
                 if line.strip() and not line.lstrip().startswith(_COMMENTS)]
         if not kept:
@@ -51,7 +52,8 @@ class CsvTable:
         self._check_names(kept[0] + 1)
         self._lines = np.array(kept[1:], np.int64) + 1
         self._rows = [lines[number] for number in kept[1:]]
-        if self._rows and self._rows[-1].count(self.delimiter) < header.count(self.delimiter):
+        if self._rows and (self._rows[-1].count(self.delimiter) < header.count(self.delimiter)
+                           or (not text.endswith(("\n", "\r")) and self._last_is_cut())):
             self.warnings.append(f"line {self._lines[-1]}, the last one, was cut off and left out")
             self._rows.pop()
 
@@ -63,6 +65,15 @@ class CsvTable:
         if twice:
             raise RecordError(f"{self.path}: line {line} names the column {min(twice)} twice; "
                               f"rename one")
+
+    def _last_is_cut(self) -> bool:
+        """Whether the last cell, which no line end follows, is shorter than all before it, or
+        has lost the exponent that most of them have."""
+        *others, last = (row.rpartition(self.delimiter)[2].strip().lower() for row in self._rows)
+        if not others:
+            return False
+        return (len(last) < min(map(len, others))
+                or ("e" not in last and 2 * sum("e" in cell for cell in others) > len(others)))
 
     def where(self, row: int) -> str:
         """Return the line a row stands in, counted from 1."""

@@ -10,6 +10,7 @@ LONGEST_PERIOD_S = 0.1
 SHORTEST_PERIOD_S = 2e-6
 LARGEST_TRAVEL_M = 0.5
 LARGEST_INPUT_V = 500.0
+SPIKE = 30.0
 
 
 def doubts(record: Record) -> list[str]:
@@ -29,6 +30,22 @@ def doubts(record: Record) -> list[str]:
     return found
 
 
+def _spikes(position: FloatArray, unit: str) -> list[str]:
+    """Samples that lie far off both neighbours, which lie together."""
+    if len(position) < 20:
+        return []
+    off = position[1:-1] - 0.5 * (position[:-2] + position[2:])
+    apart = np.abs(position[2:] - position[:-2])
+    usual = max(float(np.quantile(np.abs(off), 0.9)), float(np.quantile(apart, 0.9)))
+    places = np.flatnonzero((np.abs(off) > SPIKE * usual) & (np.abs(off) > 5.0 * apart)) + 1
+    if not len(places) or usual == 0.0:
+        return []
+    more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+    text = (f"the position jumps and comes back at sample {places[0]}{more} "
+            f"({position[places[0]]:.4g} {unit}); empty cells would count as missing samples")
+    return [text]
+
+
 def _axis_doubts(drive: FloatArray, drive_unit: str, position: FloatArray,
                  position_unit: str) -> list[str]:
     found = []
@@ -41,6 +58,7 @@ def _axis_doubts(drive: FloatArray, drive_unit: str, position: FloatArray,
     if np.ptp(position) == 0:
         found.append(f"the position is constant ({position[0]:.6g} {position_unit}); is the "
                      f"encoder connected, and is this the right column?")
+    found += _spikes(position, position_unit)
     travel = float(np.ptp(position))
     if position_unit == "m" and travel > LARGEST_TRAVEL_M:
         name, unit = ("micro", "um") if travel > 20 else ("milli", "mm")

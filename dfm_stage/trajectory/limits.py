@@ -27,6 +27,7 @@ LIMIT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("current_a", 0.0, "A", "largest current; needs a model with coil_resistance or a "
               "current drive", 0.0, 1e6),
 )
+_COUPLING = "cross_axis_coupling"
 _REMEDIES = {
     "position": "make the movement smaller or move its middle",
     "velocity": "make the movement slower or smaller",
@@ -193,14 +194,15 @@ def _electric(force: Array, velocity: Array, base: Mapping[str, float], limits: 
 
 
 def _driven(voltage: Array, limits: Limits, model: Model) -> list[Candidate]:
-    """What the model says an excitation does to the stage in open loop."""
+    """What the model says an excitation does to the stage in open loop, a neighbour at rest."""
     from dfm_stage.model import Simulator
 
     if math.isfinite(limits.current_a) and model.drive == "voltage" and (
             not model.base.get("coil_resistance")):
         raise LimitError("a current limit needs base.coil_resistance or a current drive; give it "
                          "or limit the voltage")
-    found = Simulator(model).run(voltage)
+    alone = model.without_effect(_COUPLING) if model.effect(_COUPLING) else model
+    found = Simulator(alone).run(voltage)
     dt = model.sample_period
     acceleration = np.diff(found.velocity, prepend=found.velocity[:1]) / dt
     return [("position", found.position, limits.travel_m, "m"),

@@ -10,7 +10,7 @@ from benchmarks.corpus import case_plan, make_case
 from benchmarks.corpus.case import make_truth
 from benchmarks.corpus.case_files import write_case
 from benchmarks.corpus.plan import BLOCK, EFFECTS, SEVERITIES, CaseSpec, class_of
-from benchmarks.corpus.rivals import DISTANCE, separability
+from benchmarks.corpus.rivals import DISTANCE, pair_separability, separability
 from benchmarks.corpus.severity import scale_for
 
 SHORT = 4000
@@ -100,7 +100,7 @@ def test_records_say_nothing_of_the_truth(tmp_path) -> None:
 def test_train_and_held_out_differ_in_kind() -> None:
     for spec in case_plan(8, 2):
         label = make_case(spec, SHORT).label
-        if spec.trap not in ("rest", "feedback_noise"):
+        if spec.trap not in ("rest", "feedback_noise", "free_stage"):
             assert not set(label["train"]) & set(label["held_out"])
 
 
@@ -119,8 +119,16 @@ def test_expected_answers_follow_from_physics() -> None:
 @pytest.mark.slow
 def test_separability_by_information() -> None:
     # far above the noise a curved spring is not a weakening coil; far below it they are one
-    clear = make_truth(CaseSpec(0, 4, "effect", ("cubic_stiffness",), 10.0), SHORT)
-    lost = make_truth(CaseSpec(0, 4, "effect", ("cubic_stiffness",), 0.02), SHORT)
-    assert separability(clear).separable
-    assert not separability(lost).separable
+    clear = make_truth(CaseSpec(0, 4, "effect", ("cubic_stiffness",), 10.0), 2000)
+    lost = make_truth(CaseSpec(0, 4, "effect", ("cubic_stiffness",), 0.02), 2000)
     assert separability(lost).distance < DISTANCE < separability(clear).distance
+
+
+def test_of_a_pair_each_effect_is_seen_beside_the_other() -> None:
+    pair = make_truth(CaseSpec(2, 6, "pair", ("cubic_stiffness", "thermal_drift"), 10.0), SHORT)
+    found = pair_separability(pair)
+    assert found["separable"]
+    # the linear refit cannot make more of an effect than there is on all runs together
+    assert 5.0 < found["margins"]["thermal_drift"] < 20.0
+    faint = make_truth(CaseSpec(2, 6, "pair", ("cubic_stiffness", "thermal_drift"), 0.01), SHORT)
+    assert not pair_separability(faint)["separable"]

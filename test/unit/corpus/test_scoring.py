@@ -184,7 +184,7 @@ def test_a_failing_answer_is_a_wrong_one(tmp_path) -> None:
 
 
 def test_baselines_name_what_a_term_can_say() -> None:
-    spec = next(s for s in case_plan(106, 7)
+    spec = next(s for s in case_plan(107, 7)
                 if s.effects == ("quadratic_damping",) and s.severity == 10.0)
     case = make_case(spec, 12_000)
     for baseline in (stepwise_answer, pysindy_answer):

@@ -118,6 +118,21 @@ def test_an_input_that_never_moves_is_told(tmp_path, capsys):
     assert "excite" in said or "constant" in said
 
 
+def test_a_position_that_never_moves_is_told(tmp_path, capsys):
+    path = tmp_path / "stuck.csv"
+    t = np.arange(5000) * 1e-3
+    np.savetxt(path, np.column_stack((t, np.sin(t), 0 * t + 1e-3)), delimiter=",",
+               header="time_s,input_v,position_m", comments="")
+    code, _, said = run(capsys, path, "--out", tmp_path / "o")
+    assert code == 2
+    assert "never changes" in said
+    np.savetxt(path, np.column_stack((t, np.sin(t), np.sin(t)))[:50], delimiter=",",
+               header="time_s,input_v,position_m", comments="")
+    code, _, said = run(capsys, path, "--out", tmp_path / "o")
+    assert code == 2
+    assert "50 samples are too few" in said
+
+
 def test_an_unwritable_folder_is_told(record, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     code, _, said = run(capsys, record(periods=2), "--out", tmp_path / "file")

@@ -15,6 +15,7 @@ import pytest
 
 import dfm_stage.model
 from dfm_stage.model import BASE_PARAMETERS, EFFECTS, Model, Simulator
+from dfm_stage.model.effect_table import effect_table
 
 NAMES = [
     "cubic_stiffness", "quadratic_stiffness", "coulomb_friction", "presliding_friction",
@@ -25,6 +26,14 @@ NAMES = [
 ]
 BASE = {"mass": 1.0, "damping": 2.0, "stiffness": 600.0, "coil_resistance": 8.0}
 ROOT = Path(dfm_stage.model.__file__).parents[2]
+
+
+def test_the_table_in_docs_is_what_the_registry_says() -> None:
+    written = ROOT / "docs" / "effects.md"
+    if not written.exists():
+        pytest.skip("the package is installed without its docs")
+    assert written.read_text() == effect_table(), (
+        "run python -m dfm_stage.model.effect_table > docs/effects.md")
 
 
 def test_library_is_complete() -> None:

@@ -187,6 +187,30 @@ def test_defects_are_named_with_their_line(tmp_path: Path) -> None:
     assert len(record) == 49
 
 
+def test_a_number_cut_off_at_the_end_is_not_believed(tmp_path: Path) -> None:
+    lines = [f"{k * 1e-3:.4f},{k % 2},{1e-5 * (k + 1):.8e}" for k in range(50)]
+    text = "\n".join(["time_s,input_v,position_m", *lines])
+    for cut, left in ((0, 50), (4, 49), (1, 49), (14, 49)):
+        path = tmp_path / "cut.csv"
+        path.write_text(text[:len(text) - cut])
+        record = read_record(path)
+        assert len(record) == left
+        assert (left == 50) == ("line 51, the last one, was cut off and left out"
+                                not in record.warnings)
+
+
+def test_a_spike_is_pointed_at(tmp_path: Path) -> None:
+    time = np.arange(400) * 1e-3
+    position = 1e-5 * np.sin(20.0 * time) + 1e-8 * np.random.default_rng(0).normal(size=400)
+    for height, told in ((0.0, False), (5.0, True), (1e-4, True)):
+        position[123] += height
+        lines = [f"{t!r},{k % 2},{x!r}" for k, (t, x) in enumerate(
+            zip(time.tolist(), position.tolist(), strict=True))]
+        found = read_record(save(tmp_path, ["time_s,input_v,position_m", *lines])).warnings
+        assert any("at sample 123" in text for text in found) == told
+        position[123] -= height
+
+
 def test_files_that_hold_no_record(tmp_path: Path) -> None:
     numbers = table()[1:]
     assert "the first line must name the columns" in said(save(tmp_path, numbers))

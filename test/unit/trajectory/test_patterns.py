@@ -24,6 +24,7 @@ from dfm_stage.trajectory import (
 from dfm_stage.trajectory.point_to_point import segments
 
 DT = 1e-3
+EXPERIMENTS = Path(__file__).parents[3] / "config" / "experiments"
 
 
 def made(kind: str, duration_s: float = 4.0, **settings: object) -> Reference:
@@ -181,6 +182,19 @@ def test_a_file_beside_the_experiment_is_found(tmp_path: Path) -> None:
         "    excitation: {kind: csv, file: u.csv}\n", encoding="utf-8")
     e = load_experiment(tmp_path / "e.yaml").excitation("x", DT)
     assert e.voltage[0] == 1.5
+
+
+@pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.yaml")), ids=lambda file: file.stem)
+def test_every_experiment_that_comes_along_is_within_the_limits(file: Path) -> None:
+    experiment = load_experiment(file)
+    open_loop = experiment.mode == "open_loop"
+    model = load_model(experiment.model or "paper_stage")
+    for name in experiment.axes:
+        axis = model.axis(name) if model.axes else model
+        reference, shake = experiment.reference(name, DT), experiment.excitation(name, DT)
+        assert np.any(reference.position) or np.any(shake.voltage) or len(experiment.axes) > 1
+        require_run_within(reference, shake, Limits(travel_m=8.5e-3, voltage_v=10.0), axis,
+                           open_loop=open_loop)
 
 
 BASE = {"mass": 1.0, "damping": 2.0, "stiffness": 600.0, "force_constant": 2.0}

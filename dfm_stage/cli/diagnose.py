@@ -1,0 +1,269 @@
+"""diagnose: what a model lacks, by runs it should explain, shown on runs it has not seen."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dfm_stage.errors import DfmError
+
+if TYPE_CHECKING:
+    from dfm_stage.diagnosis import Diagnosis
+    from dfm_stage.model import Model
+    from dfm_stage.recording import Record
+
+EPILOG = """\
+examples:
+  ./run diagnose runs/multisine --holdout runs/scan --model found/model.yaml --out diagnosis
+  ./run diagnose log.csv --model m.yaml --time t --input iq --output theta --output-unit rad
+  ./run diagnose runs/multisine --model m.yaml --run stage.yaml   # and the next experiment
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Diagnose bags or CSV files; 0 a verdict was reached, 2 unusable input."""
+    options = _parser().parse_args(argv)
+    try:
+        return _diagnose(options)
+    except DfmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="diagnose", description=__doc__, epilog=EPILOG,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="+", metavar="RUN",
+                        help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together")
+    parser.add_argument("--model", required=True, metavar="FILE",
+                        help="the model that should explain them: model.yaml or a name in "
+                        "config/models")
+    parser.add_argument("--holdout", action="append", default=[], metavar="RUN",
+                        help="a record to predict and never to fit, best of another kind; without "
+                        "one, the last 30 %% of each record")
+    parser.add_argument("--out", default="diagnosed", metavar="DIR",
+                        help="folder for diagnosis.json, model.yaml, report.html and "
+                        "next_experiment.yaml (default: %(default)s)")
+    parser.add_argument("--axis", metavar="NAME", help="axis, where a record has several")
+    parser.add_argument("--library", action="append", default=[], metavar="NAME[,NAME]",
+                        help="effects that may be named (default: all)")
+    parser.add_argument("--without", action="append", default=[], metavar="NAME[,NAME]",
+                        help="effects that may not be named")
+    parser.add_argument("--free", action="append", default=[], metavar="NAME[,NAME]",
+                        help="re-estimate these as well, for instance mass")
+    parser.add_argument("--fix", action="append", default=[], metavar="NAME[,NAME]",
+                        help="hold these at the model's values")
+    parser.add_argument("--run", metavar="STAGE",
+                        help="perform the next experiment on the node graph, with this model.yaml "
+                        "as the stage, and diagnose again with the new bag")
+    parser.add_argument("--rounds", type=int, default=1, metavar="N",
+                        help="how often --run does so (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="fixes what is shuffled (default: 0)")
+    table = parser.add_argument_group("CSV files with other column names")
+    for name in ("time", "input", "output"):
+        table.add_argument(f"--{name}", metavar="COLUMN")
+    for name in ("time", "input", "output"):
+        table.add_argument(f"--{name}-unit", metavar="UNIT")
+    table.add_argument("--sample-period", type=float, metavar="SECONDS")
+    parser.add_argument("--json", action="store_true", help="print diagnosis.json, nothing else")
+    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
+    return parser
+
+
+def _diagnose(options: argparse.Namespace) -> int:
+    from dfm_stage.model import load_model
+
+    model = load_model(options.model)
+    out = _folder(options.out)
+    fitted, held = list(options.runs), list(options.holdout)
+    found = _once(options, model, fitted, held, out)
+    rounds = options.rounds if options.run else 0
+    for number in range(1, rounds + 1):
+        if found.next_experiment is None:
+            break
+        bag = out / f"round_{number}"
+        _perform(options, found, bag)
+        fitted.append(str(bag))
+        found = _once(options, model, fitted, held, out)
+    return 0
+
+
+def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
+          held: Sequence[str], out: Path) -> Diagnosis:
+    from dfm_stage.diagnosis import diagnose
+    from dfm_stage.identification.model_fit import default_free
+    from dfm_stage.model import EFFECTS, save_model
+
+    library = _names(options.library) or list(EFFECTS)
+    for name in _names(options.without):
+        if name not in library:
+            raise DfmError(f"--without {name}: there is no such effect among "
+                           f"{', '.join(library)}")
+        library.remove(name)
+    one = model.axis(options.axis or ("x" if "x" in model.axes else None))
+    free = [*default_free(one), *_names(options.free)]
+    with _steps(options.json) as step:
+        step("reading")
+        records = [_read(path, options) for path in fitted]
+        holdout = [_read(path, options) for path in held]
+        found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
+                         free=free, fixed=_names(options.fix),
+                         names=[Path(p).name or p for p in (*fitted, *held)],
+                         seed=options.seed, step=step)
+        step("writing")
+        result = {**found.to_dict(), "records": list(fitted), "holdout": list(held)}
+        text = json.dumps(result, indent=1, allow_nan=False) + "\n"
+        _write(out / "diagnosis.json", text)
+        save_model(found.model, out / "model.yaml")
+        _next(found, out / "next_experiment.yaml")
+        if not options.no_report:
+            from dfm_stage.cli.diagnose_report import write_report
+
+            write_report(found, out / "report.html", [*fitted, *held], options.model)
+    if options.json:
+        print(text, end="")
+    else:
+        _print(found, out, not options.no_report)
+    return found
+
+
+def _read(path: str, options: argparse.Namespace) -> Record:
+    from dfm_stage.recording import read_record
+
+    return read_record(path, time=options.time, input=options.input, output=options.output,
+                       time_unit=options.time_unit, input_unit=options.input_unit,
+                       output_unit=options.output_unit, sample_period=options.sample_period)
+
+
+def _names(items: Sequence[str]) -> list[str]:
+    return [name.strip() for item in items for name in item.split(",") if name.strip()]
+
+
+def _next(found: Diagnosis, path: Path) -> None:
+    if found.next_experiment is None:
+        path.unlink(missing_ok=True)
+        return
+    from io import StringIO
+
+    from ruamel.yaml import YAML
+
+    text = StringIO()
+    yaml = YAML()
+    yaml.dump(dict(found.next_experiment), text)
+    _write(path, text.getvalue())
+
+
+def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
+    from dfm_stage.cli.graph_run import run_on_graph
+
+    experiment = dict(found.next_experiment or {})
+    if bag.exists():
+        raise DfmError(f"{bag} is there already; choose another folder with --out")
+    print(f"  {experiment['name']} on the node graph, stage {options.run}")
+    axis = options.axis or "x"
+    experiment["axes"] = {axis: next(iter(experiment["axes"].values()))}
+    run_on_graph(experiment, bag, model=options.run, seed=options.seed, axes=(axis,))
+
+
+def _folder(path: str) -> Path:
+    out = Path(path)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DfmError(f"{out}: cannot be made a folder ({error.strerror}); choose another "
+                       "with --out") from None
+    return out
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise DfmError(f"{path}: cannot be written ({error.strerror}); choose another folder "
+                       "with --out") from None
+
+
+def _print(found: Diagnosis, out: Path, report: bool) -> None:
+    from dfm_stage.reporting import format_quantity
+
+    print(f"{found.verdict}: {found.sentence}")
+    for effect in found.effects:
+        print(f"  {' or '.join(effect.members)}  ({effect.gap_share:.0%} of the gap)")
+        for name, q in effect.parameters.items():
+            print(f"    {name}: {format_quantity(q.value, q.unit, q.ci95)}")
+    gap, unit = found.gap, found.gap.unit
+    words = ("before", "retuned", "after")
+    for what, values in (("fitted", gap.fit), ("held out", gap.held_out)):
+        said = ", ".join(f"{w} {format_quantity(v, unit)}"
+                         for w, v in zip(words, values, strict=True))
+        print(f"  RMS {what}: {said}")
+    print(f"  noise floor {format_quantity(gap.noise_floor, unit)} (from "
+          f"{gap.noise_floor_from})")
+    if found.next_experiment is not None:
+        print(f"  next experiment: {found.next_experiment['description']}")
+    for warning in found.warnings:
+        print(f"  note: {warning}")
+    files = ["diagnosis.json", "model.yaml"]
+    files += ["report.html"] if report else []
+    files += ["next_experiment.yaml"] if found.next_experiment is not None else []
+    print(f"  {', '.join(files)} in {out}")
+
+
+@contextmanager
+def _steps(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Yield a function that takes the name of the step begun; on a terminal, one moving line."""
+    begun = time.monotonic()
+    state: dict[str, Any] = {"step": "", "shown": 0}
+    finished = threading.Event()
+    live = sys.stderr.isatty() and not quiet
+
+    def draw() -> None:
+        text = f"diagnose: {state['step']}, {time.monotonic() - begun:.0f} s"
+        print(f"\r{text:<{state['shown']}}", end="", file=sys.stderr, flush=True)
+        state["shown"] = len(text)
+
+    def tick() -> None:
+        while not finished.wait(0.5):
+            draw()
+
+    def step(name: str) -> None:
+        state["step"] = name
+        if live:
+            draw()
+        elif not quiet:
+            print(f"diagnose: {name}", file=sys.stderr)
+
+    thread = threading.Thread(target=tick, daemon=True)
+    if live:
+        thread.start()
+    try:
+        yield step
+    finally:
+        finished.set()
+        if live:
+            thread.join()
+            print(f"\r{'':<{state['shown']}}\r", end="", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,204 @@
+"""The page that diagnose writes: verdict, gap, evidence, rejected rivals, next experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from dfm_stage.reporting import (
+    Drawing,
+    Page,
+    Quantity,
+    Table,
+    display_unit,
+    format_quantity,
+    new_figure,
+    page_style,
+    time_figure,
+)
+
+if TYPE_CHECKING:
+    from dfm_stage.diagnosis import Diagnosis, Trace
+    from dfm_stage.reporting.page import Tone
+    from dfm_stage.reporting.table import Cell
+
+Array = NDArray[np.float64]
+TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
+                          "unknown": "bad", "not_excited": "warn"}
+WORDS = {"none": "nothing missing", "retune": "retune", "named": "named",
+         "ambiguous": "ambiguous", "unknown": "unknown", "not_excited": "not excited"}
+BINS = 40
+
+
+def write_report(found: Diagnosis, path: Path, records: Sequence[str], model: str) -> None:
+    """Write the page to `path`, whole or not at all.
+
+    Raises
+    ------
+    ReportError
+        If the folder cannot be written.
+    """
+    page = Page("Diagnosis")
+    page.lead(found.sentence, WORDS[found.verdict], TONES[found.verdict])
+    for warning in found.warnings:
+        page.note(warning)
+    _gap(page, found)
+    _effects(page, found)
+    _traces(page, found)
+    _evidence(page, found)
+    _rejected(page, found)
+    _next(page, found)
+    page.provenance({"Records": ", ".join(records), "Model": model,
+                     "Sample period": format_quantity(found.model.sample_period, "s"),
+                     "Time taken": f"{found.seconds:.0f} s"})
+    page.write(path)
+
+
+def _gap(page: Page, found: Diagnosis) -> None:
+    gap = found.gap
+    page.section("The gap", "RMS of measured minus simulated: with the model as it was given, "
+                 "with its own parameters re-estimated, and with what was found added. The line "
+                 f"is the noise floor, known from {gap.noise_floor_from}.")
+    page.figure(_bars(found), "The gap before and after, on fitted and on held-out records")
+
+
+def _bars(found: Diagnosis) -> Drawing:
+    gap = found.gap
+    values = np.array([gap.fit, gap.held_out], dtype=float)
+    factor, unit = display_unit((float(np.nanmax(values)),), gap.unit)
+    figure, axis = new_figure(1, 2.6)
+    words = ("as given", "retuned", "with effects" if found.effects else "as answered")
+    with page_style():
+        for row, label in enumerate(("fitted", "held out")):
+            place = np.arange(3) + (row - 0.5) * 0.38
+            axis.bar(place, values[row] * factor, 0.34, color=f"C{row}", label=label)
+        axis.axhline(gap.noise_floor * factor, color="C2", linewidth=1.2, linestyle="--",
+                     label="noise floor")
+        axis.set_xticks(range(3), words)
+        axis.set_yscale("log")
+        axis.set_ylim(bottom=0.4 * gap.noise_floor * factor)
+        axis.set_ylabel(f"RMS ({unit})")
+        axis.legend(loc="upper right")
+    rows: list[list[Cell]] = [
+        [label, *(Quantity(v, gap.unit) for v in row)]
+        for label, row in (("fitted", gap.fit), ("held out", gap.held_out))]
+    rows.append(["noise floor", Quantity(gap.noise_floor, gap.unit), None, None])
+    return Drawing(figure, Table(("records", *words), rows))
+
+
+def _effects(page: Page, found: Diagnosis) -> None:
+    if found.effects:
+        page.section("What was found", "In the order in which it shrank the gap. Intervals are "
+                     "95 %.")
+        for effect in found.effects:
+            page.table(("parameter", "value"),
+                       [[n, Quantity(q.value, q.unit, q.ci95)]
+                        for n, q in effect.parameters.items()],
+                       f"{' or '.join(effect.members)}: {effect.gap_share:.0%} of the gap's "
+                       "power")
+            page.text("\n\n".join(line[:1].upper() + line[1:] + "." for line in effect.evidence))
+    elif found.description is not None:
+        d = found.description
+        page.section("What is left over", "No effect of the library explains it. It looks like "
+                     "this.")
+        page.table(("property", "value"), [
+            ["parity", d.parity], ["memory", d.memory],
+            ["grows with amplitude to the power", d.amplitude_exponent],
+            ["strongest at", None if d.frequency_hz is None else Quantity(d.frequency_hz, "Hz")],
+            ["side", d.side]])
+    page.table(("base parameter", "re-estimated"),
+               [[n, Quantity(q.value, q.unit, q.ci95)] for n, q in found.base.items()])
+
+
+def _traces(page: Page, found: Diagnosis) -> None:
+    shown = [t for t in found.traces if not t.held_out][:1] + \
+        [t for t in found.traces if t.held_out][:1]
+    if shown:
+        page.section("Measured against simulated", "Nothing but initial states and offsets are "
+                     "adapted on held-out records.")
+    for trace in shown:
+        kind = "held out" if trace.held_out else "fitted"
+        page.figure(time_figure(trace.time, [
+            ("position", found.gap.unit, {"measured": trace.measured, "before": trace.before,
+                                          "after": trace.after}),
+            ("left before", found.gap.unit, {"before": trace.measured - trace.before}),
+            ("left after", found.gap.unit, {"after": trace.measured - trace.after})]),
+            f"{trace.name} ({kind}): position, and what is left over before and after")
+
+
+def _evidence(page: Page, found: Diagnosis) -> None:
+    if not found.traces:
+        return
+    trace = found.traces[0]
+    page.section("Where it is", "The gap in frequency, over position and over speed, before and "
+                 "after. Flat curves at the noise are what a complete model leaves.")
+    page.figure(_localised(trace, found.gap.unit), f"The gap of {trace.name}, localised")
+    rows: list[list[Cell]] = [
+        [name, f.name.replace("_", " "), f.value, f.limit, "real" if f.real else "noise", f.text]
+        for name, each in found.findings.items() for f in each]
+    page.table(("record", "finding", "value", "limit", "", "meaning"), rows,
+               "What is left over by the best model, against what noise would give")
+
+
+def _localised(trace: Trace, unit: str) -> Drawing:
+    before, after = trace.measured - trace.before, trace.measured - trace.after
+    speed = np.gradient(trace.measured, trace.sample_period)
+    factor, shown = display_unit((float(np.max(np.abs(before))),), unit)
+    figure, axes = new_figure(3, 5.6, squeeze=False)
+    rows: list[list[Cell]] = []
+    with page_style():
+        for label, left, colour in (("before", before, "C0"), ("after", after, "C1")):
+            hertz, power = welch(left, 1.0 / trace.sample_period,
+                                 nperseg=min(4096, left.size // 2))
+            axes[0, 0].loglog(hertz[1:], np.sqrt(power[1:]) * factor, color=colour, label=label)
+            for row, along in ((1, trace.measured), (2, speed)):
+                centre, mean = _binned(along, left)
+                axes[row, 0].plot(centre, mean * factor, color=colour, marker="o", markersize=2.5)
+            rows.append([label, Quantity(float(np.std(left)), unit),
+                         float(hertz[1 + int(np.argmax(power[1:]))])])
+        axes[0, 0].set_xlabel("frequency (Hz)")
+        axes[0, 0].set_ylabel(f"{shown}/√Hz")
+        axes[0, 0].legend(loc="best")
+        for each in (axes[0, 0].xaxis, axes[0, 0].yaxis):
+            each.set_major_formatter(lambda value, _: f"{value:g}")
+            each.set_minor_formatter("")
+        axes[1, 0].set_xlabel(f"position ({unit})")
+        axes[2, 0].set_xlabel(f"speed ({unit}/s)")
+        for row in (1, 2):
+            axes[row, 0].set_ylabel(f"mean gap ({shown})")
+    return Drawing(figure, Table(("", "RMS", "strongest at (Hz)"), rows))
+
+
+def _binned(along: Array, values: Array) -> tuple[Array, Array]:
+    edges = np.quantile(along, np.linspace(0.0, 1.0, BINS + 1))
+    place = np.clip(np.searchsorted(edges, along, "right") - 1, 0, BINS - 1)
+    count = np.maximum(np.bincount(place, minlength=BINS), 1)
+    return (np.bincount(place, along, BINS) / count, np.bincount(place, values, BINS) / count)
+
+
+def _rejected(page: Page, found: Diagnosis) -> None:
+    page.section("What it is not")
+    unit = found.gap.unit
+    page.table(("effect", "held-out RMS with it", "why not"),
+               [[r.name, None if r.held_out_rms is None else Quantity(r.held_out_rms, unit),
+                 r.reason] for r in found.rejected])
+    if found.detection_limits:
+        smallest = next(iter(found.detection_limits.values()))
+        page.text(f"An effect that adds {format_quantity(smallest, unit)} RMS beyond what "
+                  "re-estimated parameters can follow would have been named.")
+
+
+def _next(page: Page, found: Diagnosis) -> None:
+    if found.next_experiment is None:
+        return
+    page.section("The next experiment", str(found.next_experiment.get("description", "")))
+    settings = found.next_experiment["axes"]["x"]["excitation"]
+    page.table(("setting", "value"), [
+        ["duration (s)", float(found.next_experiment["duration_s"])],
+        *([k, v if isinstance(v, (str, bool)) else float(v)] for k, v in settings.items())],
+        "next_experiment.yaml, as the trajectory generator and diagnose --run take it")

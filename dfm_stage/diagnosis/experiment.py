@@ -1,0 +1,144 @@
+"""One recorded run as the diagnosis takes it: what went in, what came out, what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.diagnosis.errors import DiagnosisError
+from dfm_stage.identification.periods import Periodicity, find_period
+from dfm_stage.model import Model
+from dfm_stage.recording import Record
+
+Array = NDArray[np.float64]
+
+LEAD_IN = 40
+"""Samples simulated but not compared: what the amplifier held before the record began dies out."""
+SHORTEST = 400
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One axis of one record.
+
+    `input` (N,) V or A, held from sample k on; `output` (N,) in `unit`, before input k acts;
+    `current` (N,) A and `other` (N,) position of the neighbouring axis, where recorded. The first
+    `skip` samples are simulated and not compared. `start_s` is the time of the first sample since
+    the record began.
+    """
+
+    name: str
+    input: Array
+    output: Array
+    sample_period: float
+    unit: str = "m"
+    current: Array | None = None
+    other: Array | None = None
+    reference: Array | None = None
+    periodicity: Periodicity | None = None
+    skip: int = LEAD_IN
+    start_s: float = 0.0
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What is compared: the output, and the current where it was recorded."""
+        return ("output",) if self.current is None else ("output", "current")
+
+    @property
+    def time(self) -> Array:
+        """Seconds (N,) since the record began."""
+        return np.asarray(self.start_s + self.sample_period * np.arange(self.input.size))
+
+    def part(self, start: int, stop: int, lead: int = LEAD_IN) -> Experiment:
+        """Return samples `start` to `stop`, simulated from `lead` samples before."""
+        first = max(0, start - lead)
+        cut = slice(first, stop)
+        found = self.periodicity
+        if found is not None:
+            begin = max(found.start - first, 0)
+            count = (stop - first - begin) // found.period
+            found = Periodicity(found.period, begin, count) if count >= 2 else None
+        return replace(
+            self, input=self.input[cut], output=self.output[cut],
+            current=None if self.current is None else self.current[cut],
+            other=None if self.other is None else self.other[cut],
+            reference=None if self.reference is None else self.reference[cut],
+            periodicity=found, skip=max(start - first, LEAD_IN),
+            start_s=self.start_s + first * self.sample_period)
+
+
+def experiment(record: Record, model: Model, axis: str | None = None,
+               name: str | None = None) -> Experiment:
+    """Return one axis of a record, with the position of the neighbour that acts on it.
+
+    Raises
+    ------
+    DiagnosisError
+        If the record does not suit the model, is too short or holds values that are not finite.
+    """
+    chosen = _axis_name(record, axis)
+    data = record.axis(chosen)
+    called = name or record.provenance.source
+    if abs(record.sample_period / model.sample_period - 1.0) > 1e-6:
+        raise DiagnosisError(f"{called}: sampled every {record.sample_period:g} s, but the model "
+                             f"steps by {model.sample_period:g} s; resample the record or set "
+                             "sample_period in the model")
+    if len(record) < SHORTEST:
+        raise DiagnosisError(f"{called}: {len(record)} samples are too few for a diagnosis; "
+                             f"record at least {SHORTEST}")
+    unit = data.position_unit
+    if unit != model.position_unit:
+        raise DiagnosisError(f"{called}: the output is in {unit}, the model in "
+                             f"{model.position_unit}; give --output-unit or set position_unit "
+                             "in the model")
+    for what, signal in (("input", data.input), ("output", data.position)):
+        bad = np.flatnonzero(~np.isfinite(signal))
+        if bad.size:
+            raise DiagnosisError(f"{called}: the {what} is not a number at "
+                                 f"{record.time[bad[0]]:g} s; cut or repair the record")
+    others = [n for n in record.axes if n != chosen]
+    other = record.axes[others[0]].position if len(others) == 1 else None
+    return Experiment(called, np.asarray(data.input, float), np.asarray(data.position, float),
+                      record.sample_period, unit, _usable(data.current), _usable(other),
+                      _usable(data.reference), _periodicity(data.extra.get("excitation"),
+                                                            data.input))
+
+
+def _axis_name(record: Record, axis: str | None) -> str:
+    if axis is not None:
+        record.axis(axis)
+        return axis
+    if len(record.axes) == 1 or "x" in record.axes:
+        return "x" if "x" in record.axes else next(iter(record.axes))
+    raise DiagnosisError(f"{record.provenance.source}: has the axes {', '.join(record.axes)}; "
+                         "choose one with --axis")
+
+
+def _usable(signal: Array | None) -> Array | None:
+    if signal is None or not np.all(np.isfinite(signal)) or np.ptp(signal) == 0.0:
+        return None
+    return np.asarray(signal, dtype=float)
+
+
+def _periodicity(excitation: Array | None, applied: Array) -> Periodicity | None:
+    for signal in (applied, excitation):
+        if signal is not None and np.ptp(signal) > 0.0:
+            found = find_period(signal, tolerance=1e-6)
+            if found is not None and found.period >= 100:
+                return found
+    return None
+
+
+def split_by_time(runs: Sequence[Experiment],
+                  share: float = 0.7) -> tuple[list[Experiment], list[Experiment]]:
+    """Return the first part of each run to fit and the rest to predict."""
+    early, late = [], []
+    for run in runs:
+        cut = int(share * run.input.size)
+        early.append(run.part(run.skip, cut))
+        late.append(replace(run.part(cut, run.input.size, lead=400),
+                            name=f"{run.name}, last {100 - round(100 * share)} %"))
+    return early, late

@@ -1,0 +1,203 @@
+"""Whether what a model leaves is noise, and what it looks like where it is not.
+
+Coloured noise must pass and broadband errors of the scale must not, so no single test decides:
+what repeats with the input, what is strong at low frequencies, lines, patterns over position, and
+the shape of the distribution are looked at together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import lfilter
+
+from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.spectra import position_peaks
+from dfm_stage.diagnosis.weighting import PERIODS, high_band_rms
+from dfm_stage.identification.noise import fit_noise
+from dfm_stage.identification.periods import local_mean
+
+Array = NDArray[np.float64]
+
+EXCESS = 2.0
+"""RMS over that of high frequencies above which a residual is more than coloured noise."""
+LINE = 32.0
+PATTERN = 40.0
+KURTOSIS = 0.35
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One number about a residual, its limit for noise, and what it means in words."""
+
+    name: str
+    value: float
+    limit: float
+    text: str
+
+    @property
+    def real(self) -> bool:
+        """Whether noise does not explain it."""
+        return self.value > self.limit
+
+
+def findings(run: Experiment, residual: Array, known_noise: float | None) -> list[Finding]:
+    """Look at what is left of one run's output (N - skip,)."""
+    floor = high_band_rms(residual)
+    spread = float(np.std(residual))
+    found = [Finding("excess", spread / floor, EXCESS,
+                     "RMS over that of high frequencies: slow or resonant motion is left")]
+    if known_noise:
+        found.append(Finding("known_noise", spread / known_noise, 1.15,
+                             "RMS over the noise that the model gives"))
+    found += [*_repeating(run, residual), _drift(residual), _line(residual),
+              _pattern(run, residual), _shape(residual)]
+    return found
+
+
+def _repeating(run: Experiment, residual: Array) -> list[Finding]:
+    period = run.periodicity.period if run.periodicity is not None else 0
+    count = residual.size // period if period else 0
+    if count < PERIODS:
+        return []
+    rows = residual[residual.size - count * period:].reshape(count, period)
+    spectra = np.fft.rfft(rows, axis=1)[:, 1:]
+    mean = spectra.mean(axis=0)
+    noise = np.sum(np.abs(spectra - mean) ** 2, axis=0) / (count - 1) / count
+    ratio = np.abs(mean) ** 2 / np.maximum(local_mean(noise, 15), 1e-300)
+    low = ratio[: max(40, ratio.size // 3)]
+    limit = 1.0 + 6.0 / math.sqrt(low.size) + 4.0 / math.sqrt(low.size * (count - 1))
+    return [Finding("repeating", float(np.mean(low)), limit,
+                    "power that repeats with the input over power that does not")]
+
+
+def _drift(residual: Array) -> Finding:
+    power = np.abs(np.fft.rfft(residual * np.hanning(residual.size))) ** 2
+    near = power[6:60] if power.size > 80 else power[3:]
+    slow = float(np.mean(power[:3]) / max(float(np.median(near)) / math.log(2.0), 1e-300))
+    return Finding("drift", slow, 25.0, "power at the lowest frequencies over that above them")
+
+
+def _line(residual: Array) -> Finding:
+    power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
+    width = power.size * 2 - 2
+    power = power[3:]
+    floor = median_filter(power, size=101, mode="mirror") / math.log(2.0)
+    ratio = power / np.maximum(floor, 1e-300)
+    at = int(np.argmax(ratio))
+    return Finding("line", float(ratio[at]), LINE,
+                   "highest line over its neighbourhood, at "
+                   f"{(at + 3) / width:.4g} of the sample rate")
+
+
+def _pattern(run: Experiment, residual: Array) -> Finding:
+    position = run.output[run.skip:] - residual
+    white = _white(residual)
+    best = 0.0
+    for period in position_peaks([position[-white.size:]], [white], 3):
+        turn = np.exp(2j * np.pi * position[-white.size:] / period)
+        best = max(best, float(np.abs(np.sum(white * turn)) ** 2 / white.size))
+    return Finding("pattern", best, PATTERN, "power tied to position, as errors of a scale are")
+
+
+def _shape(residual: Array) -> Finding:
+    white = _white(residual)
+    scaled = white / max(float(np.std(white)), 1e-300)
+    kurtosis = 3.0 - float(np.mean(scaled**4))
+    return Finding("flatness", kurtosis, KURTOSIS,
+                   "distribution flatter than normal, as rounding and periodic errors make it")
+
+
+def _white(residual: Array) -> Array:
+    model = fit_noise(residual, 20)
+    white = np.asarray(lfilter(model.polynomial, [1.0], residual))[model.order:]
+    return white / max(model.sigma, 1e-300)
+
+
+@dataclass(frozen=True)
+class Description:
+    """What an unexplained remainder looks like, in the words of diagnosis.json."""
+
+    parity: str
+    memory: bool
+    amplitude_exponent: float | None
+    frequency_hz: float | None
+    side: str
+
+    def to_dict(self) -> dict[str, object]:
+        """As JSON keeps it."""
+        return {"parity": self.parity, "memory": self.memory,
+                "amplitude_exponent": self.amplitude_exponent,
+                "frequency_hz": self.frequency_hz, "side": self.side}
+
+
+def describe(runs: Sequence[Experiment], residuals: Sequence[Sequence[Array]]) -> Description:
+    """Describe what is left of all runs."""
+    first = max(range(len(runs)), key=lambda i: float(np.std(residuals[i][0])))
+    run, left = runs[first], residuals[first][0]
+    position = run.output[run.skip:] - left
+    return Description(_parity(position, left), _memory(run, position, left),
+                       _exponent(runs, residuals), _strongest_hz(left, run.sample_period),
+                       _side(residuals[first]))
+
+
+def _parity(position: Array, left: Array) -> str:
+    """Odd and even parts of the residual as a function of motion and speed."""
+    x = (position - position.mean()) / max(float(np.std(position)), 1e-300)
+    v = np.gradient(position)
+    v = v / max(float(np.std(v)), 1e-300)
+    odd = np.array([x, v, x**3, v**3, x * x * v, x * v * v, np.sign(v), np.abs(v) * v])
+    even = np.array([np.ones_like(x), x * x, v * v, x * v, np.abs(v), x**4])
+    powers = [_taken(columns, left) for columns in (odd, even)]
+    if max(powers) < 3.0 * min(powers):
+        return "both"
+    return "odd" if powers[0] > powers[1] else "even"
+
+
+def _taken(columns: Array, left: Array) -> float:
+    solved = np.linalg.lstsq(columns.T, left, rcond=1e-9)[0]
+    return float(np.sum((columns.T @ solved) ** 2)) + 1e-300
+
+
+def _memory(run: Experiment, position: Array, left: Array) -> bool:
+    """Whether the residual depends on more than present motion, speed and input."""
+    x, v = position - position.mean(), np.gradient(position)
+    u = run.input[run.skip:]
+    scaled = [c / max(float(np.std(c)), 1e-300) for c in (x, v, u)]
+    present = [np.ones_like(x)]
+    for c in scaled:
+        present += [c, c * c, c**3, np.abs(c) * c, np.sign(c)]
+    taken = _taken(np.array(present), left)
+    return taken < 0.5 * float(left @ left)
+
+
+def _exponent(runs: Sequence[Experiment], residuals: Sequence[Sequence[Array]]) -> float | None:
+    """How the residual grows with amplitude, from two runs of different size."""
+    sizes = [float(np.std(r.output)) for r in runs]
+    lefts = [float(np.std(parts[0])) for parts in residuals]
+    big, small = int(np.argmax(sizes)), int(np.argmin(sizes))
+    if sizes[small] <= 0.0 or sizes[big] < 1.5 * sizes[small] or lefts[small] <= 0.0:
+        return None
+    return math.log(lefts[big] / lefts[small]) / math.log(sizes[big] / sizes[small])
+
+
+def _strongest_hz(left: Array, sample_period: float) -> float | None:
+    power = np.abs(np.fft.rfft((left - left.mean()) * np.hanning(left.size))) ** 2
+    total = float(np.sum(power))
+    if total <= 0.0:
+        return None
+    return float(np.fft.rfftfreq(left.size, sample_period)[int(np.argmax(power))])
+
+
+def _side(parts: Sequence[Array]) -> str:
+    """Actuator where the current disagrees too, mechanical where it does not."""
+    if len(parts) < 2:
+        return "unclear"
+    current = parts[1]
+    return "actuator" if float(np.std(current)) > EXCESS * high_band_rms(current) \
+        else "mechanical"

@@ -1,0 +1,127 @@
+"""The answer of a diagnosis, and diagnosis.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.diagnosis.remainder import Description, Finding
+from dfm_stage.identification.quantity import Quantity
+from dfm_stage.model import Model
+
+Array = NDArray[np.float64]
+Verdict = Literal["none", "retune", "named", "ambiguous", "unknown", "not_excited"]
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that was found: parameters, share of the gap's power it took, and why."""
+
+    name: str
+    members: tuple[str, ...]
+    parameters: Mapping[str, Quantity]
+    gap_share: float
+    evidence: tuple[str, ...]
+    chi2: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON keeps it."""
+        return {"name": self.name, "class": list(self.members),
+                "parameters": {n: q.to_dict() for n, q in self.parameters.items()},
+                "gap_share": _number(self.gap_share), "evidence": list(self.evidence)}
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """An effect that was considered and not named."""
+
+    name: str
+    held_out_rms: float | None
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON keeps it."""
+        return {"name": self.name, "held_out_rms": _number(self.held_out_rms),
+                "reason": self.reason}
+
+
+@dataclass(frozen=True)
+class Gap:
+    """RMS of measured minus simulated before, retuned and after, fitted and held out."""
+
+    unit: str
+    noise_floor: float
+    noise_floor_from: str
+    fit: tuple[float, float, float]
+    held_out: tuple[float, float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON keeps it."""
+        words = ("before", "retuned", "after")
+        return {"unit": self.unit, "noise_floor": _number(self.noise_floor),
+                "noise_floor_from": self.noise_floor_from,
+                "fit": {w: _number(v) for w, v in zip(words, self.fit, strict=True)},
+                "held_out": {w: _number(v) for w, v in zip(words, self.held_out, strict=True)}}
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One run for the report: time (s), measured, and simulated before and after (N,)."""
+
+    name: str
+    held_out: bool
+    sample_period: float
+    time: Array
+    measured: Array
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found. `model` is the extended model, `next_experiment` a mapping that
+    `load_experiment` takes, or None."""
+
+    verdict: Verdict
+    sentence: str
+    effects: tuple[NamedEffect, ...]
+    base: Mapping[str, Quantity]
+    rejected: tuple[Rejected, ...]
+    gap: Gap
+    description: Description | None
+    next_experiment: Mapping[str, Any] | None
+    warnings: tuple[str, ...]
+    model: Model
+    findings: Mapping[str, Sequence[Finding]] = field(default_factory=dict)
+    detection_limits: Mapping[str, float] = field(default_factory=dict)
+    traces: tuple[Trace, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects found, in the order in which they shrank the gap."""
+        return tuple(e.name for e in self.effects)
+
+    def to_dict(self) -> dict[str, Any]:
+        """diagnosis.json, schema 1."""
+        return {
+            "schema": 1, "verdict": self.verdict,
+            "effects": [e.to_dict() for e in self.effects],
+            "base": {n: q.to_dict() for n, q in self.base.items()},
+            "rejected": [r.to_dict() for r in self.rejected],
+            "gap": self.gap.to_dict(),
+            "description": None if self.description is None else self.description.to_dict(),
+            "next_experiment": None if self.next_experiment is None
+            else dict(self.next_experiment),
+            "warnings": list(self.warnings), "sentence": self.sentence,
+            "detection_limits": {n: _number(v) for n, v in self.detection_limits.items()},
+        }
+
+
+def _number(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None

@@ -1,0 +1,251 @@
+"""A fast look at every candidate: how much chi-square its response could take from the residual.
+
+The response of the model to a small amount of an effect is projected off everything that the free
+parameters, initial states and offsets can do; its best multiple is then a matter of one linear
+step (a score test). Pairs are screened jointly, because a single effect may stand in for two.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.diagnosis.candidates import (
+    FIXED_SIZE,
+    ONE_SIDED,
+    TWO_PHASED,
+    Scales,
+    Shape,
+    shapes,
+)
+from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.fit import Fit, weighted_sensitivities
+from dfm_stage.diagnosis.spectra import frequency_peaks, lattice, position_peaks
+from dfm_stage.diagnosis.system import PER_RUN, System
+from dfm_stage.diagnosis.weighting import Weights
+from dfm_stage.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Hit:
+    """One effect at its best starting point: the fall in chi-square and the parameters.
+
+    `columns` (N, c) is its projected weighted response, `multiples` (c,) the best sizes of it.
+    """
+
+    name: str
+    gain: float
+    parameters: dict[str, float]
+    columns: Array
+    multiples: Array
+
+    def share_of(self, total: float) -> float:
+        """The part of chi-square it could take."""
+        return self.gain / total if total > 0.0 else 0.0
+
+
+class Screen:
+    """Screens candidates against the residual of a fit."""
+
+    def __init__(self, base: Fit, runs: Sequence[Experiment], weights: Weights,
+                 dither: float) -> None:
+        self.base, self.runs, self.weights, self.dither = base, tuple(runs), weights, dither
+        self.scales = Scales.of(base.model, runs, weights[0][0].rms)
+        light = base.system.use_light(base.x)
+        self.model = base.system.light.model if light else base.model
+        if base.system.pushed:
+            self.model = self.model.without_effect("force_offset")
+        jacobian = weighted_sensitivities(base.system, base.x, weights, light)
+        norms = np.linalg.norm(jacobian, axis=0)
+        seen = norms > 1e-12 * max(float(norms.max()), 1e-300)
+        left, values, _ = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
+        self.basis = np.asarray(left[:, values > 1e-7 * values[0]])
+        white = base.white
+        self.residual = white - self.basis @ (self.basis.T @ white)
+        self.edges = self._edges()
+        self.plain = self._outputs(self.model)
+
+    def _edges(self) -> list[tuple[int, int]]:
+        found, at = [], 0
+        for run, ws in zip(self.runs, self.weights, strict=True):
+            size = sum(run.input.size - run.skip - w.polynomial.size + 1 for w in ws)
+            found.append((at, at + size))
+            at += size
+        return found
+
+    def _outputs(self, model: Model) -> Array | None:
+        """The weighted output (N,) of a model at the base's local values; None if impossible."""
+        system = System(model, self.runs, (), self.dither)
+        locals_ = self.base.locals
+        x = np.array([locals_.get((p.name, p.run), 0.0 if p.name != "current.gain" else 1.0)
+                      for p in system.places])
+        per_run = system._coordinates()
+        for k, p in enumerate(system.places):
+            if (p.name, p.run) not in locals_ and p.name in per_run:
+                x[k] = per_run[p.name]
+        parts = []
+        for i, ws in enumerate(self.weights):
+            for out, w in zip(system.simulate(i, x[None, :]), ws, strict=True):
+                if not np.all(np.isfinite(out)):
+                    return None
+                parts.append(w.apply(out[0]))
+        return np.concatenate(parts)
+
+    def project(self, columns: Array) -> Array:
+        """Take out of `columns` (N, c) what the free parameters can do."""
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
+    def hits(self, name: str, keep: int = 2) -> list[Hit]:
+        """The best starting points of one effect, best first."""
+        found = []
+        for shape in self._shapes(name):
+            hit = self._hit(shape)
+            if hit is not None:
+                found.append(hit)
+        return sorted(found, key=lambda h: -h.gain)[:keep]
+
+    def _shapes(self, name: str) -> list[Shape]:
+        s = self.scales
+        if name == "periodic_disturbance":
+            first = [self.residual[a:a + run.input.size - run.skip - ws[0].polynomial.size + 1]
+                     for (a, _), run, ws in zip(self.edges, self.runs, self.weights, strict=True)]
+            peaks = frequency_peaks(first, self.runs[0].sample_period,
+                                    lowest_hz=2.0 / s.duration)
+            return [Shape(name, {"amplitude": 1e-3 * s.force, "frequency": f, "phase": 0.0})
+                    for f in peaks]
+        if name in ("encoder_periodic_error", "encoder_quantization"):
+            return self._scale_errors(name)
+        return shapes(name, self.base.model, self.runs, s)
+
+    def _scale_errors(self, name: str) -> list[Shape]:
+        positions, residuals = [], []
+        for run, parts in zip(self.runs, self.base.residuals, strict=True):
+            positions.append(run.output[run.skip:] - parts[0])
+            residuals.append(parts[0])
+        periods = position_peaks(positions, residuals)
+        if name == "encoder_periodic_error":
+            return [Shape(name, {"amplitude": 0.1 * self.scales.noise, "period": p, "phase": 0.0})
+                    for p in periods]
+        known = self.base.model.base.get("encoder_resolution", 0.0)
+        step = lattice(self.runs[0].output)
+        steps = [p for period in periods for p in
+                 period * (1.0 + np.linspace(-1.0, 1.0, 41) * 0.5 * period / self.scales.travel)]
+        steps = sorted(steps, key=lambda p: -_staircase(positions[0], residuals[0], p))[:2]
+        if step is not None and step > 1.5 * known:
+            steps.append(step)
+        least = max(self.scales.noise, 1.5 * known)
+        return [Shape(name, {"step": float(p)}) for p in steps if p > least]
+
+    def _hit(self, shape: Shape) -> Hit | None:
+        columns = self._columns(shape)
+        if columns is None:
+            return None
+        projected = self.project(columns)
+        size = np.linalg.norm(projected, axis=0)
+        kept = size > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        if not np.any(kept):
+            return None
+        projected = projected[:, kept]
+        if shape.name in FIXED_SIZE:
+            d = projected[:, 0]
+            gain = float(2.0 * d @ self.residual - d @ d)
+            return Hit(shape.name, gain, dict(shape.parameters), projected, np.ones(1))
+        multiples, gain = _best(projected, self.residual)
+        if shape.name in ONE_SIDED and multiples[0] <= 0.0:
+            return None
+        return Hit(shape.name, gain, self._sized(shape, multiples), projected, multiples)
+
+    def _sized(self, shape: Shape, multiples: Array) -> dict[str, float]:
+        if shape.name in TWO_PHASED:
+            size = float(np.hypot(multiples[0], multiples[1])) if multiples.size > 1 \
+                else abs(float(multiples[0]))
+            phase = float(np.arctan2(multiples[1], multiples[0])) if multiples.size > 1 else 0.0
+            return {**shape.scaled(size), "phase": phase}
+        if shape.name == "cross_axis_coupling" and multiples.size == 2:
+            return {"ratio": shape.parameters["ratio"] * float(multiples[0]),
+                    "stiffness": self._coupling() * float(multiples[1])}
+        return shape.scaled(float(multiples[0]))
+
+    def _coupling(self) -> float:
+        return 1e-3 * self.scales.stiffness
+
+    def _columns(self, shape: Shape) -> Array | None:
+        """Weighted responses (N, c) to the effect; of per-run effects one column for each run."""
+        variants = [shape.parameters]
+        if shape.name in TWO_PHASED:
+            variants.append({**shape.parameters, "phase": 0.5 * math.pi})
+        elif shape.name == "cross_axis_coupling":
+            variants.append({"ratio": 0.0, "stiffness": self._coupling()})
+        columns = []
+        for parameters in variants:
+            shifted = self._outputs(self.model.with_effect(shape.name, parameters))
+            if shifted is None or self.plain is None:
+                return None
+            columns.append(shifted - self.plain)
+        if shape.name not in PER_RUN or len(self.runs) == 1:
+            return np.asarray(np.array(columns).T)
+        split = []
+        for a, b in self.edges:
+            for column in columns:
+                own = np.zeros_like(column)
+                own[a:b] = column[a:b]
+                split.append(own)
+        return np.asarray(np.array(split).T)
+
+
+def _staircase(position: Array, residual: Array, step: float) -> float:
+    """How well rounding `position` (N,) to `step` explains `residual` (N,)."""
+    d = step * np.rint(position / step) - position
+    return float(2.0 * d @ residual - d @ d)
+
+
+def _best(columns: Array, residual: Array) -> tuple[Array, float]:
+    norms = np.linalg.norm(columns, axis=0)
+    gram = (columns.T @ columns) / np.outer(norms, norms)
+    score = (columns.T @ residual) / norms
+    solved = np.linalg.lstsq(gram, score, rcond=1e-9)[0]
+    return np.asarray(solved / norms), float(score @ solved)
+
+
+def pair_gains(hits: Sequence[Hit], residual: Array,
+               keep: int = 6) -> list[tuple[float, tuple[Hit, Hit]]]:
+    """The best pairs of different effects by what both together could take, best first."""
+    stacked = np.hstack([h.columns for h in hits])
+    ends = np.cumsum([0, *(h.columns.shape[1] for h in hits)])
+    gram, score = stacked.T @ stacked, stacked.T @ residual
+    norms = np.sqrt(np.diag(gram))
+    gram, score = gram / np.outer(norms, norms), score / norms
+    found: dict[tuple[str, str], tuple[float, tuple[Hit, Hit]]] = {}
+    for i, j in combinations(range(len(hits)), 2):
+        if hits[i].name == hits[j].name:
+            continue
+        at = np.r_[ends[i]:ends[i + 1], ends[j]:ends[j + 1]]
+        solved = np.linalg.lstsq(gram[np.ix_(at, at)], score[at], rcond=1e-9)[0]
+        first, second = solved[0], solved[ends[i + 1] - ends[i]]
+        if (hits[i].name in ONE_SIDED and first <= 0.0) or (
+                hits[j].name in ONE_SIDED and second <= 0.0):
+            continue
+        gain = float(score[at] @ solved)
+        sizes = solved / norms[at]
+        width = ends[i + 1] - ends[i]
+        a = _rescaled(hits[i], sizes[:width])
+        b = _rescaled(hits[j], sizes[width:])
+        key = (min(a.name, b.name), max(a.name, b.name))
+        if key not in found or gain > found[key][0]:
+            found[key] = (gain, (a, b))
+    return sorted(found.values(), key=lambda p: -p[0])[:keep]
+
+
+def _rescaled(hit: Hit, multiples: Array) -> Hit:
+    """The hit at the size it has in company."""
+    if hit.name in FIXED_SIZE or hit.name in TWO_PHASED or hit.name == "cross_axis_coupling":
+        return hit
+    factor = float(multiples[0] / hit.multiples[0]) if hit.multiples[0] else 1.0
+    return replace(hit, parameters=Shape(hit.name, hit.parameters).scaled(factor))

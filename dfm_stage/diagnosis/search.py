@@ -1,0 +1,300 @@
+"""Which effects, added to the model, bring the residual down: forward, in pairs, and backward."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.diagnosis.candidates import excluded
+from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.fit import Fit, fit
+from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
+from dfm_stage.diagnosis.weighting import Weight, Weights, weights_of, white_weights
+from dfm_stage.model import EFFECTS, Model
+
+Array = NDArray[np.float64]
+Names = tuple[str, ...]
+
+FIRST, FURTHER = 40.0, 60.0
+"""Fall in chi-square that names a first and any further effect."""
+PER_PARAMETER = 12.0
+"""What a further parameter must bring at least for the larger of two models to be preferred."""
+MOST = 4
+SHORT_LIST = 4
+CLOSE = 0.8
+"""Candidates whose screened gain is this share of the best one's are fitted in full."""
+FULL = 0.985
+"""A fit that takes this share of what is above the noise needs no pairs beside it."""
+RELATED, STRANGER = 0.9, 0.97
+"""Rivals whose screened gain is this share of an effect's loss are fitted in its place."""
+HELD = {"encoder_quantization": ("step",)}
+"""Parameters found by search and held in fits: the criterion is not smooth in them."""
+LATER = {"presliding_friction": ("breakaway_ratio", "stribeck_velocity", "damping"),
+         "hysteresis": ("exponent",)}
+"""Parameters freed once the others have been fitted."""
+STARTS = {"presliding_friction": {"breakaway_ratio": 1.1}, "hysteresis": {"exponent": 1.2}}
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect in the place of another: its fit, and what it costs in chi-square."""
+
+    name: str
+    cost: float
+    fit: Fit
+
+
+@dataclass
+class Search:
+    """All fits of one diagnosis. `runs` are fitted; `library` are the effects that may be named;
+    `free` the base parameters (and those of effects the model has) that are re-estimated."""
+
+    model: Model
+    runs: Sequence[Experiment]
+    free: Names
+    library: Names
+    step: Callable[[str], None] = lambda _: None
+    fits: dict[tuple[frozenset[str], int], Fit] = field(default_factory=dict)
+    hits: dict[str, Hit] = field(default_factory=dict)
+    screens: dict[frozenset[str], list[Hit]] = field(default_factory=dict)
+    weights: Weights = ()
+    stage: int = 0
+
+    def begin(self) -> Fit:
+        """Fit the model as it is; sets the first weights."""
+        motion = [max(float(np.std(r.output)), 1e-300) for r in self.runs]
+        rough = tuple(tuple(
+            Weight(np.ones(1), 1e-3 * size, "") for size in
+            (m, *(float(np.std(c)) for c in (r.current,) if c is not None)))
+            for r, m in zip(self.runs, motion, strict=True))
+        self.weights = rough
+        first = fit(self.model, self.runs, self.free, rough, iterations=40)
+        if not first.ok:
+            return first
+        self.reweigh(white_weights(first.residuals))
+        found = fit(first.model, self.runs, self.free, self.weights, earlier=first.locals)
+        self.reweigh(white_weights(found.residuals))
+        return self.keep((), fit(found.model, self.runs, self.free, self.weights,
+                                 earlier=found.locals))
+
+    @property
+    def dither(self) -> float:
+        """RMS of the output's noise, over which a quantised reading is averaged."""
+        return self.weights[0][0].rms
+
+    def reweigh(self, weights: Weights) -> None:
+        """Compare fits by other weights from now on."""
+        self.weights = weights
+        self.stage += 1
+
+    def keep(self, names: Iterable[str], found: Fit) -> Fit:
+        """Remember a fit under the present weights."""
+        self.fits[frozenset(names), self.stage] = found
+        return found
+
+    def fitted(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = ()) -> Fit:
+        """The fit with the effects `names` under the present weights; begins at `start`, to which
+        the effects of `hits` are added."""
+        key = frozenset(names), self.stage
+        if key in self.fits:
+            return self.fits[key]
+        model = start.model
+        for use in model.effects:
+            if use.name not in names and self.model.effect(use.name) is None:
+                model = model.without_effect(use.name)
+        later: list[str] = []
+        for hit in hits:
+            parameters = {**hit.parameters, **STARTS.get(hit.name, {})}
+            model = model.with_effect(hit.name, _inside(hit.name, parameters))
+            later += [f"{hit.name}.{n}" for n in LATER.get(hit.name, ())]
+        free = self.parameters(model)
+        early = tuple(n for n in free if n not in later)
+        found = fit(model, self.runs, early, self.weights, earlier=start.locals,
+                    dither=self.dither, iterations=12 if later else 25,
+                    tolerance=1.0 if later else 0.03)
+        if later and found.ok:
+            found = fit(found.model, self.runs, free, self.weights, earlier=found.locals,
+                        dither=self.dither, iterations=25, tolerance=0.1)
+        return self.keep(names, found)
+
+    def parameters(self, model: Model) -> Names:
+        """What is free in a model with effects added: the base and all of theirs."""
+        own = [f"{use.name}.{n}" for use in model.effects
+               if self.model.effect(use.name) is None for n in use.parameters
+               if n not in HELD.get(use.name, ())]
+        return (*self.free, *own)
+
+    def refitted(self, names: Sequence[str], start: Fit) -> Fit:
+        """The same effects under the present weights."""
+        return self.fitted(names, start)
+
+    # -- forward --------------------------------------------------------------------------------
+
+    def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
+        """Hits of every effect that is allowed and not in `current` yet, best first."""
+        screen = Screen(current, self.runs, self.weights, self.dither)
+        found: list[Hit] = []
+        for name in self.library:
+            if name in names or excluded(name, self.model, self.runs) is not None:
+                continue
+            found += screen.hits(name)
+        found.sort(key=lambda h: -h.gain)
+        return screen, found
+
+    def extend(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
+        """Add what helps most, one effect or two at once; None where nothing helps enough."""
+        limit = FURTHER if names else FIRST
+        screen, hits = self.screened(current, names)
+        for hit in hits:
+            if not names and hit.name not in self.hits:
+                self.hits[hit.name] = hit
+        best_hits = list({h.name: h for h in reversed(hits)}.values())
+        best_hits.sort(key=lambda h: -h.gain)
+        if not best_hits or best_hits[0].gain < 0.5 * limit:
+            return None
+        top = best_hits[0].gain
+        listed = [h for h in best_hits if h.gain > CLOSE * top][:SHORT_LIST]
+        self.screens[frozenset(names)] = best_hits
+        above = current.chi2 - current.white.size
+        trials: list[tuple[Names, Fit]] = []
+        for hit in listed:
+            self.step(f"fitting {hit.name}")
+            trials.append(((*names, hit.name), self.fitted((*names, hit.name), current, [hit])))
+            if current.chi2 - trials[-1][1].chi2 > FULL * above > FURTHER:
+                break
+        best = self.best(trials)
+        taken = current.chi2 - best[1].chi2
+        if len(names) + 2 <= MOST and taken < FULL * above:
+            for gain, pair in pair_gains([h for h in hits if h.gain > 0.02 * top],
+                                         screen.residual, keep=3):
+                if gain < taken + FURTHER or gain < 1.02 * taken:
+                    continue
+                both = (*names, pair[0].name, pair[1].name)
+                self.step(f"fitting {pair[0].name} and {pair[1].name}")
+                trials.append((both, self.fitted(both, current, pair)))
+            best = self.best(trials)
+        added = len(best[0]) - len(names)
+        if current.chi2 - best[1].chi2 < limit + FURTHER * (added - 1):
+            return None
+        return best
+
+    def best(self, trials: Sequence[tuple[Names, Fit]]) -> tuple[Names, Fit]:
+        """The smallest chi-square, further parameters paid for."""
+        return min(trials, key=lambda t: self.score(t[1]))
+
+    def score(self, found: Fit) -> float:
+        """Chi-square and the price of the parameters."""
+        return found.chi2 + PER_PARAMETER * len(found.system.free) if found.ok else math.inf
+
+    # -- the whole search -----------------------------------------------------------------------
+
+    def run(self) -> tuple[Names, Fit]:
+        """Add effects until nothing helps; return them in the order they came, and the fit."""
+        names: Names = ()
+        current = self.begin()
+        while current.ok and len(names) < MOST:
+            self.step("screening every effect")
+            found = self.extend(names, current)
+            if found is None:
+                break
+            names, current = found
+            names, current = self.pruned(names, current)
+            weights = white_weights(current.residuals)
+            if any(abs(a.sigma / b.sigma - 1.0) > 0.03 for new, old in
+                   zip(weights, self.weights, strict=True)
+                   for a, b in zip(new, old, strict=True)):
+                self.reweigh(weights)
+                current = self.refitted(names, current)
+        return names, current
+
+    def pruned(self, names: Names, current: Fit) -> tuple[Names, Fit]:
+        """Drop effects that have become unnecessary."""
+        while len(names) > 1:
+            losses = []
+            for name in names:
+                rest = tuple(n for n in names if n != name)
+                losses.append((self.fitted(rest, current).chi2 - current.chi2, name))
+            loss, weakest = min(losses)
+            if loss >= FURTHER:
+                break
+            names = tuple(n for n in names if n != weakest)
+            current = self.fitted(names, current)
+        return names, current
+
+    def compare(self, names: Names, current: Fit) -> tuple[Names, Fit, dict[str, list[Rival]]]:
+        """Put each effect's rivals in its place, under weights that the best model set.
+
+        Returns the best set, its fit, and for every effect in it the rivals with what they would
+        cost in chi-square, smallest first.
+        """
+        for _ in range(3):
+            rivals: dict[str, list[Rival]] = {}
+            better: tuple[Names, Fit] | None = None
+            for name in names:
+                rest = tuple(n for n in names if n != name)
+                rivals[name] = found = self._rivals(name, rest, current)
+                for rival in found:
+                    if self.score(rival.fit) < self.score(current) and (
+                            better is None or self.score(rival.fit) < self.score(better[1])):
+                        better = tuple(rival.name if n == name else n for n in names), rival.fit
+            if better is None:
+                return names, current, rivals
+            names, current = better
+            self.reweigh(weights_of(current.residuals))
+            current = self.refitted(names, current)
+        return names, current, rivals
+
+    def _rivals(self, name: str, rest: Names, current: Fit) -> list[Rival]:
+        without = self.fitted(rest, current)
+        loss = without.chi2 - current.chi2
+        if frozenset(rest) not in self.screens:
+            _, hits = self.screened(without, rest)
+            self.screens[frozenset(rest)] = list({h.name: h for h in reversed(hits)}.values())
+        best = self.screens[frozenset(rest)]
+        own = max((h.gain for h in best if h.name == name), default=loss)
+        found: list[Rival] = []
+        for hit in sorted(best, key=lambda h: -h.gain):
+            related = shares_class(hit.name, name)
+            wanted = hit.gain > (RELATED if related else STRANGER) * own
+            if hit.name == name or not wanted or len(found) >= SHORT_LIST:
+                continue
+            self.step(f"fitting {hit.name} in place of {name}")
+            rival = self.fitted((*rest, hit.name), without, [hit])
+            found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
+        return sorted(found, key=lambda r: r.cost)
+
+    def settle(self, names: Names, current: Fit) -> tuple[Names, Fit, Fit]:
+        """Weigh by the noise that the best model leaves, and see whether each effect still pays.
+
+        Returns the effects, their fit and the fit without any, under the same weights.
+        """
+        while True:
+            self.reweigh(weights_of(current.residuals))
+            current = self.refitted(names, current)
+            bare = self.fitted((), current)
+            limit = FIRST if len(names) == 1 else FURTHER
+            if len(names) == 1 and bare.chi2 - current.chi2 < limit:
+                names, current = (), bare
+                continue
+            if len(names) > 1:
+                kept, found = self.pruned(names, current)
+                if kept != names:
+                    names, current = kept, found
+                    continue
+            return names, current, bare
+
+
+def shares_class(first: str, second: str) -> bool:
+    """Whether two effects stand in one equivalence class of the library."""
+    return any(second in c.members for c in EFFECTS[first].classes) or any(
+        first in c.members for c in EFFECTS[second].classes)
+
+
+def _inside(name: str, parameters: dict[str, float]) -> dict[str, float]:
+    """Parameters moved inside their limits."""
+    limits = {p.name: p for p in EFFECTS[name].parameters}
+    return {n: min(max(v, limits[n].low), limits[n].high) for n, v in parameters.items()}

@@ -1,0 +1,69 @@
+"""Lines in the residual: over time (a vibration), and over position (the scale's own errors)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BINS = 1 << 18
+
+
+def frequency_peaks(residuals: Sequence[Array], sample_period: float, count: int = 3,
+                    lowest_hz: float = 0.0) -> list[float]:
+    """Frequencies (Hz) of the highest peaks in the summed periodograms of `residuals` (N,)."""
+    size = 4 * (1 << max(r.size for r in residuals).bit_length())
+    power = np.zeros(size // 2 + 1)
+    for r in residuals:
+        power += np.abs(np.fft.rfft(r - r.mean(), size)) ** 2
+    hertz = np.fft.rfftfreq(size, sample_period)
+    apart = size // min(r.size for r in residuals)
+    power[hertz < lowest_hz] = 0.0
+    return [float(hertz[k]) for k in _peaks(power, 2 * apart, count)]
+
+
+def position_peaks(positions: Sequence[Array], residuals: Sequence[Array], count: int = 3,
+                   cycles: float = 2.0) -> list[float]:
+    """Periods of the strongest patterns of `residuals` (N,) over `positions` (N,)."""
+    low = min(float(p.min()) for p in positions)
+    high = max(float(p.max()) for p in positions)
+    travel = high - low
+    if travel <= 0.0:
+        return []
+    bins = np.zeros(BINS)
+    for p, r in zip(positions, residuals, strict=True):
+        place = np.clip(((p - low) / travel * (BINS - 1)).astype(np.int64), 0, BINS - 1)
+        bins += np.bincount(place, weights=r - r.mean(), minlength=BINS)
+    power = np.abs(np.fft.rfft(bins, 4 * BINS)) ** 2
+    turns = np.arange(power.size) / (4.0 * travel * BINS / (BINS - 1))
+    power[turns < cycles / travel] = 0.0
+    power[turns > 0.2 * BINS / travel] = 0.0
+    return [float(1.0 / turns[k]) for k in _peaks(power, 8, count) if power[k] > 0.0]
+
+
+def lattice(values: Array) -> float | None:
+    """The step of which all `values` (N,) are multiples apart, None where there is none."""
+    levels = np.unique(values)
+    if levels.size < 3 or levels.size > values.size // 2:
+        return None
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-6 * float(np.max(gaps))]
+    step = float(np.min(gaps))
+    counts = np.rint(gaps / step)
+    step = float(np.sum(gaps) / np.sum(counts))
+    miss = np.abs(gaps / step - np.rint(gaps / step))
+    return step if float(np.mean(miss)) < 0.1 else None
+
+
+def _peaks(power: Array, apart: int, count: int) -> list[int]:
+    left, found = power.copy(), []
+    for _ in range(count):
+        k = int(np.argmax(left))
+        if left[k] <= 0.0:
+            break
+        found.append(k)
+        left[max(0, k - apart):k + apart + 1] = 0.0
+    return found

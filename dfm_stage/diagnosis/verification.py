@@ -1,0 +1,83 @@
+"""Judging models on records they were not fitted to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.fit import Fit, fit, rms
+from dfm_stage.diagnosis.weighting import Weight, Weights
+from dfm_stage.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a model leaves of held-out runs: RMS of the output, and chi-square."""
+
+    rms: float
+    chi2: float
+    count: int
+    residuals: list[list[Array]]
+
+
+def predict(model: Model, runs: Sequence[Experiment], weights: Weights,
+            dither: float = 0.0) -> Prediction:
+    """Simulate `model` on runs it has not seen; only initial states and offsets are free."""
+    found = fit(model, runs, (), weights, dither=dither, iterations=15)
+    if not found.ok:
+        return Prediction(math.inf, math.inf, 0, [])
+    return Prediction(rms([parts[0] for parts in found.residuals]), found.chi2,
+                      found.white.size, found.residuals)
+
+
+def weights_like(runs: Sequence[Experiment], known: Weights) -> Weights:
+    """Weights of other runs with the same sensors: those of the first fitted run."""
+    first = known[0]
+    spare = next((ws[1] for ws in known if len(ws) > 1), None)
+    return tuple((first[0],) if run.current is None else
+                 (first[0], spare or Weight(np.ones(1), float(np.std(run.current)), "spread"))
+                 for run in runs)
+
+
+KNOCK_OFFS = 5
+
+
+def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weights,
+            dither: float, seed: int) -> float:
+    """The best chi-square on held-out runs of knock-offs: the effect's contribution, shifted.
+
+    Each has the contribution's size and spectrum and, moved in time by a quarter to three quarters
+    of the records, nothing to do with their motion.
+    """
+    rng = np.random.default_rng(seed)
+    found = fit(model, runs, (), weights, dither=dither, iterations=10)
+    system = found.system
+    without = model.without_effect(name)
+    other = fit(without, runs, (), weights, dither=dither, iterations=0,
+                earlier=system.locals_of(found.x)) if found.ok else found
+    bare = fit(without, runs, (), weights, dither=dither, iterations=10)
+    if not (found.ok and other.ok and bare.ok):
+        return math.inf
+    contribution = other.white - found.white
+    quarter = contribution.size // 4
+    shifts = rng.integers(quarter, 3 * quarter, KNOCK_OFFS)
+    return min(float(np.sum((bare.white - np.roll(contribution, int(k))) ** 2)) for k in shifts)
+
+
+def joint(model: Model, free: Sequence[str], runs: Sequence[Experiment],
+          held: Sequence[Experiment], weights: Weights, held_weights: Weights,
+          earlier: Fit, dither: float) -> tuple[float, float]:
+    """RMS over fitted and over held-out runs when one set of parameters must serve both."""
+    found = fit(model, [*runs, *held], free, (*weights, *held_weights),
+                earlier=earlier.locals, dither=dither, iterations=12)
+    if not found.ok:
+        return math.inf, math.inf
+    parts = [p[0] for p in found.residuals]
+    return rms(parts[:len(runs)]), rms(parts[len(runs):])

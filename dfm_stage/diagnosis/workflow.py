@@ -1,0 +1,92 @@
+"""From records and a model to a diagnosis: measure, retune, search, verify, answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from dfm_stage.diagnosis.answer import Case, answer
+from dfm_stage.diagnosis.errors import DiagnosisError
+from dfm_stage.diagnosis.experiment import Experiment, experiment, split_by_time
+from dfm_stage.diagnosis.result import Diagnosis
+from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.verification import predict, weights_like
+from dfm_stage.identification.model_fit import default_free
+from dfm_stage.model import EFFECTS, Model
+from dfm_stage.recording import Record
+
+
+def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Record] = (),
+             axis: str | None = None, library: Sequence[str] | None = None,
+             free: Sequence[str] | None = None, fixed: Sequence[str] = (),
+             names: Sequence[str] = (), seed: int = 0,
+             step: Callable[[str], None] | None = None) -> Diagnosis:
+    """Find what is missing in `model` by records it should explain.
+
+    Parameters
+    ----------
+    records : to fit; `holdout` : to predict and never to fit. Without one, the last 30 % of each
+        record are held out, and a warning says so.
+    model : of one axis, or of several with `axis` naming one.
+    library : effects that may be named, by default all of `dfm_stage.model.EFFECTS`.
+    free : base parameters to re-estimate (default: damping, stiffness, force constant, lag and
+        delay where the model has them, and the effects it has), without those in `fixed`.
+    names : of the records, for the report; held-out ones follow the fitted ones.
+    seed : fixes what is shuffled.
+    step : called with the name of each step as it begins.
+
+    Raises
+    ------
+    DiagnosisError, ModelError, RecordError
+        If data, model or request cannot be used.
+    """
+    begun = time.monotonic()
+    tell = step or (lambda _: None)
+    if not records:
+        raise DiagnosisError("no record was given; name at least one")
+    chosen = axis if axis is not None or not model.axes else \
+        ("x" if "x" in model.axes else None)
+    one = model.axis(chosen)
+    known = tuple(EFFECTS) if library is None else tuple(library)
+    for name in known:
+        if name not in EFFECTS:
+            raise DiagnosisError(f"library: there is no effect {name}; choose among "
+                                 f"{', '.join(EFFECTS)}")
+    tell("reading")
+    labels = [*names, *[""] * (len(records) + len(holdout) - len(names))]
+    runs = [experiment(r, one, chosen if chosen in r.axes else axis, n or None)
+            for r, n in zip(records, labels, strict=False)]
+    held = [experiment(r, one, chosen if chosen in r.axes else axis, n or None)
+            for r, n in zip(holdout, labels[len(records):], strict=True)]
+    warnings = [f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings]
+    if not held:
+        runs, held = split_by_time(runs)
+        warnings.append("no hold-out record was given: the last 30 % of each record are held "
+                        "out; a record of another kind would be a harder test")
+    freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
+    found = _search(one, runs, held, freed, known, tell, warnings, seed)
+    return replace(found, seconds=time.monotonic() - begun)
+
+
+def _search(model: Model, runs: list[Experiment], held: list[Experiment],
+            free: tuple[str, ...], library: tuple[str, ...], tell: Callable[[str], None],
+            warnings: list[str], seed: int) -> Diagnosis:
+    search = Search(model, runs, free, library, tell)
+    tell("measuring the gap")
+    names, current = search.run()
+    if not current.ok:
+        raise DiagnosisError(f"model {model.name}: cannot be simulated on {runs[0].name}: the "
+                             "motion escapes or the parameters leave their limits; correct the "
+                             "model")
+    names, current, bare = search.settle(names, current)
+    tell("comparing rivals")
+    names, current, rivals = search.compare(names, current)
+    tell("predicting held-out records")
+    weights = weights_like(held, search.weights)
+    case = Case(model=model, runs=runs, held=held, search=search, names=names, fit=current,
+                bare=bare, rivals=rivals, held_weights=weights,
+                before=predict(model, held, weights), retuned=predict(bare.model, held, weights),
+                after=predict(current.model, held, weights, search.dither),
+                before_fit=predict(model, runs, search.weights), warnings=warnings, seed=seed)
+    return answer(case, tell)

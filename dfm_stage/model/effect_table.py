@@ -1,0 +1,53 @@
+"""The table of effects as docs/effects.md shows it: `python -m dfm_stage.model.effect_table`."""
+
+from __future__ import annotations
+
+from dfm_stage.model.effect import Effect
+from dfm_stage.model.registry import EFFECTS
+
+HEAD = """\
+# Effects
+
+Every effect is one file in `dfm_stage/model/effects/`, whose docstring holds equation and source.
+This table is written from the registry (`python -m dfm_stage.model.effect_table`). Signs: `x` is the position, `v` the
+velocity of the driven point; ranges are what is accepted, typical values what such stages show.
+
+| effect | equation | parameters (unit, accepted, typical) | side | what shows it |
+|---|---|---|---|---|
+"""
+CLASSES = """
+## What the data cannot tell apart
+
+| effect | same as | on | parted by |
+|---|---|---|---|
+"""
+SOURCES = """
+## Sources
+
+"""
+
+
+def effect_table() -> str:
+    """The text of docs/effects.md: parameters, equivalence classes and sources of all effects."""
+    effects = [EFFECTS[name] for name in sorted(EFFECTS)]
+    rows = [_row(f"`{e.name}`: {e.meaning}", e.equation, _parameters(e), e.side, e.shown_by)
+            for e in effects]
+    classes = [_row(f"`{e.name}`", ", ".join(f"`{m}`" for m in c.members if m != e.name), c.on,
+                    c.split_by) for e in effects for c in e.classes]
+    sources = [f"- `{e.name}`: {e.source}\n" for e in effects]
+    return "".join([HEAD, *rows, CLASSES, *classes, SOURCES, *sources])
+
+
+def _row(*cells: str) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
+
+
+def _parameters(effect: Effect) -> str:
+    return "<br>".join(
+        f"`{p.name}` {p.unit or '1'}, {p.low:g} … {p.high:g}, "
+        f"{effect.priors[p.name].low:g} … {effect.priors[p.name].high:g}"
+        for p in effect.parameters)
+
+
+if __name__ == "__main__":
+    print(effect_table(), end="")
