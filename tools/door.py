@@ -70,7 +70,8 @@ def prepare() -> tuple[Path, dict[str, str]]:
             if workspace.stale(ROOT, folder):
                 steps.log_to(folder / "logs/build.log")
                 variables = workspace.variables(host, folder, os.environ)
-                compiling = [folder / "env/bin/python", "-m", "dfm_stage.compile_all"]
+                python = folder / "env/bin/python"
+                compiling = [str(python), "-m", "dfm_stage.compile_all"]
                 with steps.beside(compiling, variables, "simulator compiled", ROOT):
                     workspace.build(ROOT, folder, steps, variables)
     variables = workspace.variables(host, folder, os.environ)

@@ -72,7 +72,7 @@ class Recorder(LoopNode):
         self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
                          json.dumps(versions(), sort_keys=True).encode())
         self._topics: dict[str, Any] = {}
-        self._taps: list[tuple[Callable[..., Any], Any, Callable[[bytes], None]]] = []
+        self._taps: list[tuple[Callable[..., Any], Any, Callable[[bytes], object]]] = []
         self._refused: set[str] = set()
         self._configs: dict[str, Any] = {}
         self._model_attached = False
@@ -209,6 +209,8 @@ class Recorder(LoopNode):
             return True, "closed before"
         self._fetch()
         self._open = False
+        # what still comes is taken, so that nobody waits for us, and dropped
+        self._taps = [(take, message_type, len) for take, message_type, _ in self._taps]
         try:
             for config in self._configs.values():
                 for name, text in config.pop("attachments", {}).items():
