@@ -8,8 +8,9 @@ with U_0 what is known before (the model's inverse, or nothing), E the error r -
 the feedback law and Q a low-pass without phase. With another stage, T_i in place of T, the error
 shrinks by |Q (1 - L T_i)| per pass: it converges if that is below one at every frequency (Norrlof
 and Gunnarsson, Int. J. Control 75(14), 2002).
-`design_learning` computes this for the model and all candidates it is given, does not learn at the
-frequencies where it would not shrink, and refuses where these are those of the movement.
+`design_learning` computes this for the model and all candidates it is given, takes the L, smaller
+and turned in phase where they differ, that makes the worst of them converge fastest, does not
+learn at the frequencies where it would not shrink, and refuses where these are the movement's.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class LearningDesign:
 
 def design_learning(stage: Sampled, law: Law, samples: int, *, candidates: Sequence[Sampled] = (),
                     gain: float = 0.5, cutoff_hz: float | None = None,
-                    slowest: float = 0.9) -> LearningDesign:
+                    slowest: float = 0.97) -> LearningDesign:
     """Return the learning filters for a period of `samples`.
 
     Parameters
@@ -85,9 +86,9 @@ def design_learning(stage: Sampled, law: Law, samples: int, *, candidates: Seque
     through = [plant / (1.0 + plant * feedback) for plant in plants]
     model = through[0]
     usable = np.abs(model) > 1e-6 * float(np.max(np.abs(model)))
-    learning = np.where(usable, gain / np.where(usable, model, 1.0), 0.0)
-    learning[0] = 0.0                             # integral action leaves nothing to learn there
-    worst = np.max([np.abs(1.0 - learning * each) for each in through], axis=0)
+    learning, worst = _most_robust(np.where(usable, gain / np.where(usable, model, 1.0), 0.0),
+                                   through)
+    learning[0], worst[0] = 0.0, 1.0              # integral action leaves nothing to learn there
     cutoff_hz = cutoff_hz or 0.125 / h
     q = np.where(worst < slowest, _low_pass(f, cutoff_hz), 0.0)
     if np.min(q[1:4]) == 0.0:
@@ -96,6 +97,19 @@ def design_learning(stage: Sampled, law: Law, samples: int, *, candidates: Seque
                            f"{worst[at]:.2f} per pass with a stage that is possible here; it is "
                            "not started")
     return LearningDesign(samples, learning, q, float(np.max(q * worst)), cutoff_hz)
+
+
+def _most_robust(learning: Complex, through: Sequence[Complex]) -> tuple[Complex, Array]:
+    """Return the filter, turned and shrunk per frequency so that the worst candidate converges
+    fastest, and how fast that is."""
+    best, least = learning, np.full(learning.size, np.inf)
+    turns = np.exp(1j * np.linspace(-1.4, 1.4, 29))
+    for factor in (np.geomspace(1.0, 0.03, 16)[:, None] * turns).ravel():
+        tried = factor * learning
+        worst = np.max([np.abs(1.0 - tried * each) for each in through], axis=0)
+        better = worst < least - 1e-6
+        best, least = np.where(better, tried, best), np.where(better, worst, least)
+    return best, least
 
 
 def neighbours(model: Model, share: float = 0.1) -> list[Sampled]:

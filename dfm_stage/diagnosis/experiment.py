@@ -134,11 +134,28 @@ def _periodicity(excitation: Array | None, applied: Array) -> Periodicity | None
 
 def split_by_time(runs: Sequence[Experiment],
                   share: float = 0.7) -> tuple[list[Experiment], list[Experiment]]:
-    """Return the first part of each run to fit and the rest to predict."""
+    """Return parts of each run to fit and the rest to predict.
+
+    The last part is held out; of a motion that has died out by then, an early part that still
+    moves, with what comes before and after it fitted as two runs.
+    """
     early, late = [], []
     for run in runs:
-        cut = int(share * run.input.size)
-        early.append(run.part(run.skip, cut))
-        late.append(replace(run.part(cut, run.input.size, lead=400),
-                            name=f"{run.name}, last {100 - round(100 * share)} %"))
+        size = run.input.size
+        cut = int(share * size)
+        if _dies_out(run.output, cut):
+            first, second = max(size // 10, 100), 3 * size // 10
+            early += [replace(run.part(run.skip, first), name=f"{run.name}, beginning"),
+                      replace(run.part(second, size), name=f"{run.name}, end")]
+            late.append(replace(run.part(first, second), name=f"{run.name}, between"))
+        else:
+            early.append(run.part(run.skip, cut))
+            late.append(replace(run.part(cut, size, lead=400),
+                                name=f"{run.name}, last {100 - round(100 * share)} %"))
     return early, late
+
+
+def _dies_out(output: Array, cut: int) -> bool:
+    """Whether the part from `cut` on has a hundredth of the motion's power."""
+    centred = output - np.median(output[cut:])
+    return float(np.mean(centred[cut:] ** 2)) < 0.01 * float(np.mean(centred**2))

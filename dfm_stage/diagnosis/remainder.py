@@ -99,6 +99,8 @@ def _pattern(run: Experiment, residual: Array) -> Finding:
     position = run.output[run.skip:] - residual
     white = _white(residual)
     best = 0.0
+    if float(np.ptp(position)) < 10.0 * float(np.std(residual)):
+        return Finding("pattern", best, PATTERN, "too little motion to see errors of a scale")
     for period in position_peaks([position[-white.size:]], [white], 3):
         turn = np.exp(2j * np.pi * position[-white.size:] / period)
         best = max(best, float(np.abs(np.sum(white * turn)) ** 2 / white.size))

@@ -32,6 +32,9 @@ from dfm_stage.model import Model
 
 Array = NDArray[np.float64]
 
+LEAST_TRAVEL = 10.0
+"""Motion over noise below which errors of the scale cannot be seen."""
+
 
 @dataclass(frozen=True)
 class Hit:
@@ -129,6 +132,8 @@ class Screen:
         for run, parts in zip(self.runs, self.base.residuals, strict=True):
             positions.append(run.output[run.skip:] - parts[0])
             residuals.append(parts[0])
+        if max(float(np.ptp(p)) for p in positions) < LEAST_TRAVEL * self.scales.noise:
+            return []
         periods = position_peaks(positions, residuals)
         if name == "encoder_periodic_error":
             return [Shape(name, {"amplitude": 0.1 * self.scales.noise, "period": p, "phase": 0.0})

@@ -23,6 +23,8 @@ FIRST, FURTHER = 40.0, 60.0
 """Fall in chi-square that names a first and any further effect."""
 PER_PARAMETER = 12.0
 """What a further parameter must bring at least for the larger of two models to be preferred."""
+ENOUGH = 0.2
+"""A further effect must take this share of what is left above the noise: bits are no physics."""
 MOST = 4
 SHORT_LIST = 4
 CLOSE = 0.8
@@ -96,9 +98,11 @@ class Search:
         self.fits[frozenset(names), self.stage] = found
         return found
 
-    def fitted(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = ()) -> Fit:
+    def fitted(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),
+               worth: float = math.inf) -> Fit:
         """The fit with the effects `names` under the present weights; begins at `start`, to which
-        the effects of `hits` are added."""
+        the effects of `hits` are added. Parameters that come later are freed only where the
+        others alone bring chi-square below `worth`."""
         key = frozenset(names), self.stage
         if key in self.fits:
             return self.fits[key]
@@ -116,7 +120,7 @@ class Search:
         found = fit(model, self.runs, early, self.weights, earlier=start.locals,
                     dither=self.dither, iterations=12 if later else 25,
                     tolerance=1.0 if later else 0.03)
-        if later and found.ok:
+        if later and found.ok and found.chi2 < worth:
             found = fit(found.model, self.runs, free, self.weights, earlier=found.locals,
                         dither=self.dither, iterations=25, tolerance=0.1)
         return self.keep(names, found)
@@ -157,13 +161,18 @@ class Search:
         if not best_hits or best_hits[0].gain < 0.5 * limit:
             return None
         top = best_hits[0].gain
+        if names and top < ENOUGH * (current.chi2 - current.white.size):
+            return None
         listed = [h for h in best_hits if h.gain > CLOSE * top][:SHORT_LIST]
         self.screens[frozenset(names)] = best_hits
         above = current.chi2 - current.white.size
         trials: list[tuple[Names, Fit]] = []
-        for hit in listed:
+        worth = math.inf
+        for hit in sorted(listed, key=lambda h: h.name in LATER):
             self.step(f"fitting {hit.name}")
-            trials.append(((*names, hit.name), self.fitted((*names, hit.name), current, [hit])))
+            trials.append(((*names, hit.name),
+                           self.fitted((*names, hit.name), current, [hit], worth)))
+            worth = min(worth, trials[-1][1].chi2 + 0.2 * max(above, 0.0))
             if current.chi2 - trials[-1][1].chi2 > FULL * above > FURTHER:
                 break
         best = self.best(trials)
@@ -263,7 +272,8 @@ class Search:
             if hit.name == name or not wanted or len(found) >= SHORT_LIST:
                 continue
             self.step(f"fitting {hit.name} in place of {name}")
-            rival = self.fitted((*rest, hit.name), without, [hit])
+            rival = self.fitted((*rest, hit.name), without, [hit],
+                                current.chi2 + 0.2 * max(loss, 0.0))
             found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
         return sorted(found, key=lambda r: r.cost)
 

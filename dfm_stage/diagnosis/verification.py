@@ -49,26 +49,32 @@ def weights_like(runs: Sequence[Experiment], known: Weights) -> Weights:
 KNOCK_OFFS = 5
 
 
-def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weights,
-            dither: float, seed: int) -> float:
-    """The best chi-square on held-out runs of knock-offs: the effect's contribution, shifted.
+@dataclass(frozen=True)
+class KnockOff:
+    """What an effect does on held-out runs, and the best of its knock-offs, in chi-square."""
 
-    Each has the contribution's size and spectrum and, moved in time by a quarter to three quarters
-    of the records, nothing to do with their motion.
+    contribution: float
+    best: float
+
+
+def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weights,
+            dither: float, seed: int) -> KnockOff:
+    """Compare an effect with knock-offs: its contribution to held-out runs, shifted in time.
+
+    Each has the contribution's size and spectrum and, moved by a quarter to three quarters of the
+    records, nothing to do with their motion.
     """
     rng = np.random.default_rng(seed)
     found = fit(model, runs, (), weights, dither=dither, iterations=10)
-    system = found.system
     without = model.without_effect(name)
-    other = fit(without, runs, (), weights, dither=dither, iterations=0,
-                earlier=system.locals_of(found.x)) if found.ok else found
     bare = fit(without, runs, (), weights, dither=dither, iterations=10)
-    if not (found.ok and other.ok and bare.ok):
-        return math.inf
-    contribution = other.white - found.white
+    if not (found.ok and bare.ok):
+        return KnockOff(math.inf, math.inf)
+    contribution = bare.white - found.white
     quarter = contribution.size // 4
     shifts = rng.integers(quarter, 3 * quarter, KNOCK_OFFS)
-    return min(float(np.sum((bare.white - np.roll(contribution, int(k))) ** 2)) for k in shifts)
+    return KnockOff(float(contribution @ contribution), min(
+        float(np.sum((bare.white - np.roll(contribution, int(k))) ** 2)) for k in shifts))
 
 
 def joint(model: Model, free: Sequence[str], runs: Sequence[Experiment],

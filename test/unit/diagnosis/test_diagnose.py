@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose
+from dfm_stage.model import EFFECTS, save_model
+
+_spec = importlib.util.spec_from_file_location("diagnosis_truth",
+                                               Path(__file__).with_name("truth.py"))
+assert _spec is not None
+assert _spec.loader is not None
+truth = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(truth)
+
+K3 = 4.0e6
+QUICK = [n for n in EFFECTS if n not in ("hysteresis", "presliding_friction")]
+
+
+def _pair(extra=None, model=None, library=QUICK, **physics) -> Diagnosis:
+    train, held = truth.multisine(1), truth.scan()
+    return diagnose(
+        [truth.record(train, truth.move(train, extra, **physics), 11)],
+        model or truth.believed(),
+        holdout=[truth.record(held, truth.move(held, extra, **physics), 12)], library=library)
+
+
+@pytest.fixture(scope="module")
+def cubic() -> Diagnosis:
+    return _pair(lambda x, v: -K3 * x**3)
+
+
+def test_a_complete_model_lacks_nothing():
+    found = _pair()
+    assert found.verdict == "none"
+    assert found.effects == ()
+    assert found.gap.held_out[2] == pytest.approx(truth.NOISE, rel=0.05)
+
+
+def test_wrong_numbers_are_retuned():
+    found = _pair(stiffness=4400.0, damping=3.5)
+    assert found.verdict == "retune"
+    assert found.base["stiffness"].value / found.base["force_constant"].value \
+        == pytest.approx(4400.0 / truth.GAIN, rel=1e-4)
+    assert found.model.base["damping"] == pytest.approx(3.5, rel=2e-3)
+
+
+def test_a_cubic_spring_is_named_with_an_interval_that_holds_it(cubic):
+    assert cubic.verdict == "named"
+    assert cubic.names == ("cubic_stiffness",)
+    k3 = cubic.effects[0].parameters["k3"]
+    assert k3.value == pytest.approx(K3, rel=0.02)
+    assert k3.ci95 is not None
+    assert k3.ci95[0] > 0.0
+    assert cubic.gap.held_out[2] < 1.2 * truth.NOISE < 0.5 * cubic.gap.held_out[1]
+    assert cubic.model.effect("cubic_stiffness") is not None
+
+
+def test_the_extended_model_does_not_touch_what_it_was_given(cubic):
+    assert truth.believed().effects == ()
+    assert cubic.model.base["mass"] == truth.MASS
+
+
+def test_left_out_of_the_library_it_becomes_unknown():
+    library = [n for n in QUICK if n not in ("cubic_stiffness", "force_constant_droop")]
+    found = _pair(lambda x, v: -K3 * x**3, library=library)
+    assert found.verdict == "unknown"
+    assert found.description is not None
+    assert found.description.parity == "odd"
+
+
+def test_drag_is_not_taken_for_friction():
+    found = _pair(lambda x, v: -8.0 * abs(v) * v)
+    assert found.names == ("quadratic_damping",)
+    assert found.effects[0].parameters["coefficient"].value == pytest.approx(8.0, rel=0.05)
+
+
+def test_a_constant_force_is_ambiguous_unless_the_zero_is_trusted():
+    def push(x: float, v: float) -> float:
+        return 2e-3
+
+    open_ = _pair(push)
+    assert open_.verdict == "ambiguous"
+    assert set(open_.effects[0].members) == {"force_offset", "encoder_zero"}
+    trusted = _pair(push, model=truth.believed(encoder_zero=0.0))
+    assert trusted.names == ("force_offset",)
+    assert trusted.effects[0].parameters["force"].value == pytest.approx(2e-3, rel=0.02)
+
+
+def test_a_record_at_rest_shows_nothing():
+    still = np.zeros(truth.SAMPLES)
+    found = diagnose([truth.record(still, still, 5)], truth.believed(),
+                     holdout=[truth.record(still, still, 6)], library=QUICK)
+    assert found.verdict == "not_excited"
+    assert found.next_experiment is not None
+    assert found.detection_limits
+
+
+def test_a_next_experiment_is_one_the_generator_takes():
+    from dfm_stage.trajectory import load_experiment
+
+    still = np.zeros(truth.SAMPLES)
+    found = diagnose([truth.record(still, still, 5)], truth.believed(), library=QUICK)
+    asked = load_experiment(found.next_experiment)
+    assert np.max(np.abs(asked.excitation("x", 1e-3).voltage)) > 0.0
+    assert any("held out" in w for w in found.warnings)
+
+
+def test_json_has_the_agreed_shape(cubic):
+    data = json.loads(json.dumps(cubic.to_dict(), allow_nan=False))
+    assert data["schema"] == 1
+    assert {"verdict", "effects", "base", "rejected", "gap", "description", "next_experiment",
+            "warnings"} <= set(data)
+    assert set(data["gap"]) == {"unit", "noise_floor", "noise_floor_from", "fit", "held_out"}
+    effect = data["effects"][0]
+    assert {"name", "class", "parameters", "gap_share", "evidence"} <= set(effect)
+    assert set(effect["parameters"]["k3"]) == {"value", "unit", "ci95"}
+    assert all(r["reason"] for r in data["rejected"])
+
+
+def test_the_same_records_give_the_same_answer(cubic):
+    again = _pair(lambda x, v: -K3 * x**3)
+    assert again.to_dict() == cubic.to_dict()
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({"library": ["cubic_stifness"]}, "cubic_stifness"), ({"records": []}, "no record")])
+def test_what_cannot_be_used_is_said_in_one_line(change, said):
+    still = np.zeros(truth.SAMPLES)
+    given = {"records": [truth.record(still, still, 5)], **change}
+    with pytest.raises(DiagnosisError, match=said) as error:
+        diagnose(given.pop("records"), truth.believed(), **given)
+    assert "\n" not in str(error.value)
+
+
+def test_a_model_at_another_rate_is_refused():
+    from dataclasses import replace
+
+    still = np.zeros(truth.SAMPLES)
+    with pytest.raises(DiagnosisError, match="sampled every"):
+        diagnose([truth.record(still, still, 5)], replace(truth.believed(), sample_period=5e-4))
+
+
+def test_the_command_writes_all_files(tmp_path, capsys):
+    from dfm_stage.cli.diagnose import main
+
+    feed = truth.multisine(1)
+    move = truth.move(feed, lambda x, v: -K3 * x**3)
+    noise = truth.NOISE * np.random.default_rng(3).standard_normal(feed.size)
+    rows = np.column_stack([truth.PERIOD * np.arange(feed.size), feed, move + noise])
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", comments="",
+               header="time_s,input_v,position_m")
+    save_model(truth.believed(), tmp_path / "model.yaml")
+    out = tmp_path / "out"
+    code = main([str(tmp_path / "run.csv"), "--model", str(tmp_path / "model.yaml"), "--out",
+                 str(out), "--without", "hysteresis,presliding_friction"])
+    assert code == 0
+    assert json.loads((out / "diagnosis.json").read_text())["verdict"] == "named"
+    assert "cubic_stiffness" in (out / "model.yaml").read_text()
+    page = (out / "report.html").read_text()
+    assert "cubic stiffness" in page
+    assert "http" not in page.split("</style>", 1)[1].replace("http://www.w3.org", "")
+    assert "named" in capsys.readouterr().out
+
+
+def test_unusable_input_is_exit_code_2(tmp_path, capsys):
+    from dfm_stage.cli.diagnose import main
+
+    save_model(truth.believed(), tmp_path / "model.yaml")
+    assert main([str(tmp_path / "none.csv"), "--model", str(tmp_path / "model.yaml"), "--out",
+                 str(tmp_path / "out")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()[-1:]) == 1
