@@ -1,4 +1,4 @@
-"""demo: the whole way in a minute: node graph, scan, excitation, bags, model, better scan."""
+"""demo: the whole way in a minute: node graph, scan, bags, model, better scan, and a diagnosis."""
 
 from __future__ import annotations
 
@@ -18,6 +18,12 @@ from dfm_stage.errors import DfmError
 LOOP_NODES = "sim_plant encoder_driver controller amplifier_driver trajectory_generator recorder"
 BANDWIDTH_HZ = 10.0
 SETTLED_S = 1.5
+STIFFENING_STAGE = "demo_stage"
+LARGE_MULTISINE = {
+    "name": "large_multisine", "mode": "open_loop", "duration_s": 24.0, "seed": 2,
+    "axes": {"x": {"excitation": {
+        "kind": "multisine", "amplitude_v": 0.8, "low_hz": 1.0, "high_hz": 70.0, "period_s": 8.0,
+        "odd": True, "detection_lines": True}}}}
 EPILOG = "example: ./run demo --out my_demo"
 
 
@@ -46,13 +52,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
     from dfm_stage.cli import identify
-    from dfm_stage.harness import find_experiment
-    from dfm_stage.trajectory import load_experiment
 
     if out.exists() and any(out.iterdir()):
         raise DfmError(f"{out} is not empty; choose another folder with --out")
     where = "in this process" if composed else "in a process each"
-    scan = load_experiment(find_experiment("scan"))
     print(f"1. ROS 2 nodes {where}, in lockstep: {LOOP_NODES.replace(' ', ', ')}")
     before = _record("scan", out / "scan", model, seed, composed)
     shake = _record("multisine", out / "multisine", model, seed, composed)
@@ -62,14 +65,51 @@ def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
         return code
     print("3. The same scan with gains and feedforward from the identified model")
     gains = _gains(out / "identify" / "model.yaml")
-    after = _record({"name": "scan_tuned", "mode": "pid", "duration_s": scan.duration_s,
-                     "axes": {"x": {"reference": dict(scan.axes["x"].reference or {})}},
-                     "controller": gains}, out / "scan_tuned", model, seed, composed)
-    picture = out / "scan.png"
-    _show_scans({"default gains": before, "from the model": after}, picture)
-    print(f"\nPictures: {out / 'identify' / 'report.html'} and {picture}")
-    print(f"Bags, for ros2 bag, Foxglove, PlotJuggler: {before}, {shake}, {after}")
+    after = _record(_scan("scan_tuned", gains), out / "scan_tuned", model, seed, composed)
+    _show_scans({"default gains": before, "from the model": after}, out / "scan.png")
+    print("4. Another stage: its spring stiffens, which the model does not know")
+    code, pictures = _diagnosed(out, gains, seed, composed)
+    if code:
+        return code
+    print(f"\nPictures: {out / 'identify' / 'report.html'}, {out / 'scan.png'}, "
+          f"{', '.join(str(picture) for picture in pictures)}")
+    print(f"Bags, for ros2 bag, Foxglove, PlotJuggler: in {out}")
     return 0
+
+
+def _diagnosed(out: Path, gains: dict[str, Any], seed: int,
+               composed: bool) -> tuple[int, tuple[Path, ...]]:
+    """Scan a stage that the model does not describe, have it diagnosed, scan with the result."""
+    from dfm_stage.cli import diagnose
+
+    def scan(name: str, model: Path) -> Path:
+        feedback = {key: value for key, value in gains.items() if "feedforward" not in key}
+        return _record(_scan(name, {**feedback, "feedforward": "model",
+                                    "model": str(model.resolve())}),
+                       out / name, STIFFENING_STAGE, seed, composed)
+
+    simple, extended = out / "identify" / "model.yaml", out / "diagnosis" / "model.yaml"
+    before = scan("scan_before_diagnosis", simple)
+    shake = _record(LARGE_MULTISINE, out / "large_multisine", STIFFENING_STAGE, seed, composed)
+    print("5. Diagnosis of the multisine bag, judged on the scan")
+    code = diagnose.main([str(shake), "--holdout", str(before), "--model", str(simple), "--out",
+                          str(extended.parent)])
+    if code:
+        return code, ()
+    print("6. The same scan, feedforward from the diagnosed model")
+    after = scan("scan_after_diagnosis", extended)
+    picture = out / "scan_diagnosed.png"
+    _show_scans({"identified model": before, "diagnosed model": after}, picture)
+    return 0, (extended.parent / "report.html", picture)
+
+
+def _scan(name: str, controller: dict[str, Any]) -> dict[str, Any]:
+    from dfm_stage.harness import find_experiment
+    from dfm_stage.trajectory import load_experiment
+
+    scan = load_experiment(find_experiment("scan"))
+    return {"name": name, "mode": "pid", "duration_s": scan.duration_s, "controller": controller,
+            "axes": {"x": {"reference": dict(scan.axes["x"].reference or {})}}}
 
 
 def _record(experiment: str | dict[str, Any], bag: Path, model: str, seed: int,
