@@ -104,7 +104,7 @@ def controllers(model: Model, stage: Model) -> list[Controller]:
     h = model.sample_period
     classic = tune_ziegler_nichols(model, raised(stage).outcome)
     pid = tune_pid(model, MARGIN, model_name="model.yaml")
-    lqr = tune_lqr(model, "", MARGIN)
+    lqr = tune_lqr(model, "model.yaml", MARGIN)
     inverse = tune_pid(model, MARGIN, model_name="model.yaml", feedforward="inverse")
     gains, forward = gains_of(pid), None
     if "feedforward" in pid.parameters:
@@ -112,7 +112,7 @@ def controllers(model: Model, stage: Model) -> list[Controller]:
     return [Controller("ziegler_nichols", Pid(gains_of(classic), h), model, classic),
             Controller("pid", Pid(gains, h), model, pid, forward),
             Controller("lqr", Lqg(design_lqr(model, LqrSpec.from_mapping(lqr.parameters))), model,
-                       lqr),
+                       lqr, ModelFeedforward(model) if "feedforward" in lqr.parameters else None),
             Controller("inverse", Pid(gains_of(inverse), h), model, inverse, inverse=True)]
 
 
@@ -137,6 +137,7 @@ def drive(stage: Model, controller: Controller, reference: Reference, seed: int 
         added = inverse_of(controller.model, x, v, a)
     law, forward, plant = controller.law, controller.forward, Plant(stage, seed=seed)
     law.reset()
+    effects = 0.0
     true, read, volts = np.empty(x.size), np.empty(x.size), np.empty(x.size)
     for k, (r, rv, ra) in enumerate(zip(x.tolist(), v.tolist(), a.tolist(), strict=True)):
         if each is not None:
@@ -147,10 +148,11 @@ def drive(stage: Model, controller: Controller, reference: Reference, seed: int 
             asked = law.step(r, sample.reading_m, rv, ra, 0.0,
                              forward.at(r, rv, ra) if forward is not None else 0.0)
         else:
-            asked = law.step(r, sample.reading_m, rv, ra)
+            effects = forward.parts(r, rv, ra)[1] if forward is not None else 0.0
+            asked = law.step(r, sample.reading_m, rv, ra) + effects
         volts[k] = min(LIMIT_V, max(-LIMIT_V, asked + float(added[k])))
         if isinstance(law, Lqg):
-            law.applied(float(volts[k]))
+            law.applied(float(volts[k]) - effects)
         plant.advance(float(volts[k]), external_force_n=force_n)
     return true, volts
 

@@ -8,27 +8,31 @@ emulator writes every change of its output to a file.
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from dfm_interfaces.msg import AmplifierState, Command
-from dfm_stage.emulated import EmulatedGraph
+import rclpy
+
+from benchmarks.nursery import Nursery
+from dfm_interfaces.msg import Command
+from dfm_stage.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.harness import HarnessError
 from dfm_stage.nodes.wire import codec
 
-NODES = ("sim_plant", "encoder_driver", "amplifier_driver", "controller",
-         "trajectory_generator")
+NODES = ("sim_plant", "encoder_driver", "amplifier_driver", "trajectory_generator")
 MOVING = {
     "trajectory_generator": {
         "autostart": True, "repeat": True, "duration_s": 600.0, "reference.kind": "sine",
         "reference.amplitude_m": 5e-4, "reference.frequency_hz": 2.0}}
 LEAST_CURRENT_A = 0.05
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class OutputFile:
@@ -84,6 +88,9 @@ class ZeroCurrentRig:
 
     graph: EmulatedGraph
     output: OutputFile
+    nursery: Nursery
+    _publisher: Any = None
+    _sender: Any = None
     reasons: list[str] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
 
@@ -123,6 +130,8 @@ class ZeroCurrentRig:
         deadline = time.monotonic() + PATIENCE_S
         while abs(self.output.current_a) <= LEAST_CURRENT_A or self.output.off:
             if self.output.off:
+                # a controller whose guard let go meanwhile starts anew, too
+                self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
                 for kind, service in (("amplifier_driver", "clear"), ("encoder_driver", "home"),
                                       ("amplifier_driver", "arm")):
                     self.graph.trigger(kind, service)
@@ -132,25 +141,16 @@ class ZeroCurrentRig:
                 raise HarnessError("no current in the coil: "
                                    f"{self.graph.trigger('amplifier_driver', 'arm')[1]}")
 
-    def _controller(self):
-        return next(each for each in self.graph._launched if each.kind == "controller")
-
     def _signal(self, number: int) -> int:
         now = time.monotonic_ns()
-        os.kill(self._controller().process.pid, number)
+        os.kill(self.nursery.child, number)
         return now
 
     def _kill(self) -> int:
-        controller = self._controller()
-        self.graph._launched.remove(controller)
-        self._killed = controller
-        now = time.monotonic_ns()
-        controller.process.send_signal(signal.SIGKILL)
-        return now
+        return self._signal(signal.SIGKILL)
 
     def _restart(self) -> None:
-        self._killed.process.wait()
-        self.graph._launch("controller", self._killed.namespace)
+        self.nursery.start()
 
     def _stall(self) -> int:
         return self._signal(signal.SIGSTOP)
@@ -159,23 +159,16 @@ class ZeroCurrentRig:
         self._signal(signal.SIGCONT)
 
     def _nan(self) -> int:
-        publisher = self._publisher
+        data = codec(Command, "x").encode(time.time_ns(), 0, 0, time.time_ns(), math.nan, False)
         now = time.monotonic_ns()
-        publisher.publish(self._encode(time.time_ns(), 0, 0, time.time_ns(), math.nan, False))
+        self._publisher.publish(data)
         return now
 
     def _pull(self) -> int:
         return self.graph.devices["encoder"].inject("disconnect 0.2")
 
-    def prepare(self) -> None:
-        """Make what single trials need."""
-        self._encode = codec(Command, "x").encode
-        self._publisher = None
-
     def open_publisher(self) -> None:
         """Be able to send a NaN; named like the controller, or it would be a second sender."""
-        import rclpy
-
         self._sender = rclpy.create_node(
             "controller", namespace="/stage/x", context=self.graph._context,
             use_global_arguments=False, start_parameter_services=False, enable_rosout=False)
@@ -185,17 +178,19 @@ class ZeroCurrentRig:
 
 
 @contextlib.contextmanager
-def moving_stage(**parameters):
+def moving_stage() -> Iterator[ZeroCurrentRig]:
     """Yield a ZeroCurrentRig on a stage that swings under control."""
-    with EmulatedGraph(nodes=NODES, parameters={**MOVING, **parameters}) as graph:
-        states = []
-        graph._client_node.create_subscription(AmplifierState, "/stage/x/amplifier",
-                                               states.append, 10)
-        graph.bring_to_life()
-        rig = ZeroCurrentRig(graph, OutputFile(graph.output_log))
-        rig.prepare()
+    with EmulatedGraph(nodes=NODES, parameters=MOVING) as graph:
+        parameters = graph.output_log.with_name("controller.yaml")
+        values = hardware_parameters(Path(), Path())["controller"]
+        parameters.write_text(json.dumps(
+            {"/stage/x/controller": {"ros__parameters": values}}), "utf-8")
+        nursery = Nursery(["--ros-args", "-r", "__ns:=/stage/x", "--params-file",
+                           str(parameters)], graph.domain_id)
         try:
+            nursery.start()
+            graph.bring_to_life()
+            rig = ZeroCurrentRig(graph, OutputFile(graph.output_log), nursery)
             yield rig
         finally:
-            with contextlib.suppress(Exception):
-                graph.trigger("amplifier_driver", "disarm")
+            nursery.close()

@@ -101,8 +101,9 @@ def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, A
                            "resolution_m": RESOLUTION_M, "encoder_timeout_s": 0.1},
         "amplifier_driver": {"device": "copley_ascii", "port": str(amplifier),
                              "current_limit_a": 2.0, "retry_s": 0.2},
-        # feedforward: what the spring, the damper and the mass of current_stage take, per N/A
-        "controller": {"sample_period_s": period_s, "kp": 2000.0, "ki": 30000.0, "kd": 60.0,
+        # soft enough for the delay of the wires and of a busy machine; the feedforward is what
+        # the spring, the damper and the mass of current_stage take, per N/A
+        "controller": {"sample_period_s": period_s, "kp": 600.0, "ki": 6000.0, "kd": 30.0,
                        "output_limit_v": 2.0, "derivative_weight": 1.0,
                        "feedforward_position": 600.7, "feedforward_velocity": 1.705,
                        "feedforward_acceleration": 1.0},
@@ -148,6 +149,12 @@ class EmulatedGraph(StageGraph):
             self.close()
             raise
         return self
+
+    @property
+    def domain_id(self) -> int:
+        """The graph's ROS domain."""
+        assert self._domain_id is not None  # noqa: S101 it is there once the graph is up
+        return self._domain_id
 
     def node(self, kind: str) -> str:
         """Return the full name of a driver node."""

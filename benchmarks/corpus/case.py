@@ -27,7 +27,7 @@ from benchmarks.corpus.stage import (
 )
 from benchmarks.corpus.truth import Draw, Parameters, draw, plant_values
 
-FINEST = 50e-6
+FINEST, SEARCH = 50e-6, 100e-6
 LINEAR_BASE = {"amplifier_bandwidth": "amplifier_time_constant", "transport_delay": "delay",
                "coil_inductance": "coil_inductance"}
 NOTHING = np.zeros(0)
@@ -184,7 +184,7 @@ def _neighbour(rng: np.random.Generator, stage: Stage,
 
 
 def perform(setup: Setup, number: int, effects: dict[str, Parameters],
-            rng: np.random.Generator | None = None) -> Any:
+            rng: np.random.Generator | None = None, finest: float = FINEST) -> Any:
     """Run experiment `number` with these effects: the rows of `plant.run`, (6, N)."""
     run = setup.runs()[number]
     values = plant_values(setup.stage.base, effects)
@@ -203,7 +203,7 @@ def perform(setup: Setup, number: int, effects: dict[str, Parameters],
     out = np.empty((6, len(feed)))
     lags = [p[plant.SECOND_LAG],
             p[plant.INDUCTANCE] / p[plant.RESISTANCE] if p[plant.RESISTANCE] > 0.0 else 0.0]
-    finest = min([FINEST, *(0.5 * lag for lag in lags if lag > 0.0)])
+    finest = min([finest, *(0.5 * lag for lag in lags if lag > 0.0)])
     plant.run(p, PERIOD, max(finest, 2e-7), reference, feed, run.gains, noise, jitter, other,
               start, past, out)
     return out[:, lead:]
@@ -233,7 +233,7 @@ def _fit_severities(spec: CaseSpec, setup: Setup, rng: np.random.Generator) -> d
                                  "force_constant_droop", "force_constant_slope"])),)
         target = 10.0
     for name in names:
-        largest = perform(setup, 0, {})
+        largest = perform(setup, 0, {}, finest=SEARCH)
         drawn = draw(name, rng, setup.stage, largest[4], largest[0])
         by_scale = _linear_severity if name in LINEAR_BASE else _severity
         scale, value = scale_for(by_scale(setup, drawn), target)
@@ -252,7 +252,8 @@ def _smaller(run: Run, factor: float) -> Run:
 
 
 def _severity(setup: Setup, drawn: Draw) -> Callable[[float], float]:
-    """Severity by scale, over the training runs together."""
+    """Severity by scale, over the training runs together: of the reading over its noise, and of
+    back-EMF with a current record, of the current over its noise."""
     stage = setup.stage
     trusted = "encoder_zero" in stage.base
     numbers = range(len(setup.train))
@@ -260,9 +261,13 @@ def _severity(setup: Setup, drawn: Draw) -> Callable[[float], float]:
 
     def severity(scale: float) -> float:
         parameters = drawn.of(scale)
-        outs = [perform(setup, i, {drawn.name: parameters}) for i in numbers]
+        outs = [perform(setup, i, {drawn.name: parameters}, finest=SEARCH) for i in numbers]
         if not all(np.all(np.isfinite(out)) for out in outs):
             return math.inf
+        if drawn.name == "back_emf" and stage.current_noise is not None:
+            # a refit of the damping hides it in the position; the current shows it
+            scale_a = parameters["constant"] / stage.base["coil_resistance"]
+            return scale_a * rms(np.concatenate([o[5] for o in outs])) / stage.current_noise
         if not kept or any(run.closed for run in setup.train):
             kept[:] = [Refit.of(stage.base, PERIOD, [out[0] for out in outs], not trusted)]
         if drawn.name == "encoder_quantization":
@@ -280,7 +285,7 @@ def _linear_severity(setup: Setup, drawn: Draw) -> Callable[[float], float]:
     """The same for effects that leave the stage linear: by matrix exponentials, on the inputs
     as they are without the effect."""
     stage = setup.stage
-    commands = [perform(setup, i, {})[0] for i in range(len(setup.train))]
+    commands = [perform(setup, i, {}, finest=SEARCH)[0] for i in range(len(setup.train))]
     refit = Refit.of(stage.base, PERIOD, commands, "encoder_zero" not in stage.base)
     field = LINEAR_BASE[drawn.name]
 

@@ -109,7 +109,7 @@ def _on_model(model: Model, tuned: Tuned, reference: Any) -> Array:
     if values["mode"] == "lqr":
         law: Pid | Lqg = Lqg(design_lqr(model, LqrSpec.from_mapping(values)),
                              values["output_limit_v"])
-        forward = None
+        forward = ModelFeedforward(model) if values.get("feedforward") == "model" else None
     else:
         gains = PidGains.from_mapping({name: value for name, value in values.items()
                                        if name not in ("mode", "model", "feedforward")})

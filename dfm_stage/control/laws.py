@@ -125,7 +125,7 @@ class Laws:
         self.mode: str = plan.mode
         self.limit_v: float = plan.limit_v
         self._feedforward = plan.feedforward
-        self._forward_v = 0.0
+        self._forward_v = self._effects_v = 0.0
         self._shaper: ReferenceShaper | None = None
         self._shaping: tuple[float, ...] = ()
         self._point: Point | tuple[float, float, float] = Point()
@@ -155,6 +155,8 @@ class Laws:
         if plan.gains != self.pid.gains:
             self.pid.set_gains(plan.gains)
         self._feedforward = plan.feedforward
+        if plan.feedforward is None:
+            self._forward_v = self._effects_v = 0.0
         if names & {"feedforward", "model"} and self.mode == "pid":
             self._follow_with_pid()
         self._take(plan)
@@ -191,7 +193,8 @@ class Laws:
                                       reference.acceleration)
         self._point = point
         if self._feedforward is not None:
-            self._forward_v = self._feedforward.at(*point)
+            linear, self._effects_v = self._feedforward.parts(*point)
+            self._forward_v = linear + self._effects_v
         mode, run = self.mode, self.run
         self._controls = allowed and run is None
         if not allowed:
@@ -202,8 +205,8 @@ class Laws:
             return self.pid.step(point[0], position_m, point[1], point[2], samples * self.period_s,
                                  self._forward_v)
         if mode == "lqr" and self.lqg is not None:
-            return self.lqg.step(point[0], position_m, point[1], point[2],
-                                 samples * self.period_s)
+            return self._effects_v + self.lqg.step(point[0], position_m, point[1], point[2],
+                                                   samples * self.period_s)
         if self._fade > 0:
             self._fade -= 1
             u = self._fade / self._fade_samples
@@ -228,9 +231,11 @@ class Laws:
         elif usable:
             pid.track(law, r, position_m, v, a, self._forward_v)
         if lqg is not None:
+            # What cancels the effects is not for a filter that does not know them.
+            effects = self._effects_v if by_pid or by_lqr else 0.0
             if not by_lqr and usable:
-                lqg.track(law, r, position_m, v, a)
-            lqg.applied(voltage)
+                lqg.track(law - self._effects_v, r, position_m, v, a)
+            lqg.applied(voltage - effects)
         return (by_pid and pid.saturated) or (by_lqr and lqg is not None and lqg.saturated)
 
     def applied(self, voltage: float, added: float) -> None:
@@ -238,4 +243,5 @@ class Laws:
         if self._controls and self.mode == "pid":
             self.pid.applied(voltage - added)
         if self.lqg is not None:
-            self.lqg.applied(voltage, self._law_v + added - voltage)
+            effects = self._effects_v if self._controls and self.mode != "open_loop" else 0.0
+            self.lqg.applied(voltage - effects, self._law_v + added - voltage)

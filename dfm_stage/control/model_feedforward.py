@@ -97,12 +97,18 @@ class ModelFeedforward:
 
     def at(self, position_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
         """Return the input for one sample, V (or A)."""
+        linear, effects = self.parts(position_m, velocity_m_s, acceleration_m_s2)
+        return linear + effects
+
+    def parts(self, position_m: float, velocity_m_s: float,
+              acceleration_m_s2: float) -> tuple[float, float]:
+        """Return what the linear stage takes and what its effects take, V (or A)."""
         r, v, a = position_m, velocity_m_s, acceleration_m_s2
-        out = self._r * r + self._v * v + self._a * a
-        if self._effects is not None:
-            t = self._ahead
-            out += self._effects.at(r + t * (v + 0.5 * t * a), v + t * a, a)
-        return out
+        linear = self._r * r + self._v * v + self._a * a
+        if self._effects is None:
+            return linear, 0.0
+        t = self._ahead
+        return linear, self._effects.at(r + t * (v + 0.5 * t * a), v + t * a, a)
 
 
 def feedforward_gains(stage: Sampled, gains: PidGains | None = None) -> tuple[float, float, float]:

@@ -179,7 +179,7 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
     f = frequency_grid(best.stage)
     loop = best.stage.response(f) * best.response(f)
     spec = best.spec
-    reasons = (
+    reasons: tuple[str, ...] = (
         (f"an error of {spec.lqr_error_m:.3g} m costs as much as {spec.lqr_effort_v:g} V: the "
         f"fastest that keeps the modulus margin of {modulus_margin:g}"),
         f"integral of the error weighed with {spec.lqr_integral_m_s:.3g} m s" if spec.lqr_integral
@@ -188,10 +188,17 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
         ("delay, amplifier lag and second mode are states of the design model; the filter reckons "
         f"with {spec.lqr_force_noise_n:g} N of unknown force, which keeps a modulus margin of "
         f"{least:.2f} with any parameter {_UNCERTAINTY:.0%} off"))
-    parameters = {"mode": "lqr", "model": model_name, "output_limit_v": output_limit_v,
-                  **spec.to_dict()}
+    limit = command_limit(model, output_limit_v)
+    parameters = {"mode": "lqr", "model": model_name, "output_limit_v": limit, **spec.to_dict()}
+    forward, effects = None, EffectInput(model)
+    if effects.any and model_name:
+        forward = ModelFeedforward(model)
+        parameters["feedforward"] = "model"
+        covered = ", ".join(effects.covers)
+        reasons += (f"the input that {covered} takes for the reference is added", (
+            "margins and filter are those of the model's linear part"))
     return Tuned("lqr", parameters, best.margins, _bandwidth(f, loop),
-                 predicted_errors(model, Lqg(best, output_limit_v)), reasons)
+                 predicted_errors(model, Lqg(best, limit), forward=forward), reasons)
 
 
 def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | None:
@@ -270,8 +277,8 @@ def run_on_model(model: Model, controller: Pid | Lqg, position: Array,
     """Return the true position (N,), m, of the model under a controller, which is reset first.
 
     `position`, `velocity`, `acceleration` (N,) are the reference, `added` (N,) V what is added to
-    the controller's output. `forward` is the feedforward of a PID, `inverse` adds the model's
-    inverse of the whole reference.
+    the controller's output. `forward` is the feedforward of a PID, of an LQR its share for the
+    effects; `inverse` adds the model's inverse of the whole reference.
     """
     zero = np.zeros(position.size)
     reference = np.column_stack([each if each is not None else zero for each in (
@@ -286,12 +293,14 @@ def run_on_model(model: Model, controller: Pid | Lqg, position: Array,
     for k, (r, v, a, extra) in enumerate(reference.tolist()):
         sample = plant.sample()
         out[k] = sample.position_m
+        effects = 0.0
         if isinstance(controller, Pid) and forward is not None:
             asked = controller.step(r, sample.reading_m, v, a, 0.0, forward.at(r, v, a))
         else:
-            asked = controller.step(r, sample.reading_m, v, a)
+            effects = forward.parts(r, v, a)[1] if forward is not None else 0.0
+            asked = controller.step(r, sample.reading_m, v, a) + effects
         total = min(limit, max(-limit, asked + extra))
         if known:
-            controller.applied(total)
+            controller.applied(total - effects)
         plant.advance(total)
     return out

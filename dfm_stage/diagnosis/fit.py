@@ -14,8 +14,7 @@ from dfm_stage.diagnosis.system import System
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.identifiability import Identifiability
-from dfm_stage.identification.inference import _inverse
-from dfm_stage.identification.least_squares import minimise
+from dfm_stage.identification.least_squares import RANK_TOLERANCE, column_norms, minimise
 from dfm_stage.identification.noise import score_covariance
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.result import Estimate
@@ -166,7 +165,7 @@ def quantities(found: Fit) -> dict[str, Quantity]:
     """
     system = found.system
     scale = np.array([p.scale for p in system.places])
-    inverse, lost = _inverse(found.jacobian, scale)
+    inverse, lost = _inverse_gram(found.jacobian, scale)
     middle, dof = score_covariance(found.jacobian, found.white, inverse)
     covariance = inverse @ middle @ inverse
     covariance[lost, :] = covariance[:, lost] = np.nan
@@ -183,3 +182,15 @@ def quantities(found: Fit) -> dict[str, Quantity]:
         Identifiability((), ""), (), found.chi2, "converged", "", 0)
     physical = to_physical(estimate, system.groups, system.model)
     return {name: physical.quantity(name) for name in system.free}
+
+
+def _inverse_gram(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(J^T J)+ (n, n), and which unknowns have a share in a direction that the data do not see."""
+    norms = column_norms(jacobian, scale)
+    scaled = jacobian / norms
+    squares, vectors = np.linalg.eigh(scaled.T @ scaled)
+    seen = squares > RANK_TOLERANCE**2 * squares[-1]
+    kept = vectors[:, seen]
+    inverse = (kept / squares[seen]) @ kept.T
+    lost = np.any(np.abs(vectors[:, ~seen]) > 1e-3, axis=1) | ~np.isfinite(norms)
+    return np.asarray(inverse / np.outer(norms, norms)), np.asarray(lost)

@@ -52,7 +52,8 @@ class System:
 
     def __init__(self, model: Model, runs: Sequence[Experiment], free: Sequence[str],
                  dither: float = 0.0) -> None:
-        self.runs, self.free, self.dither = tuple(runs), tuple(free), dither
+        self.runs, self.free = tuple(runs), tuple(free)
+        self.dither = _dither(model, dither)
         self.springless = model.base.get("stiffness", 0.0) == 0.0 and "stiffness" not in free
         pushed = self.springless and model.effect("force_offset") is None
         self.model = model.with_effect("force_offset", {"force": 0.0}) if pushed else model
@@ -346,3 +347,16 @@ class System:
                     channel[k] = (outputs[2 * j] - outputs[2 * j + 1]) / width
                 else:
                     channel[k] = (outputs[j + 1] - outputs[0]) / width
+
+
+SHARP = 0.06
+"""Noise over the step of a reading that counts in steps, where nothing else is known of it."""
+
+
+def _dither(model: Model, found: float) -> float:
+    """RMS of the noise before rounding: given, or at most a small part of the step, because what
+    rounding adds looks like noise as well."""
+    use = model.effect("encoder_quantization")
+    if use is None:
+        return found
+    return min(found or math.inf, model.base.get("noise", 0.0) or SHARP * use.parameters["step"])

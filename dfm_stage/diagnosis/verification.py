@@ -49,12 +49,29 @@ def weights_like(runs: Sequence[Experiment], known: Weights) -> Weights:
 KNOCK_OFFS = 5
 
 
+SILENT = 20.0
+"""Chi-square of a contribution below which held-out records say nothing about an effect."""
+CONFIRMED = 15.0
+"""Fall in held-out chi-square that an effect free in each run must bring."""
+
+
 @dataclass(frozen=True)
 class KnockOff:
-    """What an effect does on held-out runs, and the best of its knock-offs, in chi-square."""
+    """Chi-square on held-out runs: of the effect's contribution, with it, without it, and of the
+    best of its knock-offs."""
 
     contribution: float
+    true: float
+    without: float
     best: float
+
+    def passed(self, per_run: bool) -> bool | None:
+        """Whether the effect does better than its knock-offs; None where it does nothing here."""
+        if per_run:
+            return self.without - self.true > CONFIRMED
+        if self.contribution < SILENT:
+            return None
+        return self.true < self.best
 
 
 def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weights,
@@ -69,11 +86,11 @@ def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weight
     without = model.without_effect(name)
     bare = fit(without, runs, (), weights, dither=dither, iterations=10)
     if not (found.ok and bare.ok):
-        return KnockOff(math.inf, math.inf)
+        return KnockOff(math.inf, found.chi2, bare.chi2, math.inf)
     contribution = bare.white - found.white
     quarter = contribution.size // 4
     shifts = rng.integers(quarter, 3 * quarter, KNOCK_OFFS)
-    return KnockOff(float(contribution @ contribution), min(
+    return KnockOff(float(contribution @ contribution), found.chi2, bare.chi2, min(
         float(np.sum((bare.white - np.roll(contribution, int(k))) ** 2)) for k in shifts))
 
 

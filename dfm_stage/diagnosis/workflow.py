@@ -9,9 +9,12 @@ from dataclasses import replace
 from dfm_stage.diagnosis.answer import Case, answer
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.experiment import Experiment, experiment, split_by_time
+from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.result import Diagnosis
-from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.verification import predict, weights_like
+from dfm_stage.diagnosis.search import Names, Search
+from dfm_stage.diagnosis.system import PER_RUN
+from dfm_stage.diagnosis.verification import predict, spoiled, weights_like
+from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
@@ -84,9 +87,38 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
     names, current, rivals = search.compare(names, current)
     tell("predicting held-out records")
     weights = weights_like(held, search.weights)
+    names, current, dropped, silent = _held_out(search, names, current, held, weights, seed)
+    rivals = {n: r for n, r in rivals.items() if n in names}
     case = Case(model=model, runs=runs, held=held, search=search, names=names, fit=current,
                 bare=bare, rivals=rivals, held_weights=weights,
+                dropped=dropped, silent=silent,
                 before=predict(model, held, weights), retuned=predict(bare.model, held, weights),
                 after=predict(current.model, held, weights, search.dither),
-                before_fit=predict(model, runs, search.weights), warnings=warnings, seed=seed)
+                before_fit=predict(model, runs, search.weights), warnings=warnings)
     return answer(case, tell)
+
+
+def _held_out(search: Search, names: Names, current: Fit, held: Sequence[Experiment],
+              weights: Weights, seed: int
+              ) -> tuple[Names, Fit, dict[str, str], tuple[str, ...]]:
+    """Drop effects that do no better on held-out runs than their knock-offs.
+
+    Returns what is left with its fit, why the others were dropped, and the effects that held-out
+    runs do not exercise.
+    """
+    dropped: dict[str, str] = {}
+    while True:
+        silent = []
+        for name in names:
+            seen = spoiled(current.model, name, held, weights, search.dither, seed)
+            passed = seen.passed(name in PER_RUN)
+            if passed is None:
+                silent.append(name)
+            elif not passed:
+                dropped[name] = ("does no better on held-out data than shifted in time"
+                                 if name not in PER_RUN else "is not in the held-out data")
+                names = tuple(n for n in names if n != name)
+                current = search.fitted(names, current)
+                break
+        else:
+            return names, current, dropped, tuple(silent)

@@ -45,6 +45,10 @@ class _CommandError(Exception):
         self.number = number
 
 
+def _whole(text: str) -> int:
+    return int(text, 16) if "x" in text else int(text)
+
+
 class CopleyAsciiEmulator:
     """Answers bytes with bytes; times are seconds of any steady clock.
 
@@ -169,7 +173,7 @@ class CopleyAsciiEmulator:
         if found is None or any(not _NUMBER.fullmatch(value) for value in values):
             raise _CommandError(33)
         try:
-            parameter = Parameter(int(found[2], 0))
+            parameter = Parameter(_whole(found[2]))
         except ValueError:
             raise _CommandError(9) from None
         if code == "g":
@@ -178,7 +182,7 @@ class CopleyAsciiEmulator:
             return f"v {self._read(parameter, found[1], now)}"
         if len(values) != 1:
             raise _CommandError(5 if values else 4)
-        self._write(parameter, found[1], int(values[0], 0), now)
+        self._write(parameter, found[1], _whole(values[0]), now)
         return "ok"
 
     def _read(self, parameter: Parameter, bank: str, now: float) -> int:

@@ -88,6 +88,28 @@ def test_every_change_goes_on_from_the_output_there_was() -> None:
     assert abs(rig.run(1)[0]) < 0.05            # the stage swings freely by now: kp v h
 
 
+def test_an_lqr_follows_better_with_what_the_effects_take() -> None:
+    model = load_model("raster_bench").with_effect("cubic_stiffness", {"k3": 3e8}).with_effect(
+        "coulomb_friction", {"force": 0.02})
+    error = {}
+    for feedforward in ("gains", "model"):
+        rig = Rig(model=model, mode="lqr", feedforward=feedforward)
+        rig.run(2500)
+        k = rig.k
+        rig.run(1)
+        y = []
+        for _ in range(2000):
+            y.append(rig.plant.sample().position_m - 1e-3 * np.sin(3.0 * rig.k * H))
+            rig.run(1)
+        assert rig.k == k + 2001
+        error[feedforward] = float(np.sqrt(np.mean(np.square(y))))
+    assert error["model"] < 0.3 * error["gains"]
+    for mode in ("pid", "lqr", "pid"):
+        held = rig.run(1)[0]
+        rig.set(mode=mode)
+        assert abs(rig.run(1)[0] - held) < 0.03, mode
+
+
 def test_open_loop_from_the_start_is_the_excitation_alone() -> None:
     assert np.all(Rig(mode="open_loop").run(50, added=0.07) == 0.07)
 
