@@ -65,6 +65,7 @@ def to_svg(figure: Figure, prefix: str, label: str, width_in: float | None = Non
     buffer = io.StringIO()
     with page_style():
         import matplotlib as mpl
+        _plain_decades(figure)
         try:
             if width_in is not None:
                 figure.set_size_inches(width_in, max(height * 0.9, 2.2))
@@ -73,6 +74,21 @@ def to_svg(figure: Figure, prefix: str, label: str, width_in: float | None = Non
         finally:
             figure.set_size_inches(width, height)
     return _inline(buffer.getvalue(), prefix, escape(label, quote=True))
+
+
+def _plain_decades(figure: Figure) -> None:
+    """Write 0.1, 1, 10 at logarithmic axes, whose own labels are mathematical text."""
+    from matplotlib.ticker import LogFormatter, LogFormatterMathtext
+
+    class Plain(LogFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
+                axis.set_major_formatter(Plain())
+                axis.set_minor_formatter(Plain(labelOnlyBase=False))
 
 
 def _inline(text: str, prefix: str, label: str) -> str:

@@ -20,7 +20,7 @@ from dfm_stage.reporting import (
     new_figure,
     time_figure,
 )
-from dfm_stage.reporting.drawing import GRID, INK, PAPER, SERIES, SOFT
+from dfm_stage.reporting.drawing import GRID, INK, PAPER, SERIES, SOFT, to_svg
 
 EVIL = '<script>alert("1")</script> & \'quoted\''
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -187,3 +187,11 @@ def test_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert os.listdir(tmp_path) == ["report.html"]
     with pytest.raises(ReportError, match="cannot write the report"):
         Page("x").write(tmp_path / "absent" / "report.html")
+
+
+def test_logarithmic_axes_say_plain_numbers():
+    figure, axes = new_figure()
+    axes.loglog([0.1, 100.0], [1e-9, 1e-3])
+    said = re.findall(r"<text[^>]*>([^<]*)</text>", to_svg(figure, "log", "a plot"))
+    assert {"0.1", "100", "1e-09", "0.001"} <= set(said)
+    assert not any("$" in text for text in said)
