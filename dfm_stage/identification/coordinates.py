@@ -88,13 +88,17 @@ def to_physical(found: Estimate, groups: Sequence[Coordinates], model: Model) ->
     """
     names, units = list(found.names), list(found.units)
     values, low, high = found.values.copy(), found.low.copy(), found.high.copy()
-    covariance = found.covariance
+    covariance, determined, blind = found.covariance, found.determined, found.blind
     intervals = dict(found.intervals)
     for coordinates in groups:
         at = np.array([names.index(n) for n in coordinates.fitted])
         slope = _slope(coordinates, values[at], covariance[np.ix_(at, at)])
         intervals.update(_drawn(coordinates, values[at], covariance[np.ix_(at, at)], found.dof))
         covariance = _carried(covariance, at, slope)
+        if determined is not None and blind is not None:
+            determined = _carried(determined, at, slope)
+            blind = blind.copy()
+            blind[:, at] = blind[:, at] @ slope.T
         values[at] = coordinates.backward(values[at])
         for k, name in zip(at, coordinates.names, strict=True):
             limits = model.parameter(name)
@@ -118,7 +122,7 @@ def to_physical(found: Estimate, groups: Sequence[Coordinates], model: Model) ->
         message = "; ".join(d.text for d in verdict.directions if math.isinf(d.std))
     return replace(found, message=message, identifiability=verdict, names=tuple(names),
                    units=tuple(units), values=values, low=low, high=high, covariance=covariance,
-                   intervals=intervals, at_bound=at_bound)
+                   intervals=intervals, at_bound=at_bound, determined=determined, blind=blind)
 
 
 def _reworded(verdict: Identifiability, groups: Sequence[Coordinates]) -> Identifiability:

@@ -29,7 +29,7 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
     trends, noises, total = criterion.layout()
     segments, row = [], 0
     scale = np.concatenate((criterion.scale, np.full(total - criterion.count, 1.0)))
-    inverse, lost = _inverse(solution.jacobian, scale)
+    inverse, lost, blind = _inverse(solution.jacobian, scale)
     middle = np.zeros((total, total))
     dof = math.inf
     for i, segment in enumerate(problem.segments):
@@ -48,6 +48,7 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
             segment.sample_period))
     dof = min(dof, float(max(row - total, 1)))
     covariance = inverse @ middle @ inverse
+    determined = covariance.copy() if np.any(lost) else None
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
     names, units = _labels(problem, trends)
@@ -60,18 +61,24 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
     return Estimate(
         names, units, x[:shown].copy(), covariance[:shown, :shown],
         np.concatenate((criterion.low, -unbounded)), np.concatenate((criterion.high, unbounded)),
-        held, dof, verdict, tuple(segments), solution.cost, status, message, iterations, at_bound)
+        held, dof, verdict, tuple(segments), solution.cost, status, message, iterations, at_bound,
+        determined=None if determined is None else determined[:shown, :shown],
+        blind=blind[:, :shown])
 
 
-def _inverse(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return (J^T J)+ (p, p) and which unknowns have a share in a direction that is lost."""
+def _inverse(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return (J^T J)+ (p, p), which unknowns have a share in a direction that is lost, and those
+    directions (k, p)."""
     norms = column_norms(jacobian, scale)
     scaled = jacobian / norms
     singular, right = spectral(scaled.T @ scaled)
     kept = singular > RANK_TOLERANCE * singular[0]
     inverse = (right[kept].T / singular[kept] ** 2) @ right[kept]
-    lost = np.any(np.abs(right[~kept]) > 1e-3, axis=0) | ~np.isfinite(norms)
-    return np.asarray(inverse / np.outer(norms, norms)), lost
+    unseen = ~np.isfinite(norms)
+    lost = np.any(np.abs(right[~kept]) > 1e-3, axis=0) | unseen
+    blind = np.vstack([right[~kept] / norms, np.eye(norms.size)[unseen]])
+    blind[:, unseen] = np.where(blind[:, unseen] == 1.0, 1.0, 0.0)
+    return np.asarray(inverse / np.outer(norms, norms)), lost, blind
 
 
 def _verdict(criterion: Criterion, solution: Solution) -> Identifiability:

@@ -53,7 +53,9 @@ class Estimate:
     `names`, `units` (p,), `values` (p,), `covariance` and `correlation` (p, p) list the unknowns
     in the order of the problem, initial states and offsets included; `held` names parameters kept
     at a given value. Intervals use Student's t with `dof` degrees of freedom; `intervals`
-    holds those of parameters that were searched in other coordinates. `status` is one of
+    holds those of parameters that were searched in other coordinates. Where the data leave
+    directions open, `blind` (k, p) holds them and `determined` (p, p) the covariance across them,
+    so that figures which do not change along them keep their interval. `status` is one of
     `converged`, `at_bound`, `not_identifiable`, `not_converged` or `failed`; `message` says what
     to do about it.
     """
@@ -74,6 +76,8 @@ class Estimate:
     iterations: int
     at_bound: tuple[str, ...] = ()
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    determined: Array | None = None
+    blind: Array | None = None
 
     @property
     def ok(self) -> bool:
@@ -123,11 +127,26 @@ class Estimate:
     def derived(self, function: Callable[[Array], float], unit: str,
                 limits: tuple[float, float] = (-np.inf, np.inf)) -> Quantity:
         """Return a function of the unknowns (p,) with the interval the delta method gives."""
-        found = propagate(function, self.values, self.covariance, unit, self.dof)
+        covariance = self.covariance
+        if self.determined is not None and self._unmoved(function):
+            covariance = self.determined
+        found = propagate(function, self.values, covariance, unit, self.dof)
         if found.ci95 is None or not np.all(np.isfinite(found.ci95)):
             return found
         low, high = found.ci95
         return Quantity(found.value, unit, (max(low, limits[0]), min(high, limits[1])))
+
+    def _unmoved(self, function: Callable[[Array], float]) -> bool:
+        """Whether a function stays what it is along all directions that the data leave open."""
+        value = abs(function(self.values))
+        for direction in np.empty((0, 0)) if self.blind is None else self.blind:
+            sizes = np.abs(self.values)
+            share = np.max(np.abs(direction[sizes > 0.0]) / sizes[sizes > 0.0], initial=0.0)
+            step = direction * (1e-3 / share) if share > 0.0 else direction
+            change = function(self.values + step) - function(self.values - step)
+            if not abs(change) <= 1e-6 * value:
+                return False
+        return True
 
     def quantities(self, local: bool = False) -> dict[str, Quantity]:
         """Return every estimated parameter; with `local`, initial states and offsets as well."""

@@ -9,8 +9,9 @@ HEAD = """\
 # Effects
 
 Every effect is one file in `dfm_stage/model/effects/`, whose docstring holds equation and source.
-This table is written from the registry (`python -m dfm_stage.model.effect_table`). Signs: `x` is the position, `v` the
-velocity of the driven point; ranges are what is accepted, typical values what such stages show.
+This table is written from the registry (`python -m dfm_stage.model.effect_table`). Signs: `x` is
+the position, `v` the velocity of the driven point; ranges are what is accepted, typical values
+what such stages show.
 
 | effect | equation | parameters (unit, accepted, typical) | side | what shows it |
 |---|---|---|---|---|

@@ -79,6 +79,7 @@ class AmplifierDriver(ManagedNode):
         self._interlock = self._new_interlock()
         self._off_bits = int(Cause.DISARMED)
         self._seq = 0
+        self.counters["commands"] = 0
         self._answered = _NO_SAMPLE
         self._checked_s = time.monotonic()
         self._armed_s = 0.0
@@ -170,15 +171,13 @@ class AmplifierDriver(ManagedNode):
             return
         interlock = self._interlock
         self._answered = command.measurement_seq
-        stamp = command.stamp_ns if self.lockstep else self.now_ns()
+        stamp = command.stamp_ns if self.lockstep else time.time_ns()
         value = interlock.accept(command, time.monotonic(), stamp)
-        self.count("commands")
-        worker = self._worker
-        if worker is not None:
-            if interlock.armed:
-                worker.command(value * self._gain * self._eased_in(), command.measurement_seq)
-            return
-        self._apply(stamp, value, 0 if interlock.armed else self._off_bits)
+        self.counters["commands"] += 1
+        if self._worker is None:
+            self._apply(stamp, value, 0 if interlock.armed else self._off_bits)
+        elif interlock.armed:
+            self._worker.command(value * self._gain * self._eased_in(), command.measurement_seq)
 
     def _eased_in(self) -> float:
         """Share of a command that goes out: a controller may have wound up while it was off."""
@@ -202,7 +201,7 @@ class AmplifierDriver(ManagedNode):
         if self._drive is not None:
             self._drive.send(stamp_ns, self._seq, self._answered, value, enabled)
         if not self.lockstep:
-            stamp_ns = self.now_ns()
+            stamp_ns = time.time_ns()
         self._state.send(stamp_ns, self._seq, self._answered, value, self._current, enabled,
                          faults)
 

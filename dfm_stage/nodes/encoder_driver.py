@@ -54,6 +54,7 @@ class EncoderDriver(ManagedNode):
         self._resolution: float = self.settings["resolution_m"]
         self._travel: float = self.settings["travel_limit_m"]
         self._speed: float = self.settings["velocity_limit_m_per_s"]
+        self.counters["samples"] = 0
         self._last_seq: int | None = None
         self._last_stamp_ns = 0
         self._last_counts = 0
@@ -156,7 +157,7 @@ class EncoderDriver(ManagedNode):
         self._last_counts = raw
         self._last_position = position
         self._out.send(stamp_ns, seq, position, counts, flags)
-        self.count("samples")
+        self.counters["samples"] += 1
 
     # Loss and return, in the reader's thread
 

@@ -92,10 +92,12 @@ class CopleyAscii:
                     except ProtocolError:
                         self.counters["malformed_lines"] += 1
                         continue
-                    if command[:1] == b"g" and not reply.values and reply.error is None:
-                        self.counters["malformed_lines"] += 1
+                    if reply.error is None and bool(reply.values) != (command[:1] == b"g"):
+                        self.counters["malformed_lines"] += 1  # it answers an earlier command
                         continue
                     self.counters["error_replies"] += reply.error is not None
+                    if attempt:  # the answer to the other attempt may still be under way
+                        port.drain(0.004, 0.02)
                     return reply
         raise DeviceLostError(f"{self._path}: no answer to {command.strip().decode()} at "
                               f"{port.baud} baud; has the drive power, is the cable in?")
@@ -109,7 +111,7 @@ class CopleyAscii:
 
     def _set(self, parameter: Parameter, value: int) -> None:
         reply = self.request(copley.set_ram(parameter, value))
-        if reply.error is not None or reply.values:
+        if reply.error is not None:
             raise RefusedError(f"{self._path}: setting parameter {int(parameter):#04x} to "
                                f"{value}: {reply.text}")
 

@@ -61,7 +61,8 @@ def test_the_examples_of_the_maker():
     (b"s r0x02 99999\r", b"e 10\r"), (b"s r0x24 7\r", b"e 10\r"), (b"s r0x0c 1\r", b"e 11\r"),
     (b"t 1\r", b"e 14\r"), (b"g f0xa0\r", b"e 15\r"), (b"s r0x02 x\r", b"e 33\r"),
     (b"\ns r0x02 1\r", b"e 33\r"), (b".Q s r0x02 1\r", b"e 36\r"), (b".A s r0x02 1\r", b"ok\r"),
-    (b"1 g r0x20\r", b"v 31\r"), (b"s r0x02 -007\r", b"ok\r"), (b"g r032\r", b"v 31\r"), (b"s r0x90 4242\r", b"e 10\r"), (b"g r0x02\r", b"v 0\r"),
+    (b"1 g r0x20\r", b"v 31\r"), (b"s r0x02 -007\r", b"ok\r"), (b"g r032\r", b"v 31\r"),
+    (b"s r0x90 4242\r", b"e 10\r"), (b"g r0x02\r", b"v 0\r"),
     (b"\r", b""),
 ])
 def test_error_replies(command, answer):
@@ -236,6 +237,14 @@ def test_a_late_reply_is_not_taken_for_the_next_one():
     port = device._port = ports("port", 115200)
     port.pending = b"v 99\rok\r"
     assert device.request(b"g r0x20\r").value == 7
+    assert device.counters["malformed_lines"] == 2
+
+
+def test_an_answer_to_an_earlier_question_acknowledges_nothing():
+    device, ports = driver(answers=[b"v 1085440\rok\r", b"ok\rv 3\r"])
+    device._port = ports("port", 115200)
+    device.set_counts(0)
+    assert device.request(b"g r0x20\r").value == 3
     assert device.counters["malformed_lines"] == 2
 
 

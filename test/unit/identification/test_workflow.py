@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dfm_stage.identification import IdentificationError, Source, identify
-from dfm_stage.model import Model
+from dfm_stage.model import Model, load_model
 from dfm_stage.recording import AxisRecord
 
 LINES = np.setdiff1d(np.arange(1, 141, 2), [9, 23, 41, 77, 101])
@@ -136,3 +136,16 @@ def test_a_body_without_a_spring_is_recognised(reference_stage, multisine):
     assert found.gain.unit == "m/V/s^2"
     assert found.gain.value == pytest.approx(1.0, rel=1e-3)
     assert found.estimate.quantity("damping").value == pytest.approx(8.0, rel=0.02)
+
+
+def test_ratios_keep_their_intervals_when_mass_is_free(reference_stage, multisine):
+    run = source(reference_stage, multisine, 0)
+    held = identify([run], model=load_model("paper_stage"))
+    free = identify([run], model=load_model("paper_stage"), free=(
+        "mass", "damping", "stiffness", "force_constant", "amplifier_time_constant", "delay"))
+    assert free.estimate.status == "not_identifiable"
+    assert not np.isfinite(free.estimate.quantity("mass").half_width)
+    for name in ("natural_frequency_hz", "damping_ratio", "gain"):
+        ours, theirs = getattr(free, name), getattr(held, name)
+        assert ours.value == pytest.approx(theirs.value, abs=0.1 * theirs.half_width)
+        assert ours.half_width == pytest.approx(theirs.half_width, rel=0.05)
