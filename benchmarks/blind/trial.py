@@ -58,8 +58,8 @@ def diagnosed(case: Case) -> dict[str, Any]:
 
 def run_case(job: Job, answerer: Answerer | None = None) -> Path:
     """Answer one case and keep the answer and, apart from it, the label; return the answer's
-    file. With `resume` a case that was answered is left as it is."""
-    if job.resume and job.answer_path.exists() and job.label_path.exists():
+    file. With `resume` a case that was answered, not with an error, is left as it is."""
+    if job.resume and _answered(job):
         return job.answer_path
     kept: dict[str, Any] = {"spec": job.spec.to_dict()}
     begin = time.perf_counter()
@@ -81,6 +81,12 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
             kept[name], kept[f"{name}_seconds"] = _timed(case, baseline)
     write_whole(job.answer_path, json.dumps(kept, indent=1) + "\n")
     return job.answer_path
+
+
+def _answered(job: Job) -> bool:
+    if not (job.answer_path.exists() and job.label_path.exists()):
+        return False
+    return "error" not in json.loads(job.answer_path.read_text("utf-8"))["answer"]
 
 
 def _timed(case: Case, answerer: Answerer) -> tuple[dict[str, Any], float]:

@@ -181,6 +181,9 @@ def test_a_failing_answer_is_a_wrong_one(tmp_path) -> None:
     score = read_scores([path])[0]
     assert score.verdict == "error"
     assert not score.exact
+    run_case(Job(CaseSpec(5, 3, "none"), tmp_path, baselines=False),
+             lambda case: {"verdict": "none", "effects": []})
+    assert read_scores([path])[0].exact
 
 
 def test_baselines_name_what_a_term_can_say() -> None:
