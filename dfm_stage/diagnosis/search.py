@@ -106,7 +106,16 @@ class Search:
         key = frozenset(names), self.stage
         if key in self.fits:
             return self.fits[key]
-        model = start.model
+        found = self._from(start.model, names, start, hits, worth)
+        expected = start.chi2 - 0.5 * sum(h.gain for h in hits[:1])
+        if hits and not found.chi2 < expected:
+            base = {n: v for n, v in self.model.base.items() if n in self.free}
+            again = self._from(start.model.with_parameters(base), names, start, hits, worth)
+            found = min(found, again, key=lambda f: f.chi2)
+        return self.keep(names, found)
+
+    def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
+              worth: float) -> Fit:
         for use in model.effects:
             if use.name not in names and self.model.effect(use.name) is None:
                 model = model.without_effect(use.name)
@@ -123,7 +132,7 @@ class Search:
         if later and found.ok and found.chi2 < worth:
             found = fit(found.model, self.runs, free, self.weights, earlier=found.locals,
                         dither=self.dither, iterations=25, tolerance=0.1)
-        return self.keep(names, found)
+        return found
 
     def parameters(self, model: Model) -> Names:
         """What is free in a model with effects added: the base and all of theirs."""
