@@ -45,11 +45,10 @@ class Job:
 def diagnosed(case: Case) -> dict[str, Any]:
     """The library's answer, as diagnosis.json holds it."""
     from benchmarks.blind.as_records import model_of, records_of
-    from dfm_stage import diagnosis
+    from dfm_stage.diagnosis import diagnose
     from dfm_stage.model import EFFECTS
 
     library = [name for name in EFFECTS if name not in case.remove]
-    diagnose: Any = diagnosis.diagnose  # type: ignore[attr-defined,unused-ignore]
     result = diagnose(records_of(case, "run"), model_of(case),
                       holdout=records_of(case, "holdout"), library=library)
     answer: dict[str, Any] = json.loads(json.dumps(result.to_dict()))
