@@ -317,3 +317,16 @@ def test_a_design_with_other_states_starts_its_filter_again() -> None:
             lqg.set_design(design_lqr(model.without_effect("second_mode")))
         plant.advance(lqg.step(1e-3, plant.sample().reading_m))
     assert abs(plant.sample().position_m - 1e-3) < 2e-7
+
+
+def test_the_integral_waits_while_the_amplifier_gives_less() -> None:
+    law = Lqg(design_lqr(load_model("paper_stage")))
+    for _ in range(50):
+        law.step(1e-3, 0.0)
+        law.applied(0.1, law.output_v - 0.1)
+    waited = law.integral_v
+    free = Lqg(law.design)
+    for _ in range(50):
+        free.step(1e-3, 0.0)
+        free.applied(0.1)
+    assert 0.0 <= waited < 0.1 * free.integral_v

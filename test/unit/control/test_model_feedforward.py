@@ -40,7 +40,7 @@ ACCELERATION = np.gradient(VELOCITY, H)
 def test_nothing_is_left_on_a_reference_of_constant_acceleration(weight, share) -> None:
     stage = sample_model(LINEAR)
     gains = pid_for(LINEAR.base, 10.0).gains.changed(
-        {"setpoint_weight": weight, "derivative_weight": share})
+        {"ki": 0.0, "setpoint_weight": weight, "derivative_weight": share})
     position, velocity, acceleration = feedforward_gains(stage, gains)
     pid = Pid(gains.changed({"feedforward_position": position, "feedforward_velocity": velocity,
                              "feedforward_acceleration": acceleration, "output_limit_v": 1e6}), H)

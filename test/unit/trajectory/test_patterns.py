@@ -58,7 +58,7 @@ def test_a_lissajous_pattern_repeats_after_the_stated_time() -> None:
         made("lissajous", pattern_s=0.02, cycles=10)
 
 
-@pytest.mark.parametrize("distance", [1e-7, 3e-5, 1e-3, -8e-3])
+@pytest.mark.parametrize("distance", [1e-7, 3e-5, 7e-5, 1e-3, -8e-3])
 def test_a_move_is_the_shortest_within_its_limits(distance: float) -> None:
     v, a, j = 0.02, 0.5, 50.0
     times, jerks = segments(distance, v, a, j)
