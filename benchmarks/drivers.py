@@ -35,6 +35,9 @@ SET_BYTES, OK_BYTES, AMPLIFIER_BAUD = len(b"s r0x02 -20\r"), len(b"ok\r"), 11520
 RASTER = {"kind": "raster", "line_length_m": 0.002, "line_time_s": 0.8, "turnaround_s": 0.2}
 SETTLING_S = 2.0
 ATTEMPTS = 4
+# the scan is about rates and error; a busy machine holds up even an emulator
+PATIENT = {"encoder_driver": {"encoder_timeout_s": 1.0},
+           "amplifier_driver": {"stale_timeout_s": 0.5, "measurement_timeout_s": 0.5}}
 FAILURES = {"killed_controller": "drivers.zero_current_p99_ms",
             "stalled_controller": "drivers.zero_current_stalled_p99_ms",
             "nan_command": "drivers.zero_current_nan_p99_ms",
@@ -140,7 +143,7 @@ def _scan(duration_s: float) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         while True:
             bag = Path(folder) / f"bag{len(cuts)}"
-            with EmulatedGraph(bag=bag) as graph:
+            with EmulatedGraph(bag=bag, parameters=PATIENT) as graph:
                 graph.bring_to_life()
                 result = graph.run(experiment)["x"]
                 cut = graph.cut()

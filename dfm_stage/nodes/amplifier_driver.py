@@ -60,6 +60,8 @@ class AmplifierDriver(ManagedNode):
                 "s", 0.0, 10.0),
         Setting("ramp_a_per_s", 0.0, "hardware: slope of the output in the drive; 0 = step",
                 "A/s", 0.0, 1e6),
+        Setting("reply_timeout_s", 0.01, "hardware: how long the drive may take to answer, three "
+                "times, besides the time on the wire", "s", 0.001, 1.0),
         Setting("soft_start_s", 0.2, "hardware: commands grow to their full size over this time "
                 "after arming", "s", 0.001, 10.0),
         Setting("shape_last_count", True, "hardware: spread what a current step leaves over "
@@ -130,7 +132,8 @@ class AmplifierDriver(ManagedNode):
             peak_limit_a=self._limit_a,
             continuous_limit_a=self.settings["continuous_limit_a"] or self._limit_a,
             peak_time_s=self.settings["peak_time_s"],
-            ramp_a_per_s=self.settings["ramp_a_per_s"])
+            ramp_a_per_s=self.settings["ramp_a_per_s"],
+            reply_s=self.settings["reply_timeout_s"])
         self._status_words["device"] = self._device.open()
         self.get_logger().info(f"{self._status_words['device']} on {self.settings['port']}, "
                                "output off")

@@ -24,7 +24,6 @@ with atheris.instrument_imports(include=["dfm_stage.drivers"]):
 
 copley_ascii.copley.BAUD_SETTLING_S = 0.0
 copley_ascii.ENABLE_S = 0.0
-copley_ascii._PROCESSING_S = 1e-5
 copley_ascii._LINE_BITS = 0
 qsb_d.REPLY_S = 1e-5
 qsb_d.INDEX_POLL_S = 0.0
@@ -89,7 +88,7 @@ def fuzz_copley_ascii(data: bytes) -> None:
         return ports[-1]
 
     device = copley_ascii.CopleyAscii("port", peak_limit_a=2.0, continuous_limit_a=1.0,
-                                      open_port=open_port)
+                                      reply_s=1e-5, open_port=open_port)
     for action in (device.open, device.arm, *[device.status] * 40, device.clear_faults,
                    device.disarm):
         try:

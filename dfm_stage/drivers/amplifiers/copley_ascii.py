@@ -19,8 +19,8 @@ from dfm_stage.drivers.transport import SerialPort
 
 ATTEMPTS = 3
 ENABLE_S = 0.5
+REPLY_S = 0.01
 _LINE_BITS = 400
-_PROCESSING_S = 0.01
 _BAUD_TOLERANCE = 0.02
 _QUESTIONS = (Parameter.STATUS, Parameter.ACTUAL_CURRENT) * 8
 _SLOW_QUESTIONS = (Parameter.LATCHED_FAULTS, Parameter.TEMPERATURE, Parameter.BUS_VOLTAGE)
@@ -39,17 +39,21 @@ class CopleyAscii:
         What the drive itself must be limited to. A drive that would let more through is refused.
     ramp_a_per_s : float
         Slope of the output in the drive; 0 is a step.
+    reply_s : float
+        How long the drive may take to answer, besides the time on the wire.
     """
 
     count_a = copley.AMPERE_PER_COUNT
 
     def __init__(self, port: str, baud: int = 115200, *, peak_limit_a: float,
                  continuous_limit_a: float, peak_time_s: float = 1.0, ramp_a_per_s: float = 0.0,
+                 reply_s: float = REPLY_S,
                  open_port: Callable[[str, int], SerialPort] = SerialPort) -> None:
         self._path = port
         self._baud = baud
         self._limits = (peak_limit_a, continuous_limit_a, peak_time_s)
         self._ramp_ma = round(1000.0 * ramp_a_per_s)
+        self._reply_s = reply_s
         self._open_port = open_port
         self._port: SerialPort | None = None
         self._lines = LineBuffer(b"\r")
@@ -84,7 +88,7 @@ class CopleyAscii:
                 self.counters["malformed_lines"] += stray.count(b"\r") or 1
             self._lines.clear()
             port.write(command)
-            deadline = time.monotonic() + _LINE_BITS / port.baud + _PROCESSING_S
+            deadline = time.monotonic() + _LINE_BITS / port.baud + self._reply_s
             while (left := deadline - time.monotonic()) > 0.0:
                 for line in self._lines.feed(port.read(left)):
                     try:
@@ -280,4 +284,5 @@ def create(port: str, **options: float) -> CopleyAscii:
                        peak_limit_a=options["peak_limit_a"],
                        continuous_limit_a=options["continuous_limit_a"],
                        peak_time_s=options.get("peak_time_s", 1.0),
-                       ramp_a_per_s=options.get("ramp_a_per_s", 0.0))
+                       ramp_a_per_s=options.get("ramp_a_per_s", 0.0),
+                       reply_s=options.get("reply_s", REPLY_S))

@@ -293,10 +293,9 @@ VALUES = [b"ok\r", b"v 0\r", b"v 99999\r", b"v -5\r", b"e 14\r", b"", b"\x00", b
 @given(st.lists(st.one_of(st.binary(max_size=30), st.sampled_from(VALUES)), max_size=40))
 def test_no_replies_crash_the_driver_or_move_the_output(answers):
     monkey = pytest.MonkeyPatch()
-    monkey.setattr(copley_ascii, "_PROCESSING_S", 0.0005)
     monkey.setattr(copley_ascii, "_LINE_BITS", 0)
     try:
-        device, ports = driver(answers=list(answers))
+        device, ports = driver(answers=list(answers), reply_s=0.0005)
         for action in (device.open, device.arm, device.status, device.status,
                        device.clear_faults, device.disarm):
             try:

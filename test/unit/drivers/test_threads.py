@@ -47,7 +47,7 @@ class Rig:
         self.emulator = CopleyAsciiEmulator()
         self.ports = Ports(self.emulator)
         self.device = CopleyAscii("port", open_port=self.ports, peak_limit_a=2.0,
-                                  continuous_limit_a=1.0)
+                                  continuous_limit_a=1.0, reply_s=0.005)
         self.device.open()
         self.interlock = Interlock(2.0, stale_s, on_trip=lambda *_: self.worker.nudge())
         self.listener = Listener()
@@ -88,7 +88,6 @@ class Rig:
 @pytest.fixture
 def rig(monkeypatch):
     monkeypatch.setattr(copley_ascii.copley, "BAUD_SETTLING_S", 0.0)
-    monkeypatch.setattr(copley_ascii, "_PROCESSING_S", 0.005)
     made = []
 
     def make(**options):
