@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from benchmarks.corpus import plant
 from benchmarks.corpus.linear import response
 from benchmarks.corpus.plan import CaseSpec, class_of
-from benchmarks.corpus.severity import Refit, rms, scale_for
+from benchmarks.corpus.severity import Refit, left_by_refit, rms, scale_for
 from benchmarks.corpus.stage import (
     PERIOD,
     SAMPLES,
@@ -276,7 +276,8 @@ def _severity(setup: Setup, drawn: Draw) -> Callable[[float], float]:
             seen = [out[2] for out in outs]
         if not refitted(drawn.name, stage):
             return rms(kept[0].before(seen)) / stage.noise
-        return rms(kept[0].left(seen)) / stage.noise
+        return rms(left_by_refit(stage.base, PERIOD, [out[0] for out in outs], seen, not trusted)
+                   ) / stage.noise
 
     return severity
 
@@ -286,13 +287,14 @@ def _linear_severity(setup: Setup, drawn: Draw) -> Callable[[float], float]:
     as they are without the effect."""
     stage = setup.stage
     commands = [perform(setup, i, {}, finest=SEARCH)[0] for i in range(len(setup.train))]
-    refit = Refit.of(stage.base, PERIOD, commands, "encoder_zero" not in stage.base)
     field = LINEAR_BASE[drawn.name]
 
     def severity(scale: float) -> float:
         base = dict(stage.base)
         base[field] = base.get(field, 0.0) + next(iter(drawn.of(scale).values()))
-        return rms(refit.left([response(base, PERIOD, u) for u in commands])) / stage.noise
+        return rms(left_by_refit(stage.base, PERIOD, commands, [
+            response(base, PERIOD, u) for u in commands], "encoder_zero" not in stage.base)
+                   ) / stage.noise
 
     return severity
 

@@ -22,6 +22,7 @@ class Refit:
 
     centre: list[Any]
     basis: Any
+    solve: Any
 
     @classmethod
     def of(cls, base: dict[str, float], period: float, commands: Sequence[Any],
@@ -39,9 +40,15 @@ class Refit:
             matrix[part, :len(free)] = columns[:, :len(free)]
             matrix[part, first:first + own] = columns[:, len(free):len(free) + own]
             at += len(columns)
-        matrix /= np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
-        left, values, _ = np.linalg.svd(matrix, full_matrices=False)
-        return cls([centre for centre, _ in found], left[:, values > 1e-9 * values[0]])
+        sizes = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+        matrix /= sizes
+        values, vectors = np.linalg.eigh(matrix.T @ matrix)
+        known = values > 1e-14 * values[-1]
+        basis = matrix @ (vectors[:, known] / np.sqrt(values[known]))
+        units = np.ones(sizes.size)
+        units[:len(free)] = [base[name] for name in free]
+        solve = (vectors[:, known] / np.sqrt(values[known])) / (sizes * units)[:, None]
+        return cls([centre for centre, _ in found], basis, solve)
 
     def left(self, outputs: Sequence[Any]) -> Any:
         """The gap (m) between outputs and model that no refit removes, all runs in a row."""
@@ -51,6 +58,29 @@ class Refit:
     def before(self, outputs: Sequence[Any]) -> Any:
         """The gap (m) without a refit, all runs in a row."""
         return np.concatenate([y - c for y, c in zip(outputs, self.centre, strict=True)])
+
+
+def left_by_refit(base: dict[str, float], period: float, commands: Sequence[Any],
+                  outputs: Sequence[Any], offsets: bool) -> Any:
+    """The gap (m) that the best linear stage leaves: Gauss-Newton steps until they change nothing.
+
+    One step will not do where an effect shifts the resonance by more than a little.
+    """
+    free = [name for name in FREE if base.get(name, 0.0) > 0.0]
+    at, best, kept = dict(base), math.inf, np.zeros(0)
+    for _ in range(6):
+        refit = Refit.of(at, period, commands, offsets)
+        gap = refit.before(outputs)
+        along = refit.basis.T @ gap
+        left = gap - refit.basis @ along
+        size = rms(left)
+        if size > 0.97 * best:
+            return left if size < best else kept
+        best, kept = size, left
+        step = np.clip(refit.solve @ along, -0.5, 0.5)[:len(free)]
+        for name, change in zip(free, step, strict=True):
+            at[name] *= 1.0 + float(change)
+    return kept
 
 
 def rms(values: Any) -> float:
