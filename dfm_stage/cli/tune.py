@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 METHODS = ("pid", "lqr", "ziegler_nichols")
 WAYS = ("raise_gain", "relay")
+_NO_NOISE_M = 1e-11
 EPILOG = """examples:
   ./run tune --model paper_stage
   ./run tune --model my/model.yaml --method lqr --margin 0.6 --out lqr.yaml
@@ -227,6 +228,8 @@ def _promises(result: Tuned) -> list[str]:
               f"{p['step_1mm_after_5s'] * 1e6:.3g} um, +-1 mm 0.5 Hz sine within "
               f"{p['sine_1mm_half_hz_peak'] * 1e6:.3g} um, {p['at_rest_rms'] * 1e9:.3g} nm RMS at "
               "rest")
+    if p["at_rest_rms"] < _NO_NOISE_M:
+        errors += "; the model has no noise, add that of the encoder"
     return [margins, errors]
 
 

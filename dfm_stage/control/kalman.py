@@ -23,6 +23,7 @@ from dfm_stage.control.errors import ControlError
 from dfm_stage.control.stage import Sampled
 
 Array = NDArray[np.float64]
+UNKNOWN_NOISE_M = 5e-8
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,12 @@ def kalman(stage: Sampled, *, noise_m: float, force_n: float,
 
 
 def reading_noise_m(base: dict[str, float]) -> float:
-    """Return the RMS of noise and rounding of a model's reading, at least 1 pm."""
+    """Return the RMS of noise and rounding of a model's reading, at least 1 pm.
+
+    A model that says nothing of either, as one identified from a bag may, is taken to have
+    50 nm: no noise at all would make the filter believe every count.
+    """
+    if "noise" not in base and "encoder_resolution" not in base:
+        return UNKNOWN_NOISE_M
     return math.sqrt(max(base.get("noise", 0.0)**2
                          + base.get("encoder_resolution", 0.0)**2 / 12.0, 1e-24))

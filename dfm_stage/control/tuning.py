@@ -185,7 +185,7 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
         f"integral of the error weighed with {spec.lqr_integral_m_s:.3g} m s" if spec.lqr_integral
         else "no integral action: a force or a wrong model leaves an error of "
              f"{best.steady_error(best.stage, 0.0, 1.0):.3g} m/N",
-        ("delay, amplifier lag and second mode are states of the design model; the filter reckons "
+        (f"{_states_of(model)} are states of the design model; the filter reckons "
         f"with {spec.lqr_force_noise_n:g} N of unknown force, which keeps a modulus margin of "
         f"{least:.2f} with any parameter {_UNCERTAINTY:.0%} off"))
     limit = command_limit(model, output_limit_v)
@@ -199,6 +199,11 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
             "margins and filter are those of the model's linear part"))
     return Tuned("lqr", parameters, best.margins, _bandwidth(f, loop),
                  predicted_errors(model, Lqg(best, limit), forward=forward), reasons)
+
+
+def _states_of(model: Model) -> str:
+    mode = " and second mode" if model.effect("second_mode") else ""
+    return f"delay{',' if mode else ' and'} amplifier lag{mode}"
 
 
 def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | None:

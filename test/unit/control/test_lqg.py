@@ -330,3 +330,12 @@ def test_the_integral_waits_while_the_amplifier_gives_less() -> None:
         free.step(1e-3, 0.0)
         free.applied(0.1)
     assert 0.0 <= waited < 0.1 * free.integral_v
+
+
+def test_a_model_without_a_word_on_noise_still_gives_a_filter_that_smooths() -> None:
+    model = load_model("paper_stage")
+    silent = Model("s", model.sample_period, {
+        name: value for name, value in model.base.items()
+        if name not in ("noise", "encoder_resolution")})
+    found = design_lqr(silent, LqrSpec())
+    assert found.filter.gain == pytest.approx(design_lqr(model, LqrSpec()).filter.gain, rel=0.1)
