@@ -8,7 +8,3 @@ __version__ = "0.1.0"
 # they give, on a busy machine thirty times more. Whoever has set these keeps them.
 for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-
-# numba keeps compiled code by the path of its source: one path for a checkout and for the links
-# that `colcon build --symlink-install` makes to it
-__path__ = [os.path.realpath(folder) for folder in __path__]
