@@ -126,7 +126,7 @@ class EncoderDriver(ManagedNode):
                        self._resolution or sample.resolution)
 
     def on_sample(self, sample: EncoderSample) -> None:
-        """Pass on a sample of the device, numbered on past its restarts; in the reader's thread."""
+        """Pass a sample on, numbered on past restarts of the device; in the reader's thread."""
         if self._last_seq is None:
             self._seq_base = self._next_seq - sample.seq
         seq = (sample.seq + self._seq_base) & 0xFFFFFFFF
