@@ -140,11 +140,23 @@ class Search:
                     dither=self.dither, iterations=12 if later else 25,
                     tolerance=1.0 if later else 0.03)
         self.spent += found.system.work
+        if any(h.name == "encoder_quantization" for h in hits) and "noise" not in self.model.base:
+            found = self._with_noise(found, early)
         if later and found.ok and found.chi2 < worth:
             found = fit(found.model, self.runs, free, self.weights, earlier=found.locals,
                         dither=self.dither, iterations=25, tolerance=0.1)
             self.spent += found.system.work
         return found
+
+    def _with_noise(self, found: Fit, free: Names) -> Fit:
+        """The noise before rounding that explains a counted reading best."""
+        use = found.model.effect("encoder_quantization")
+        if use is None or not found.ok:
+            return found
+        trials = [fit(found.model.with_parameters({"noise": share * use.parameters["step"]}),
+                      self.runs, free, self.weights, earlier=found.locals, dither=self.dither,
+                      iterations=4) for share in (0.02, 0.035, 0.06, 0.085, 0.115, 0.15, 0.2)]
+        return min([found, *trials], key=lambda f: f.chi2)
 
     def parameters(self, model: Model) -> Names:
         """What is free in a model with effects added: the base and all of theirs."""
@@ -166,7 +178,7 @@ class Search:
         for name in self.library:
             if name in names or excluded(name, self.model, self.runs) is not None:
                 continue
-            found += screen.hits(name)
+            found += [h for h in screen.hits(name) if not _same_steps(h, current.model)]
         found.sort(key=lambda h: -h.gain)
         return screen, found
 
@@ -322,7 +334,8 @@ class Search:
             self.step(f"fitting {hit.name} in place of {name}")
             rival = self.fitted((*rest, hit.name), without, [hit],
                                 current.chi2 + 0.2 * max(loss, 0.0))
-            found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
+            if rival.ok:
+                found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
         return sorted(found, key=lambda r: r.cost)
 
     def settle(self, names: Names, current: Fit) -> tuple[Names, Fit, Fit]:
@@ -344,6 +357,15 @@ class Search:
                     names, current = kept, found
                     continue
             return names, current, bare
+
+
+def _same_steps(hit: Hit, model: Model) -> bool:
+    """Whether a periodic error is but a harmonic of the steps in which the reading counts."""
+    use = model.effect("encoder_quantization")
+    if use is None or hit.name != "encoder_periodic_error":
+        return False
+    order = use.parameters["step"] / hit.parameters["period"]
+    return abs(order - round(order)) < 0.02 * max(order, 1.0) and round(order) > 0
 
 
 def shares_class(first: str, second: str) -> bool:
