@@ -40,6 +40,7 @@ LIMIT_V = 10.0
 STEP_M, SETTLED_M = 1e-3, 1e-6
 RASTER = {"kind": "raster", "line_length_m": 5e-3, "line_time_s": 0.4, "turnaround_s": 0.1,
           "lead_in_s": 0.5}
+_KNOWN: list[tuple[Model, tuple[Tuned, Tuned, Tuned]]] = []
 NAMES = ("ziegler_nichols", "pid", "lqr", "inverse", "learning")
 
 
@@ -103,9 +104,7 @@ def controllers(model: Model, stage: Model) -> list[Controller]:
     """
     h = model.sample_period
     classic = tune_ziegler_nichols(model, raised(stage).outcome)
-    pid = tune_pid(model, MARGIN, model_name="model.yaml")
-    lqr = tune_lqr(model, "model.yaml", MARGIN)
-    inverse = tune_pid(model, MARGIN, model_name="model.yaml", feedforward="inverse")
+    pid, lqr, inverse = _tuned(model)
     gains, forward = gains_of(pid), None
     if "feedforward" in pid.parameters:
         forward, gains = ModelFeedforward(model, gains), gains.without_feedforward()
@@ -114,6 +113,18 @@ def controllers(model: Model, stage: Model) -> list[Controller]:
             Controller("lqr", Lqg(design_lqr(model, LqrSpec.from_mapping(lqr.parameters))), model,
                        lqr, ModelFeedforward(model) if "feedforward" in lqr.parameters else None),
             Controller("inverse", Pid(gains_of(inverse), h), model, inverse, inverse=True)]
+
+
+def _tuned(model: Model) -> tuple[Tuned, Tuned, Tuned]:
+    """Return PID, LQR and PID with inverse of a model, tuned once."""
+    for known, found in _KNOWN:
+        if known is model:
+            return found
+    found = (tune_pid(model, MARGIN, model_name="model.yaml"),
+             tune_lqr(model, "model.yaml", MARGIN),
+             tune_pid(model, MARGIN, model_name="model.yaml", feedforward="inverse"))
+    _KNOWN.append((model, found))
+    return found
 
 
 def raised(stage: Model) -> GainRaising:

@@ -7,6 +7,7 @@ kills minutes.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -42,7 +43,8 @@ class Nursery:
     def kill(self) -> None:
         """SIGKILL the one that was started last."""
         if self.child:
-            os.kill(self.child, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.child, signal.SIGKILL)
             self.child = 0
 
     def close(self) -> None:

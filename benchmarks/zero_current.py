@@ -33,6 +33,7 @@ MOVING = {
         "reference.amplitude_m": 5e-4, "reference.frequency_hz": 2.0}}
 LEAST_CURRENT_A = 0.05
 PATIENCE_S = 60.0
+GUARD_S = 4.0
 
 
 class OutputFile:
@@ -125,17 +126,22 @@ class ZeroCurrentRig:
 
     def _wait_for_current(self) -> None:
         """Arm, and wait for current; a machine that held the emulators up asks for it again."""
-        deadline = time.monotonic() + PATIENCE_S
+        begin = time.monotonic()
+        let_go_s = begin + GUARD_S
         while abs(self.output.current_a) <= LEAST_CURRENT_A or self.output.off:
+            now = time.monotonic()
             if self.output.off:
-                # a controller whose guard let go meanwhile starts anew, too
-                self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
                 for kind, service in (("amplifier_driver", "clear"), ("encoder_driver", "home"),
                                       ("amplifier_driver", "arm")):
                     self.graph.trigger(kind, service)
                 self.graph.spin(0.1)
+            elif now > let_go_s:
+                # armed, and no current: the controller's guard has let go
+                let_go_s = now + GUARD_S
+                with contextlib.suppress(HarnessError):
+                    self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
             self.graph.spin(0.005)
-            if time.monotonic() > deadline:
+            if now > begin + PATIENCE_S:
                 raise HarnessError("no current in the coil: "
                                    f"{self.graph.trigger('amplifier_driver', 'arm')[1]}")
 

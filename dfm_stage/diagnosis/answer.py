@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ FLOOR = 1.2
 GROSS, MOST_OF = 0.05, 0.85
 """A gap of this share of the motion, of which a model takes this share of power, is named even
 where a remainder stays."""
+UNSEEN = 3.0
+"""Pre-sliding distance over the noise below which it is not seen."""
 REST = 12.0
 """Motion over noise below which a record cannot show an effect."""
 OFFSET_SIGMAS = 6.0
@@ -78,7 +80,7 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
     tell("judging")
     warnings = [*case.warnings, *doubts]
     members = {n: _members(case, n) for n in names}
-    values = quantities(case.fit)
+    values = _with_values(quantities(case.fit), case.fit.model)
     offset = _offset(case)
     verdict: Verdict
     description: Description | None = None
@@ -106,7 +108,9 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
     elif verdict == "ambiguous":
         effects = (offset,) if offset else ()
     shown = case.fit if effects and names else case.bare
-    base = quantities(case.bare) if shown is case.bare and names else values
+    base = values
+    if shown is case.bare and names:
+        base = _with_values(quantities(case.bare), case.bare.model)
     limits = _limits(case) if verdict in ("none", "not_excited", "retune") else {}
     after = case.after if shown is case.fit else case.retuned
     gap = Gap(case.runs[0].unit, case.floor, case.search.weights[0][0].source,
@@ -121,6 +125,12 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
         gap, description, next_experiment(verdict, open_members, case.model, case.runs),
         tuple(warnings), _signed(model, effects, case), left, limits,
         _traces(case, shown))
+
+
+def _with_values(found: Mapping[str, Quantity], model: Model) -> dict[str, Quantity]:
+    """The intervals about the values that the model has."""
+    values = model.parameters()
+    return {n: replace(q, value=float(values.get(n, q.value))) for n, q in found.items()}
 
 
 def _findings(runs: Sequence[Experiment], residuals: Sequence[Sequence[Array]],
@@ -177,6 +187,8 @@ def _members(case: Case, name: str) -> tuple[str, ...]:
     """The effect and the rivals that the data do not part from it."""
     found = [name]
     for rival in case.rivals.get(name, ()):
+        if _degenerate(rival, case.floor):
+            continue
         prices = len(rival.fit.system.free) - len(case.fit.system.free)
         cost = rival.cost + 2.0 * prices
         if cost > MARGIN:
@@ -185,6 +197,14 @@ def _members(case: Case, name: str) -> tuple[str, ...]:
         if cost + seen.chi2 - case.after.chi2 <= MARGIN:
             found.append(rival.name)
     return tuple(found)
+
+
+def _degenerate(rival: Rival, floor: float) -> bool:
+    """Whether a rival is at its own limit: bristles stiffer than can be seen are dry friction."""
+    use = rival.fit.model.effect("presliding_friction")
+    if rival.name != "presliding_friction" or use is None:
+        return False
+    return use.parameters["force"] / use.parameters["stiffness"] < UNSEEN * floor
 
 
 def _named(case: Case, name: str, members: tuple[str, ...],
@@ -196,7 +216,7 @@ def _named(case: Case, name: str, members: tuple[str, ...],
         address = f"{name}.{parameter}"
         unit = case.fit.model.parameter(address).unit
         held = Quantity(value, unit, (value * (1.0 - 1e-6), value * (1.0 + 1e-6)))
-        own[parameter] = values.get(address, held)
+        own[parameter] = replace(values.get(address, held), value=float(value))
     rest = tuple(n for n in case.names if n != name)
     without = case.search.fitted(rest, case.fit)
     loss = without.chi2 - case.fit.chi2

@@ -64,11 +64,11 @@ def rms(parts: Sequence[Array]) -> float:
 
 def fit(model: Model, runs: Sequence[Experiment], free: Sequence[str], weights: Weights, *,
         earlier: dict[tuple[str, int], float] | None = None, dither: float = 0.0,
-        iterations: int = 25, tolerance: float = 1e-2) -> Fit:
+        iterations: int = 25, tolerance: float = 1e-2, exact: bool = False) -> Fit:
     """Estimate the parameters `free` and what belongs to single runs.
 
     `earlier` are values of single runs to begin from. `tolerance` is the fall in chi-square at
-    which the search ends.
+    which the search ends. `exact` takes the base's sensitivities with nonlinear effects on.
     """
     system = System(model, runs, free, dither)
     start = system.start(earlier)
@@ -76,7 +76,7 @@ def fit(model: Model, runs: Sequence[Experiment], free: Sequence[str], weights: 
     def residual(x: Array) -> Array:
         return weighted(system.residuals(x), weights)
 
-    light = system.use_light(start)
+    light = not exact and system.use_light(start)
     kept = _Kept(system, light)
 
     def jacobian(x: Array, _: Array) -> Array:

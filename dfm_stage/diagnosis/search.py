@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,12 @@ PER_PARAMETER = 12.0
 """What a further parameter must bring at least for the larger of two models to be preferred."""
 ENOUGH = 0.2
 """A further effect must take this share of what is left above the noise: bits are no physics."""
+BUDGET = 4000.0
+"""Simulations (in units of one with a smooth force) after which no further candidate that is slow
+to simulate is tried."""
 MOST = 4
+VALLEY = 1.03
+"""Chi-square per sample above which effects are looked for anew beside the others."""
 SHORT_LIST = 4
 CLOSE = 0.8
 """Candidates whose screened gain is this share of the best one's are fitted in full."""
@@ -65,6 +70,8 @@ class Search:
     screens: dict[frozenset[str], list[Hit]] = field(default_factory=dict)
     weights: Weights = ()
     stage: int = 0
+    spent: float = 0.0
+    cut_short: bool = False
 
     def begin(self) -> Fit:
         """Fit the model as it is; sets the first weights."""
@@ -108,7 +115,7 @@ class Search:
             return self.fits[key]
         found = self._from(start.model, names, start, hits, worth)
         expected = start.chi2 - 0.5 * sum(h.gain for h in hits[:1])
-        if hits and not found.chi2 < expected:
+        if hits and not found.chi2 < expected and self.spent < BUDGET:
             base = {n: v for n, v in self.model.base.items() if n in self.free}
             again = self._from(start.model.with_parameters(base), names, start, hits, worth)
             found = min(found, again, key=lambda f: f.chi2)
@@ -126,13 +133,30 @@ class Search:
             later += [f"{hit.name}.{n}" for n in LATER.get(hit.name, ())]
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
+        if hits and self.spent > BUDGET and any(h.name in LATER for h in hits):
+            self.cut_short = True
+            return replace(start, chi2=math.inf)
         found = fit(model, self.runs, early, self.weights, earlier=start.locals,
                     dither=self.dither, iterations=12 if later else 25,
                     tolerance=1.0 if later else 0.03)
+        self.spent += found.system.work
+        if any(h.name == "encoder_quantization" for h in hits) and "noise" not in self.model.base:
+            found = self._with_noise(found, early)
         if later and found.ok and found.chi2 < worth:
             found = fit(found.model, self.runs, free, self.weights, earlier=found.locals,
                         dither=self.dither, iterations=25, tolerance=0.1)
+            self.spent += found.system.work
         return found
+
+    def _with_noise(self, found: Fit, free: Names) -> Fit:
+        """The noise before rounding that explains a counted reading best."""
+        use = found.model.effect("encoder_quantization")
+        if use is None or not found.ok:
+            return found
+        trials = [fit(found.model.with_parameters({"noise": share * use.parameters["step"]}),
+                      self.runs, free, self.weights, earlier=found.locals, dither=self.dither,
+                      iterations=4) for share in (0.02, 0.035, 0.06, 0.085, 0.115, 0.15, 0.2)]
+        return min([found, *trials], key=lambda f: f.chi2)
 
     def parameters(self, model: Model) -> Names:
         """What is free in a model with effects added: the base and all of theirs."""
@@ -154,7 +178,7 @@ class Search:
         for name in self.library:
             if name in names or excluded(name, self.model, self.runs) is not None:
                 continue
-            found += screen.hits(name)
+            found += [h for h in screen.hits(name) if not _same_steps(h, current.model)]
         found.sort(key=lambda h: -h.gain)
         return screen, found
 
@@ -218,7 +242,11 @@ class Search:
             self.step("screening every effect")
             found = self.extend(names, current)
             if found is None:
-                break
+                moved = self.reseated(names, current)
+                if moved is None:
+                    break
+                current = moved
+                continue
             names, current = found
             names, current = self.pruned(names, current)
             weights = white_weights(current.residuals)
@@ -228,6 +256,29 @@ class Search:
                 self.reweigh(weights)
                 current = self.refitted(names, current)
         return names, current
+
+    def reseated(self, names: Names, current: Fit) -> Fit | None:
+        """A better fit of the same effects, each looked for anew beside the others; None if there
+        is none. A first look, with others still in the residual, may have started a search in
+        the wrong valley."""
+        if not names or current.chi2 < VALLEY * current.white.size:
+            return None
+        if current.system.costly:
+            exact = fit(current.model, self.runs, self.parameters(current.model), self.weights,
+                        earlier=current.locals, dither=self.dither, iterations=12, exact=True)
+            if exact.chi2 < current.chi2 - FURTHER:
+                return self.keep(names, exact)
+        for name in names:
+            if name in LATER:
+                continue
+            rest = tuple(n for n in names if n != name)
+            without = self.fitted(rest, current)
+            screen = Screen(without, self.runs, self.weights, self.dither)
+            for hit in screen.hits(name, keep=3):
+                trial = self._from(without.model, names, without, [hit], math.inf)
+                if trial.chi2 < current.chi2 - FURTHER:
+                    return self.keep(names, trial)
+        return None
 
     def pruned(self, names: Names, current: Fit) -> tuple[Names, Fit]:
         """Drop effects that have become unnecessary."""
@@ -283,7 +334,8 @@ class Search:
             self.step(f"fitting {hit.name} in place of {name}")
             rival = self.fitted((*rest, hit.name), without, [hit],
                                 current.chi2 + 0.2 * max(loss, 0.0))
-            found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
+            if rival.ok:
+                found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
         return sorted(found, key=lambda r: r.cost)
 
     def settle(self, names: Names, current: Fit) -> tuple[Names, Fit, Fit]:
@@ -305,6 +357,15 @@ class Search:
                     names, current = kept, found
                     continue
             return names, current, bare
+
+
+def _same_steps(hit: Hit, model: Model) -> bool:
+    """Whether a periodic error is but a harmonic of the steps in which the reading counts."""
+    use = model.effect("encoder_quantization")
+    if use is None or hit.name != "encoder_periodic_error":
+        return False
+    order = use.parameters["step"] / hit.parameters["period"]
+    return abs(order - round(order)) < 0.02 * max(order, 1.0) and round(order) > 0
 
 
 def shares_class(first: str, second: str) -> bool:

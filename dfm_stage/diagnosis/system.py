@@ -24,6 +24,8 @@ PER_RUN = {"periodic_disturbance": ("periodic_disturbance.in_phase",
                                     "periodic_disturbance.quadrature"),
            "thermal_drift": ("thermal_drift.rate",)}
 """Coordinates of effects that do not carry over from one run to the next."""
+COST = {"presliding_friction": 6.0, "hysteresis": 12.0}
+"""What a simulation costs beside one with a smooth nonlinear force."""
 SMALL_SHARE = 0.05
 """Nonlinear effects that move the output by less than this leave the base's sensitivities."""
 
@@ -69,6 +71,8 @@ class System:
             light = light.without_effect(name)
         self.light = Simulator(light) if costly else self.simulator
         self.costly = costly
+        self.cost = max((COST.get(n, 1.0) for n in costly), default=0.0)
+        self.work = 0.0
         self.places = [*self._global_places(), *(p for i in range(len(self.runs))
                                                  for p in self._local_places(i))]
         self.count = len(self.free)
@@ -215,6 +219,8 @@ class System:
         if light:
             kept = [k for k, n in enumerate(names) if n.partition(".")[0] not in self.costly]
             names, table = [names[k] for k in kept], table[:, kept]
+        else:
+            self.work += self.cost * len(rows) / len(self.runs)
         out = [np.full((len(rows), run.input.size), np.nan) for _ in run.channels]
         if not np.any(allowed):
             return [o[:, run.skip:] for o in out]

@@ -87,6 +87,9 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
     names, current, rivals = search.compare(names, current)
     tell("predicting held-out records")
     weights = weights_like(held, search.weights)
+    if search.cut_short:
+        warnings.append("candidates that are slow to simulate were not all tried: the work grew "
+                        "beyond its limit; diagnose shorter records or fewer effects (--without)")
     names, current, dropped, silent = _held_out(search, names, current, held, weights, seed)
     rivals = {n: r for n, r in rivals.items() if n in names}
     case = Case(model=model, runs=runs, held=held, search=search, names=names, fit=current,

@@ -234,7 +234,10 @@ class Controller(LoopNode):
         samples = 1 if self._last_seq is None else (measurement.seq - self._last_seq) & 0xFFFFFFFF
         self._last_seq = measurement.seq
         if samples != 1:
-            self.count("samples_missed", samples - 1)
+            if 0 < samples < 0x80000000:
+                self.count("samples_missed", samples - 1)
+            else:  # an encoder that has started anew numbers anew
+                samples = 1
         excitation = self._excitations.last
         added = excitation.voltage if excitation is not None else 0.0
         laws, position = self._laws, measurement.position

@@ -56,6 +56,7 @@ class EncoderDriver(ManagedNode):
         self._speed: float = self.settings["velocity_limit_m_per_s"]
         self.counters["samples"] = 0
         self._last_seq: int | None = None
+        self._seq_base = self._next_seq = 0
         self._last_stamp_ns = 0
         self._last_counts = 0
         self._last_position = 0.0
@@ -125,8 +126,12 @@ class EncoderDriver(ManagedNode):
                        self._resolution or sample.resolution)
 
     def on_sample(self, sample: EncoderSample) -> None:
-        """Pass on a sample of the device; in the reader's thread."""
-        self._emit(sample.seq, sample.stamp_ns, sample.counts, sample.elapsed_s,
+        """Pass a sample on, numbered on past restarts of the device; in the reader's thread."""
+        if self._last_seq is None:
+            self._seq_base = self._next_seq - sample.seq
+        seq = (sample.seq + self._seq_base) & 0xFFFFFFFF
+        self._next_seq = seq + 1
+        self._emit(seq, sample.stamp_ns, sample.counts, sample.elapsed_s,
                    self._resolution)
 
     def _emit(self, seq: int, stamp_ns: int, raw: int, elapsed_s: float,

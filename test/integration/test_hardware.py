@@ -11,6 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 
 from benchmarks.zero_current import ZeroCurrentRig, moving_stage
+from dfm_interfaces.msg import Measurement
 from dfm_stage.emulated import EmulatedDevice, EmulatedGraph
 from dfm_stage.harness import HarnessError
 from dfm_stage.recording import read_bag
@@ -134,6 +135,9 @@ def struck(rig: ZeroCurrentRig, kind: str) -> float:
 def test_a_drive_that_was_gone_comes_back_off_and_a_counter_unreferenced():
     with moving_stage() as rig:
         graph = rig.graph
+        numbers = []
+        graph._client_node.create_subscription(Measurement, "/stage/x/measurement",
+                                               lambda message: numbers.append(message.seq), 1000)
         rig._wait_for_current()
         struck_ns = graph.devices["amplifier"].inject("disconnect 0.5")
         graph.devices["encoder"].inject("disconnect 0.5")
@@ -147,6 +151,7 @@ def test_a_drive_that_was_gone_comes_back_off_and_a_counter_unreferenced():
         assert not done
         assert "not referenced" in message or "clear first" in message
         rig._wait_for_current()
+        assert numbers == sorted(set(numbers)), "measurements are numbered on"
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
