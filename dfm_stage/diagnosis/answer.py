@@ -160,7 +160,8 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
                       "is said of it rests on the fitted records")
         if case.bare.chi2 - case.fit.chi2 < 2.0 * FIRST:
             return False, doubts
-    gross = min(case.bare.rms, case.before_fit.rms) > GROSS * max(float(np.std(r.output)) for r in case.runs)
+    motion = max(float(np.std(r.output)) for r in case.runs)
+    gross = min(case.bare.rms, case.before_fit.rms) > GROSS * motion
     better = case.after.chi2 < case.retuned.chi2 + (SILENT if case.silent else 0.0)
     first = min(case.retuned.rms, case.before.rms)
     taken = 1.0 - (case.after.rms / max(first, 1e-300)) ** 2
