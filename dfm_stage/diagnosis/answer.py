@@ -29,7 +29,7 @@ RETUNED = 60.0
 """Fall in chi-square that makes new values of the base parameters worth telling."""
 FLOOR = 1.2
 """Held-out RMS over the noise floor up to which a model explains everything."""
-GROSS, MOST_OF = 0.05, 0.85
+GROSS, MOST_OF = 0.05, 0.9
 """A gap of this share of the motion, of which a model takes this share of power, is named even
 where a remainder stays."""
 UNSEEN = 3.0
@@ -160,10 +160,13 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
                       "is said of it rests on the fitted records")
         if case.bare.chi2 - case.fit.chi2 < 2.0 * FIRST:
             return False, doubts
-    gross = case.bare.rms > GROSS * max(float(np.std(r.output)) for r in case.runs)
+    motion = max(float(np.std(r.output)) for r in case.runs)
+    drifts = case.bare.system.springless
+    gross = (case.bare.rms if drifts else min(case.bare.rms, case.before_fit.rms)) > GROSS * motion
     better = case.after.chi2 < case.retuned.chi2 + (SILENT if case.silent else 0.0)
-    taken = 1.0 - (case.after.rms / max(case.retuned.rms, 1e-300)) ** 2
-    if gross and better and taken > MOST_OF:
+    first = case.retuned.rms if drifts else min(case.retuned.rms, case.before.rms)
+    taken = 1.0 - (case.after.rms / max(first, 1e-300)) ** 2
+    if gross and better and taken > (MOST_OF - 0.05 if drifts else MOST_OF):
         return True, doubts
     if not better:
         return False, [f"{all_names}: lowers the fitted gap, not the held-out one"]

@@ -261,7 +261,8 @@ class Search:
         """A better fit of the same effects, each looked for anew beside the others; None if there
         is none. A first look, with others still in the residual, may have started a search in
         the wrong valley."""
-        if not names or current.chi2 < VALLEY * current.white.size:
+        if not names or current.system.springless \
+                or current.chi2 < VALLEY * current.white.size:
             return None
         if current.system.costly:
             exact = fit(current.model, self.runs, self.parameters(current.model), self.weights,
