@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
 import shutil
 import signal
@@ -47,6 +48,9 @@ def pytest_configure(config: pytest.Config) -> None:
         ROS_LOG_DIR=str(folder / "log"),
         MPLBACKEND="Agg",
     )
+    # worker processes of pytest-xdist ignore it, and what a test starts would inherit that
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     # orphans of processes that a test started become ours, so that they are seen
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
@@ -59,7 +63,24 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(autouse=True)
-def no_process_left_behind() -> Iterator[None]:
+def machine_to_itself(request: pytest.FixtureRequest,
+                      tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Run a test marked real_time while the other test processes pause."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    folder = tmp_path_factory.getbasetemp().parent
+    alone = request.node.get_closest_marker("real_time") is not None
+    with (folder / "turn").open("a") as turn, (folder / "machine").open("a") as machine:
+        # whoever waits for the machine keeps the turn, so that it comes soon
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        fcntl.flock(machine, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        fcntl.flock(turn, fcntl.LOCK_UN)
+        yield
+
+
+@pytest.fixture(autouse=True)
+def no_process_left_behind(machine_to_itself: None) -> Iterator[None]:
     """Fail a test that leaves a running process behind, and end that process."""
     before = running_children()
     yield

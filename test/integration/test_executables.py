@@ -14,6 +14,8 @@ from ament_index_python.packages import get_package_prefix
 
 from dfm_stage.harness import compile_simulator
 
+pytestmark = pytest.mark.real_time
+
 NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator", "sim_plant",
          "recorder")
 PARAMETERS = {"sim_plant": ["seed:=3"], "controller": ["kp:=100.0"],

@@ -18,6 +18,8 @@ from dfm_stage.nodes.encoder_driver import EncoderDriver
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import LATCHED_QOS
 
+pytestmark = pytest.mark.real_time
+
 AMPLIFIER, ENCODER = "/stage/x/amplifier_driver", "/stage/x/encoder_driver"
 
 

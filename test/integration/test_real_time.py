@@ -13,6 +13,8 @@ from dfm_stage.harness import StageGraph
 from dfm_stage.nodes.wire import codec
 from dfm_stage.recording import read_bag
 
+pytestmark = pytest.mark.real_time
+
 SHAKE = {"name": "shake", "mode": "open_loop", "duration_s": 1.0, "axes": {"x": {
     "excitation": {"kind": "sine", "amplitude_v": 0.1, "frequency_hz": 5.0}}}}
 

@@ -17,6 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 from dfm_stage.harness import StageGraph
 from dfm_stage.recording import read_bag, read_record
 
+pytestmark = pytest.mark.real_time
+
 SCAN = {"name": "scan", "mode": "pid", "duration_s": 1.0,
         "axes": {"x": {"reference": {"kind": "raster"}}}}
 
