@@ -86,7 +86,11 @@ def test_killed_it_loses_at_most_the_last_second(tmp_path):
     read = read_bag(bag)
     recorded = read["/stage/x/plant"]["seq"]
     assert recorded[-1] >= last - 1000
-    assert np.array_equal(recorded, np.arange(recorded[0], recorded[-1] + 1))
+    assert np.all(np.diff(recorded.astype(np.int64)) > 0)
+    # the plant leaves samples out where the machine holds it up; what it published is there
+    published = [seq for seq in plant if recorded[0] <= seq <= recorded[-1]]
+    assert len(published) > 1000
+    assert set(published) <= set(recorded.tolist())
     assert read.losses
     assert any("cut" in text or "not closed" in text or "end" in text
                for text in read_record(bag).warnings), read_record(bag).warnings
