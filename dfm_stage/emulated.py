@@ -100,7 +100,7 @@ def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, A
         "encoder_driver": {"device": "qsb_d", "port": str(encoder), "retry_s": 0.2,
                            "resolution_m": RESOLUTION_M, "encoder_timeout_s": 0.1},
         "amplifier_driver": {"device": "copley_ascii", "port": str(amplifier),
-                             "current_limit_a": 2.0, "retry_s": 0.2, "reply_timeout_s": 0.1},
+                             "current_limit_a": 2.0, "retry_s": 0.2, "reply_timeout_s": 0.3},
         # soft enough for the delay of the wires and of a busy machine; the feedforward is what
         # the spring, the damper and the mass of current_stage take, per N/A
         "controller": {"sample_period_s": period_s, "kp": 600.0, "ki": 6000.0, "kd": 30.0,

@@ -21,7 +21,7 @@ from dfm_stage.drivers.device import (
     create_amplifier,
     names,
 )
-from dfm_stage.drivers.errors import RefusedError
+from dfm_stage.drivers.errors import DriverError
 from dfm_stage.drivers.interlock import Cause, Interlock
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import Publisher, run_node
@@ -304,7 +304,7 @@ class AmplifierDriver(ManagedNode):
                 else:
                     self._interlock.arm()
                 response.success, response.message = True, "armed"
-            except RefusedError as error:
+            except DriverError as error:
                 response.message = f"refused: {error}"
             if trouble := "" if self.lockstep else self._encoder_trouble():
                 self._trip(Cause.ENCODER, trouble)
