@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from dfm_stage.errors import DfmError
+from dfm_stage.files import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 STDERR = 2
@@ -157,14 +158,10 @@ def _number(value: float | None) -> str:
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
-        temporary.replace(path)
+        write_whole(path, json.dumps(content, indent=1) + "\n")
     except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         raise BenchError(f"cannot write {path}: {error.strerror}: name another --json") from error
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dfm_stage.cli.command import command_parser, finite, output_folder, run_command, write_output
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
@@ -28,8 +28,7 @@ examples:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run and analyse characterisation experiments; 0 done, 2 unusable input."""
-    parser = argparse.ArgumentParser(prog="characterize", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("characterize", __doc__, EPILOG)
     parser.add_argument("kind", nargs="?", default="all", choices=(*KINDS, "all"),
                         help="what to do (default: all)")
     parser.add_argument("--model", metavar="FILE", help="model.yaml of the simulated stage, a "
@@ -46,14 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="one process per node instead of all in this one")
     parser.add_argument("--no-report", action="store_true", help="do not write report.html")
     options = parser.parse_args(argv)
-    try:
-        return _characterize(options)
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
-        return 130
+    return run_command(lambda: _characterize(options))
 
 
 def _characterize(options: argparse.Namespace) -> int:
@@ -78,11 +70,9 @@ def _characterize(options: argparse.Namespace) -> int:
                "results": {kind: result.to_dict() for kind, (_, result) in found.items()},
                "records": {kind: record.provenance.source for kind, (record, _) in found.items()}}
     from dfm_stage.cli.characterize_report import write_report
-    from dfm_stage.cli.identify import _finite, _folder, _write
-
-    folder = _folder(str(out))
-    _write(folder / "characterize.json",
-           json.dumps(_finite(content), indent=1, allow_nan=False) + "\n")
+    folder = output_folder(out)
+    write_output(folder / "characterize.json",
+           json.dumps(finite(content), indent=1, allow_nan=False) + "\n")
     if not options.no_report:
         write_report(found, folder / "report.html", model)
     print(f"  characterize.json{'' if options.no_report else ', report.html'} in {folder}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 from datetime import datetime
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dfm_stage.cli.command import new_folder, run_command
 from dfm_stage.cli.progress import Progress
 from dfm_stage.errors import DfmError
 
@@ -40,21 +40,15 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="one process per node instead of all in this one")
     options = parser.parse_args(argv)
     out = Path(options.out or f"demo/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
-    try:
-        return _demo(out, options.model, options.seed, not options.processes)
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"stopped; what was recorded is in {out}", file=sys.stderr)
-        return 130
+    return run_command(
+        lambda: _demo(out, options.model, options.seed, not options.processes),
+        stopped=f"stopped; what was recorded is in {out}")
 
 
 def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
     from dfm_stage.cli import identify
 
-    if out.exists() and any(out.iterdir()):
-        raise DfmError(f"{out} is not empty; choose another folder with --out")
+    new_folder(out)
     where = "in this process" if composed else "in a process each"
     print(f"1. ROS 2 nodes {where}, in lockstep: {LOOP_NODES.replace(' ', ', ')}")
     before = _record("scan", out / "scan", model, seed, composed)

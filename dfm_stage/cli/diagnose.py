@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import sys
-import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from dfm_stage.cli.command import (
+    add_column_options,
+    command_parser,
+    names_in,
+    output_folder,
+    read_with,
+    run_command,
+    write_output,
+)
+from dfm_stage.cli.progress import steps
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
     from dfm_stage.diagnosis import Diagnosis
     from dfm_stage.model import Model
-    from dfm_stage.recording import Record
 
 EPILOG = """\
 examples:
@@ -32,19 +35,11 @@ examples:
 def main(argv: Sequence[str] | None = None) -> int:
     """Diagnose bags or CSV files; 0 a verdict was reached, 2 unusable input."""
     options = _parser().parse_args(argv)
-    try:
-        return _diagnose(options)
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
-        return 130
+    return run_command(lambda: _diagnose(options))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="diagnose", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("diagnose", __doc__, EPILOG)
     parser.add_argument("runs", nargs="+", metavar="RUN",
                         help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together")
     parser.add_argument("--model", required=True, metavar="FILE",
@@ -71,12 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, default=1, metavar="N",
                         help="how often --run does so (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="fixes what is shuffled (default: 0)")
-    table = parser.add_argument_group("CSV files with other column names")
-    for name in ("time", "input", "output"):
-        table.add_argument(f"--{name}", metavar="COLUMN")
-    for name in ("time", "input", "output"):
-        table.add_argument(f"--{name}-unit", metavar="UNIT")
-    table.add_argument("--sample-period", type=float, metavar="SECONDS")
+    add_column_options(parser)
     parser.add_argument("--json", action="store_true", help="print diagnosis.json, nothing else")
     parser.add_argument("--no-report", action="store_true", help="do not write report.html")
     return parser
@@ -86,7 +76,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     from dfm_stage.model import load_model
 
     model = load_model(options.model)
-    out = _folder(options.out)
+    out = output_folder(options.out)
     fitted, held = list(options.runs), list(options.holdout)
     found = _once(options, model, fitted, held, out)
     rounds = options.rounds if options.run else 0
@@ -106,26 +96,26 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
     from dfm_stage.identification.model_fit import default_free
     from dfm_stage.model import EFFECTS, save_model
 
-    library = _names(options.library) or list(EFFECTS)
-    for name in _names(options.without):
+    library = names_in(options.library) or list(EFFECTS)
+    for name in names_in(options.without):
         if name not in library:
             raise DfmError(f"--without {name}: there is no such effect among "
                            f"{', '.join(library)}")
         library.remove(name)
     one = model.axis(options.axis or ("x" if "x" in model.axes else None))
-    free = [*default_free(one), *_names(options.free)]
-    with _steps(options.json) as step:
+    free = [*default_free(one), *names_in(options.free)]
+    with steps("diagnose", options.json) as step:
         step("reading")
-        records = [_read(path, options) for path in fitted]
-        holdout = [_read(path, options) for path in held]
+        records = [read_with(options, path) for path in fitted]
+        holdout = [read_with(options, path) for path in held]
         found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
-                         free=free, fixed=_names(options.fix),
+                         free=free, fixed=names_in(options.fix),
                          names=[Path(p).name or p for p in (*fitted, *held)],
                          seed=options.seed, step=step)
         step("writing")
         result = {**found.to_dict(), "records": list(fitted), "holdout": list(held)}
         text = json.dumps(result, indent=1, allow_nan=False) + "\n"
-        _write(out / "diagnosis.json", text)
+        write_output(out / "diagnosis.json", text)
         save_model(found.model, out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         if not options.no_report:
@@ -139,18 +129,6 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
     return found
 
 
-def _read(path: str, options: argparse.Namespace) -> Record:
-    from dfm_stage.recording import read_record
-
-    return read_record(path, time=options.time, input=options.input, output=options.output,
-                       time_unit=options.time_unit, input_unit=options.input_unit,
-                       output_unit=options.output_unit, sample_period=options.sample_period)
-
-
-def _names(items: Sequence[str]) -> list[str]:
-    return [name.strip() for item in items for name in item.split(",") if name.strip()]
-
-
 def _next(found: Diagnosis, path: Path) -> None:
     if found.next_experiment is None:
         path.unlink(missing_ok=True)
@@ -162,7 +140,7 @@ def _next(found: Diagnosis, path: Path) -> None:
     text = StringIO()
     yaml = YAML()
     yaml.dump(dict(found.next_experiment), text)
-    _write(path, text.getvalue())
+    write_output(path, text.getvalue())
 
 
 def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
@@ -175,32 +153,6 @@ def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
     axis = options.axis or "x"
     experiment["axes"] = {axis: next(iter(experiment["axes"].values()))}
     run_on_graph(experiment, bag, model=options.run, seed=options.seed, axes=(axis,))
-
-
-def _folder(path: str) -> Path:
-    out = Path(path)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DfmError(f"{out}: cannot be made a folder ({error.strerror}); choose another "
-                       "with --out") from None
-    return out
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-    except OSError as error:
-        raise DfmError(f"{path}: cannot be written ({error.strerror}); choose another folder "
-                       "with --out") from None
 
 
 def _print(found: Diagnosis, out: Path, report: bool) -> None:
@@ -227,42 +179,6 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
     files += ["report.html"] if report else []
     files += ["next_experiment.yaml"] if found.next_experiment is not None else []
     print(f"  {', '.join(files)} in {out}")
-
-
-@contextmanager
-def _steps(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Yield a function that takes the name of the step begun; on a terminal, one moving line."""
-    begun = time.monotonic()
-    state: dict[str, Any] = {"step": "", "shown": 0}
-    finished = threading.Event()
-    live = sys.stderr.isatty() and not quiet
-
-    def draw() -> None:
-        text = f"diagnose: {state['step']}, {time.monotonic() - begun:.0f} s"
-        print(f"\r{text:<{state['shown']}}", end="", file=sys.stderr, flush=True)
-        state["shown"] = len(text)
-
-    def tick() -> None:
-        while not finished.wait(0.5):
-            draw()
-
-    def step(name: str) -> None:
-        state["step"] = name
-        if live:
-            draw()
-        elif not quiet:
-            print(f"diagnose: {name}", file=sys.stderr)
-
-    thread = threading.Thread(target=tick, daemon=True)
-    if live:
-        thread.start()
-    try:
-        yield step
-    finally:
-        finished.set()
-        if live:
-            thread.join()
-            print(f"\r{'':<{state['shown']}}\r", end="", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -5,16 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
-import tempfile
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.cli.progress import Progress
+from dfm_stage.cli.command import (
+    add_column_options,
+    command_parser,
+    finite,
+    names_in,
+    output_folder,
+    read_with,
+    run_command,
+    write_output,
+)
+from dfm_stage.cli.progress import steps
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
@@ -27,26 +33,17 @@ examples:
   ./run identify train.csv --holdout scan.csv --model config/models/paper_stage.yaml --out found
   ./run identify log.csv --time t --input iq --output theta --input-unit A --output-unit rad
 """
-STEPS = ("reading", "frequency response", "model", "residuals", "hold-out", "report")
 FEWEST_SAMPLES = 100
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Identify from bags or CSV files; 0 done, 1 no model found, 2 unusable input."""
     options = _parser().parse_args(argv)
-    try:
-        return _identify(options)
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
-        return 130
+    return run_command(lambda: _identify(options))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="identify", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("identify", __doc__, EPILOG)
     parser.add_argument("bags", nargs="*", metavar="BAG",
                         help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together")
     parser.add_argument("--record", action="append", default=[], metavar="BAG",
@@ -72,14 +69,7 @@ def _parser() -> argparse.ArgumentParser:
                         help="noise model: an autoregression of fitting order, or white")
     parser.add_argument("--skip", type=float, default=0.0, metavar="SECONDS",
                         help="leave out the start of each record")
-    table = parser.add_argument_group("CSV files with other column names")
-    table.add_argument("--time", metavar="COLUMN")
-    table.add_argument("--input", metavar="COLUMN")
-    table.add_argument("--output", metavar="COLUMN")
-    table.add_argument("--time-unit", metavar="UNIT")
-    table.add_argument("--input-unit", metavar="UNIT")
-    table.add_argument("--output-unit", metavar="UNIT")
-    table.add_argument("--sample-period", type=float, metavar="SECONDS")
+    add_column_options(parser)
     parser.add_argument("--json", action="store_true", help="print identify.json, nothing else")
     parser.add_argument("--no-report", action="store_true", help="do not write report.html")
     return parser
@@ -90,8 +80,8 @@ def _identify(options: argparse.Namespace) -> int:
     if not paths:
         raise DfmError("no record given: name a bag or a CSV file (identify --help)")
     fixed = dict(_fixed(item) for item in options.fix)
-    out = _folder(options.out)
-    with _steps() as step:
+    out = output_folder(options.out)
+    with steps("identify", options.json) as step:
         step("reading")
         from dfm_stage.identification import identify
         from dfm_stage.model import load_model, save_model
@@ -104,7 +94,7 @@ def _identify(options: argparse.Namespace) -> int:
                          noise=options.noise, step=step)
         step("report")
         result = _result(found, [*paths, *options.holdout])
-        _write(out / "identify.json", json.dumps(result, indent=1, allow_nan=False) + "\n")
+        write_output(out / "identify.json", json.dumps(result, indent=1, allow_nan=False) + "\n")
         save_model(_signed(found, paths), out / "model.yaml")
         if not options.no_report:
             from dfm_stage.cli.identify_report import write_report
@@ -122,12 +112,8 @@ def _identify(options: argparse.Namespace) -> int:
 
 def _source(path: str, options: argparse.Namespace) -> Source:
     from dfm_stage.identification import Source
-    from dfm_stage.recording import read_record
 
-    record = read_record(path, axis=options.axis, time=options.time, input=options.input,
-                         output=options.output, time_unit=options.time_unit,
-                         input_unit=options.input_unit, output_unit=options.output_unit,
-                         sample_period=options.sample_period)
+    record = read_with(options, path, options.axis)
     skip = round(options.skip / record.sample_period)
     if len(record) < FEWEST_SAMPLES:
         raise DfmError(f"{path}: {len(record)} samples are too few to identify from: record "
@@ -142,7 +128,7 @@ def _source(path: str, options: argparse.Namespace) -> Source:
 
 
 def _free(options: argparse.Namespace, model: Model | None) -> list[str] | None:
-    only, more = _names(options.only), _names(options.free)
+    only, more = names_in(options.only), names_in(options.free)
     if only:
         return [*only, *more]
     if not more:
@@ -150,10 +136,6 @@ def _free(options: argparse.Namespace, model: Model | None) -> list[str] | None:
     from dfm_stage.identification.model_fit import DYNAMIC, default_free
 
     return [*(default_free(model) if model is not None else DYNAMIC), *more]
-
-
-def _names(items: Sequence[str]) -> list[str]:
-    return [name.strip() for item in items for name in item.split(",") if name.strip()]
 
 
 def _fixed(item: str) -> tuple[str, float | None]:
@@ -169,55 +151,18 @@ def _fixed(item: str) -> tuple[str, float | None]:
     return name.strip(), value
 
 
-def _folder(path: str) -> Path:
-    out = Path(path)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DfmError(f"{out}: cannot be made a folder ({error.strerror}); choose another "
-                       "with --out") from None
-    return out
-
-
 def _result(found: Identification, paths: Sequence[str]) -> dict[str, Any]:
-    return {**_finite(found.to_dict()), "records": list(paths)}
-
-
-def _finite(value: Any) -> Any:
-    """Return plain data in which numbers that are not finite have become None."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return {**finite(found.to_dict()), "records": list(paths)}
 
 
 def _signed(found: Identification, paths: Sequence[str]) -> Model:
     """Return the model with where it comes from and how well its parameters are known."""
     from dataclasses import replace
 
-    intervals = {name: [_finite(float(x)) for x in q.ci95]
+    intervals = {name: [finite(float(x)) for x in q.ci95]
                  for name, q in found.estimate.quantities().items() if q.ci95 is not None}
     return replace(found.model, origin={
         "identified_from": [Path(p).name for p in paths], "ci95": intervals})
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-    except OSError as error:
-        raise DfmError(f"{path}: cannot be written ({error.strerror}); choose another folder "
-                       "with --out") from None
 
 
 def _print(found: Identification, out: Path, report: bool) -> None:
@@ -254,26 +199,6 @@ def _print(found: Identification, out: Path, report: bool) -> None:
         print(f"  note: {warning}")
     pages = "identify.json, model.yaml" + (", report.html" if report else "")
     print(f"  {pages} in {out}")
-
-
-@contextmanager
-def _steps() -> Iterator[Any]:
-    """Yield a function that takes the name of the step begun; the line keeps moving meanwhile."""
-    state = {"done": 0.0}
-    finished = threading.Event()
-    with Progress("identify") as progress:
-
-        def tick() -> None:
-            while not finished.wait(0.5):
-                progress(state["done"])
-
-        thread = threading.Thread(target=tick, daemon=True)
-        thread.start()
-        try:
-            yield lambda name: state.update(done=STEPS.index(name) / len(STEPS))
-        finally:
-            finished.set()
-            thread.join()
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.cli.command import command_parser, new_folder, run_command
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
@@ -53,8 +54,7 @@ class Axis:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Learn; 0 when done, 1 if it does not converge, 2 with one line if unusable."""
-    parser = argparse.ArgumentParser(prog="learn", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("learn", __doc__, EPILOG)
     parser.add_argument("experiment", nargs="?", default="scan_repeat", metavar="EXPERIMENT",
                         help="a name in config/experiments or a YAML file whose references start "
                         "and end at rest in the same place (default: %(default)s)")
@@ -82,16 +82,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="noise of the plant (default: 0)")
     parser.add_argument("--json", action="store_true", help="print learning.json")
     options = parser.parse_args(argv)
+    return run_command(lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
     try:
         result = _replay(options) if options.replay else _learn(options)
     except NotConvergingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
     if options.json:
         print(json.dumps(result, indent=1))
     return 0
@@ -104,7 +103,7 @@ def _learn(options: argparse.Namespace) -> dict[str, Any]:
     _check(options)
     source = find_experiment(options.experiment)
     experiment = load_experiment(source)
-    out = _new_folder(options.out)
+    out = new_folder(options.out)
     try:
         name = options.model or experiment.model
         if options.bag:
@@ -136,17 +135,6 @@ def _check(options: argparse.Namespace) -> None:
         raise DfmError(f"--uncertainty {options.uncertainty:g}: give a number from 0 to 0.9")
     if not 0.0 < options.margin < 1.0:
         raise DfmError(f"--margin {options.margin:g}: give a number between 0 and 1")
-
-
-def _new_folder(name: str) -> Path:
-    out = Path(name)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise DfmError(f"{out} is not empty; choose another folder with --out")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DfmError(f"{out}: cannot write there ({error.strerror})") from error
-    return out
 
 
 def _identified(options: argparse.Namespace, experiment: Experiment, out: Path) -> str:
@@ -332,7 +320,7 @@ def _replay(options: argparse.Namespace) -> dict[str, Any]:
     if not (folder / "learned.yaml").is_file():
         raise DfmError(f"{folder}: nothing was learnt there (no learned.yaml)")
     experiment = load_experiment(folder / "learned.yaml")
-    out = _new_folder(options.out)
+    out = new_folder(options.out)
     # Twice: what was learnt is for a movement that repeats.
     record = run_on_graph(str((folder / "learned.yaml").resolve()), out / "bag",
                           model=options.plant or experiment.model, seed=options.seed,

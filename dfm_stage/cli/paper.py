@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.errors import DfmError
+from dfm_stage.cli.command import command_parser, new_folder, run_command, write_output
 
 if TYPE_CHECKING:
     from dfm_stage.model import Model
@@ -31,8 +31,7 @@ examples:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Compare with the paper; 0 done, 2 unusable input."""
-    parser = argparse.ArgumentParser(prog="paper", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("paper", __doc__, EPILOG)
     for option, default, what in (
             ("--model", "paper_stage", "the stage"),
             ("--two-mode-model", "paper_two_mode", "the stage of the LQR section"),
@@ -47,18 +46,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", action="store_true",
                         help="one process per node instead of all in this one")
     options = parser.parse_args(argv)
-    try:
-        return _paper(options)
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
-        return 130
+    return run_command(lambda: _paper(options))
 
 
 def _paper(options: argparse.Namespace) -> int:
-    from dfm_stage.cli.identify import _folder, _write
     from dfm_stage.harness import find_experiment
     from dfm_stage.model import load_model
     from dfm_stage.paper.report import write_page
@@ -68,12 +59,10 @@ def _paper(options: argparse.Namespace) -> int:
     from dfm_stage.trajectory import load_experiment
 
     out = Path(options.out or f"paper/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
-    if out.exists() and any(out.iterdir()):
-        raise DfmError(f"{out} is not empty; choose another folder with --out")
     models = Models(load_model(options.model), load_model(options.two_mode_model),
                     load_model(options.xy_model))
     experiments = {name: load_experiment(find_experiment(name)) for name in NAMES}
-    folder = _folder(str(out))
+    folder = new_folder(out)
     stage = (DirectStage(options.seed) if options.quick else
              GraphStage(folder, options.seed, not options.processes))
     started = time.monotonic()
@@ -90,7 +79,7 @@ def _paper(options: argparse.Namespace) -> int:
     seconds = time.monotonic() - started
     used = {"model": models.stage.name, "two_mode_model": models.two_mode.name,
             "xy_model": models.xy.name, "records": stage.description}
-    _write(folder / "paper.json",
+    write_output(folder / "paper.json",
            json.dumps(as_json(found.rows, used), indent=1, allow_nan=False) + "\n")
     write_page(found, folder / "report.html",
                {**used, "Seed": options.seed, "Took": f"{seconds:.0f} s"})

@@ -1,9 +1,12 @@
-"""A progress line on a terminal, or a line every few seconds where there is none."""
+"""A progress line on a terminal, or a line now and then where there is none."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TextIO
 
@@ -53,3 +56,50 @@ class Progress:
         if self._terminal and self._said:
             self._stream.write("\r" + " " * 79 + "\r")
             self._stream.flush()
+
+
+@contextmanager
+def steps(what: str, quiet: bool = False, stream: TextIO | None = None
+          ) -> Iterator[Callable[[str], None]]:
+    """Yield a function that takes the name of the step begun, for work whose length is not known.
+
+    On a terminal the line shows the step and the time, and keeps moving; elsewhere the steps that
+    begin after the first two seconds are a line each.
+    """
+    out = stream or sys.stderr
+    begun = time.monotonic()
+    finished = threading.Event()
+    live = out.isatty() and not quiet
+    name, shown = "", 0
+
+    def draw() -> None:
+        nonlocal shown
+        text = f"{what}: {name}, {time.monotonic() - begun:.0f} s"
+        out.write(f"\r{text:<{shown}}")
+        out.flush()
+        shown = len(text)
+
+    def tick() -> None:
+        while not finished.wait(0.5):
+            draw()
+
+    def step(begins: str) -> None:
+        nonlocal name
+        name = begins
+        if live:
+            draw()
+        elif not quiet and time.monotonic() - begun > _FIRST_AFTER_S:
+            out.write(f"{what}: {name}\n")
+            out.flush()
+
+    thread = threading.Thread(target=tick, daemon=True)
+    if live:
+        thread.start()
+    try:
+        yield step
+    finally:
+        finished.set()
+        if live:
+            thread.join()
+            out.write(f"\r{'':<{shown}}\r")
+            out.flush()

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dfm_stage.cli.command import command_parser, run_command
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
@@ -33,8 +34,7 @@ then:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Tune; 0 when done, 1 when the loop could not be tuned, 2 with one line if unusable."""
-    parser = argparse.ArgumentParser(prog="tune", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("tune", __doc__, EPILOG)
     parser.add_argument("--model", metavar="FILE", help="model.yaml, a path or a name in "
                         "config/models; with --bag, where identification starts from")
     parser.add_argument("--bag", metavar="BAG", help="bag or CSV file the model is identified "
@@ -77,13 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     graph.add_argument("--duration", type=float, default=30.0, metavar="S",
                        help="time for each way (default: %(default)s s)")
     options = parser.parse_args(argv)
-    try:
-        return _tune(options)
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    return run_command(lambda: _tune(options))
 
 
 def _tune(options: argparse.Namespace) -> int:

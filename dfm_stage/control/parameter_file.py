@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from dfm_stage.control.errors import ControlError
+from dfm_stage.files import write_whole
 
 FIXED = ("sample_period_s",)
 """Parameters that a node takes at its start only."""
@@ -35,15 +35,10 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     ControlError
         If its folder is not there or cannot be written.
     """
-    target = Path(path)
     try:
-        with tempfile.NamedTemporaryFile("w", dir=target.absolute().parent, prefix=".part_",
-                                         delete=False, encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(file.name, 0o644)
-        os.replace(file.name, target)
+        write_whole(path, text)
     except OSError as error:
-        raise ControlError(f"{target}: cannot write ({error.strerror})") from error
+        raise ControlError(f"{path}: cannot write ({error.strerror})") from error
 
 
 def read_parameters(path: str | os.PathLike[str], axis: str, node: str = "controller"

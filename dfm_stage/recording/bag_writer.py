@@ -26,8 +26,8 @@ from types import TracebackType
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
+from dfm_stage.files import write_whole
 from dfm_stage.recording.errors import BagWriteError, write_error
-from dfm_stage.recording.files import write_atomically
 from dfm_stage.recording.mcap_sink import Chunk, McapSink
 from dfm_stage.recording.message_definitions import full_name
 from dfm_stage.recording.names import DROPPED_KEY
@@ -363,6 +363,6 @@ class BagWriter:
         path = self.directory / "metadata.yaml"
         text = yaml_text({"rosbag2_bagfile_information": self._information.to_dict()})
         try:
-            write_atomically(path, text.encode())
+            write_whole(path, text)
         except OSError as error:
             raise write_error(path, error) from error

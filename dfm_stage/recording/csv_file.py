@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dfm_stage.files import write_whole
 from dfm_stage.recording.errors import RecordError, write_error
-from dfm_stage.recording.files import write_atomically
 from dfm_stage.recording.record import FloatArray, Record
 
 _DELIMITERS = ",;\t"
@@ -158,7 +158,7 @@ def write_csv(record: Record, path: str | os.PathLike[str]) -> None:
     lines += [",".join(map(_cell, row)) for row in zip(*(array.tolist() for array in
                                                          columns.values()), strict=True)]
     try:
-        write_atomically(where, ("\n".join(lines) + "\n").encode())
+        write_whole(where, "\n".join(lines) + "\n")
     except OSError as error:
         raise write_error(where, error) from error
 

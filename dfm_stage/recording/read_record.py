@@ -11,7 +11,7 @@ from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
 from dfm_stage.recording.csv_file import CsvTable
 from dfm_stage.recording.errors import RecordError
-from dfm_stage.recording.files import fingerprint
+from dfm_stage.recording.fingerprint import fingerprint
 from dfm_stage.recording.mcap_scan import MAGIC
 from dfm_stage.recording.record import Record
 from dfm_stage.recording.table import Options, Table, table_record

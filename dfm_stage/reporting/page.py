@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from html import escape
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from dfm_stage import __version__
 from dfm_stage.errors import DfmError
+from dfm_stage.files import write_whole
 from dfm_stage.reporting.drawing import NARROW_IN, to_svg
 from dfm_stage.reporting.figures import Drawing
 from dfm_stage.reporting.style import STYLE
@@ -111,17 +111,8 @@ class Page:
             If the folder does not exist or cannot be written.
         """
         target = Path(path)
-        content = self.html()
         try:
-            handle, temporary = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
-            try:
-                with os.fdopen(handle, "w", encoding="utf-8") as file:
-                    file.write(content)
-                os.chmod(temporary, 0o644)
-                os.replace(temporary, target)
-            except BaseException:
-                os.unlink(temporary)
-                raise
+            write_whole(target, self.html())
         except OSError as error:
             raise ReportError(f"{target}: cannot write the report: {error.strerror}; choose a "
                               "folder that exists and is writable") from None

@@ -12,7 +12,7 @@ import pytest
 import rclpy
 from ament_index_python.packages import get_package_prefix
 
-from dfm_stage.harness import compile_simulator
+from dfm_stage.compile_all import compile_all
 
 pytestmark = pytest.mark.real_time
 
@@ -24,7 +24,7 @@ PARAMETERS = {"sim_plant": ["seed:=3"], "controller": ["kp:=100.0"],
 
 @pytest.fixture(scope="module")
 def folder():
-    compile_simulator()
+    compile_all()
     try:
         return Path(get_package_prefix("dfm_stage")) / "lib" / "dfm_stage"
     except LookupError:

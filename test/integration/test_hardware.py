@@ -116,8 +116,8 @@ def test_every_way_to_fail_is_zero_and_stays_zero_and_the_driver_ends_with_it_of
         for kind in ("nan_command", "stalled_controller", "pulled_encoder", "killed_controller"):
             assert struck(rig, kind) >= 0.0
         rig._wait_for_current()
-        driver = next(each for each in rig.graph._launched if each.kind == "amplifier_driver")
-        rig.graph._launched.remove(driver)
+        driver = next(each for each in rig.graph.launched if each.kind == "amplifier_driver")
+        rig.graph.launched.remove(driver)
         driver.process.send_signal(signal.SIGTERM)
         assert driver.process.wait(20.0) == 0
         rig.output.read()

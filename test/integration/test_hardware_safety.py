@@ -236,7 +236,7 @@ def test_configuring_without_what_hardware_needs_fails_and_says_why():
             "amplifier_driver": {"device": "copley_ascii", "port": "/dev/nowhere"}}) as graph:
         assert not transition(graph, ENCODER, "configure")
         assert not transition(graph, AMPLIFIER, "configure")
-        nodes = {each.kind: each.node for each in graph._launched}
+        nodes = {each.kind: each.node for each in graph.launched}
         assert "resolution_m" in nodes["encoder_driver"].errors_active["life cycle"]
         assert "current_limit_a" in nodes["amplifier_driver"].errors_active["life cycle"]
         assert state_of(graph, ENCODER) == state_of(graph, AMPLIFIER) == "unconfigured"

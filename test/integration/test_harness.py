@@ -16,7 +16,7 @@ SHORT = {"name": "short", "mode": "pid", "duration_s": 0.5,
 
 
 def processes_of(graph):
-    return [each.process for each in graph._launched if each.process is not None]
+    return [each.process for each in graph.launched if each.process is not None]
 
 
 def test_two_graphs_do_not_see_each_other():
@@ -39,7 +39,7 @@ def test_no_process_is_left_when_the_test_fails():
 
 def test_a_node_that_dies_is_named_with_its_last_words():
     with pytest.raises(HarnessError, match="controller ended"), StageGraph() as graph:  # noqa: PT012
-        for each in graph._launched:
+        for each in graph.launched:
             if each.kind == "controller":
                 each.process.send_signal(signal.SIGKILL)
         graph.spin(10.0)
@@ -77,7 +77,7 @@ def test_children_end_when_the_harness_is_killed(tmp_path):
     script.write_text(
         "import time\nfrom dfm_stage.harness import StageGraph\n"
         "with StageGraph(lockstep=True) as graph:\n"
-        "    print(*[e.process.pid for e in graph._launched], flush=True)\n    time.sleep(60)\n")
+        "    print(*[e.process.pid for e in graph.launched], flush=True)\n    time.sleep(60)\n")
     import subprocess
     import sys
 

@@ -83,7 +83,7 @@ def test_what_a_stuck_loop_waits_for_is_named(tmp_path):
 
 def test_between_experiments_the_loop_waits_for_a_reference(tmp_path):
     with StageGraph(lockstep=True, composed=True) as graph:
-        controller = next(each.node for each in graph._launched if each.kind == "controller")
+        controller = next(each.node for each in graph.launched if each.kind == "controller")
         graph.spin_until(lambda: controller._measurement is not None, 5.0, "a measurement")
         assert "reference" in controller.waiting_for()[0]
 

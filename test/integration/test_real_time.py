@@ -20,7 +20,7 @@ SHAKE = {"name": "shake", "mode": "open_loop", "duration_s": 1.0, "axes": {"x": 
 
 
 def node(graph, kind):
-    return next(each.node for each in graph._launched if each.kind == kind)
+    return next(each.node for each in graph.launched if each.kind == kind)
 
 
 def listen(graph, message_type, topic):

@@ -72,7 +72,7 @@ def test_the_schema_is_the_installed_definition(bag):
 def test_killed_it_loses_at_most_the_last_second(tmp_path):
     bag = tmp_path / "bag"
     with StageGraph(bag=bag) as graph:
-        recorder = next(each for each in graph._launched if each.kind == "recorder")
+        recorder = next(each for each in graph.launched if each.kind == "recorder")
         plant = []
         from dfm_interfaces.msg import PlantState
 
@@ -82,7 +82,7 @@ def test_killed_it_loses_at_most_the_last_second(tmp_path):
         recorder.process.send_signal(signal.SIGKILL)
         recorder.process.wait()
         last = plant[-1]
-        graph._launched.remove(recorder)
+        graph.launched.remove(recorder)
     read = read_bag(bag)
     recorded = read["/stage/x/plant"]["seq"]
     assert recorded[-1] >= last - 1000
@@ -111,7 +111,7 @@ def test_a_full_disk_is_said_and_stops_nothing_else(tmp_path):
                              or "the file would grow" in log.read_text(), 30.0,
                              "the recorder's complaint")
             assert recorder.poll() is None
-            plant = next(each.node for each in graph._launched if each.kind == "sim_plant")
+            plant = next(each.node for each in graph.launched if each.kind == "sim_plant")
             seq = plant.seq
             graph.spin_until(lambda: plant.seq > seq + 100, 10.0, "further samples")
         finally:

@@ -14,9 +14,10 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import
-BASE = {"errors", "machine_code"}
+BASE = {"errors", "files", "machine_code"}
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
+    "files": set(),
     "machine_code": set(),
     "commands": set(),
     "domain": BASE,

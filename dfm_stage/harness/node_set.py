@@ -1,0 +1,310 @@
+"""A set of nodes: brought up, waited for, spun, called, and ended without a trace."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import gc
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter as RosParameter
+
+from dfm_interfaces.srv import Ready
+from dfm_stage.domain import claim_domain
+from dfm_stage.errors import DfmError
+from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
+
+__all__ = ["HarnessError", "Launched", "NodeSet"]
+
+_PR_SET_PDEATHSIG = 1
+
+
+class HarnessError(DfmError):
+    """A node set did not come up, an experiment did not finish, or a node died."""
+
+
+@dataclass
+class Launched:
+    """A node of the set: its object where the set is composed, else its process and its log."""
+
+    kind: str
+    namespace: str
+    node: Any = None
+    process: subprocess.Popen[bytes] | None = None
+    log: Path | None = None
+
+    @property
+    def full_name(self) -> str:
+        return f"{self.namespace}/{self.kind}"
+
+
+class NodeSet:
+    """Nodes in processes of their own or, `composed`, all in this one.
+
+    A subclass launches them in `start_nodes`; on the way out every one of them ends.
+
+    Parameters
+    ----------
+    composed : bool
+        All on one executor of this process, which only `spin`, `spin_until` and `call` spin.
+    domain_id : int, optional
+        A ROS domain to join instead of one's own.
+    start_timeout_s : float
+        How long the set may take to come up.
+    """
+
+    def __init__(self, composed: bool, domain_id: int | None, start_timeout_s: float) -> None:
+        self.composed = composed
+        self.launched: list[Launched] = []
+        self._start_timeout_s = start_timeout_s
+        self._domain_id = domain_id
+        self._complaints: dict[str, str] = {}
+        self._context: Any = None
+        self._executor: Any = None
+        self._client_node: Any = None
+        self._closing = False
+        self._cleanup = contextlib.ExitStack()
+
+    def start_nodes(self) -> None:
+        """Launch the nodes and wait until they are ready."""
+        raise NotImplementedError
+
+    def before_end(self) -> None:
+        """Do what has to be done while the nodes are still there."""
+
+    def bring_up(self) -> None:
+        """Start the nodes; when that fails nothing is left of them."""
+        try:
+            self._open()
+            self.start_nodes()
+            if self.composed:
+                quiet_collector()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        if self._domain_id is None:
+            self._domain_id = self._cleanup.enter_context(claim_domain()).number
+        self.folder = Path(self._cleanup.enter_context(
+            tempfile.TemporaryDirectory(prefix="dfm_stage_")))
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
+        self._cleanup.callback(self._context.try_shutdown)
+        self._executor = make_executor(self._context)
+        self._client_node = rclpy.create_node(
+            "harness", namespace="/stage", context=self._context, use_global_arguments=False,
+            start_parameter_services=False, enable_rosout=False)
+        self._client_node.create_subscription(DiagnosticArray, "/diagnostics",
+                                              self._on_diagnostics, 50)
+        self._executor.add_node(self._client_node)
+        self._cleanup.callback(self._client_node.destroy_node)
+        self._cleanup.callback(self._end_nodes)
+        atexit.register(self.close)
+
+    def launch(self, kind: str, namespace: str, parameters: Mapping[str, Any]) -> None:
+        """Start one node of the set."""
+        launched = Launched(kind, namespace)
+        file = self.folder / f"{launched.full_name.strip('/').replace('/', '_')}.yaml"
+        file.write_text(json.dumps(
+            {launched.full_name: {"ros__parameters": dict(parameters)}}))
+        ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
+        if self.composed:
+            module = importlib.import_module(f"dfm_stage.nodes.{kind}")
+            make = getattr(module, "".join(part.capitalize() for part in kind.split("_")))
+            launched.node = make(context=self._context, cli_args=ros_args)
+            self.launched.append(launched)
+            self._executor.add_node(launched.node)
+            return
+        launched.log = file.with_suffix(".log")
+        with launched.log.open("wb") as log:
+            launched.process = subprocess.Popen(
+                [sys.executable, "-m", "dfm_stage", kind, *ros_args], stdin=subprocess.DEVNULL,
+                stdout=log, stderr=log, start_new_session=True,
+                preexec_fn=_die_with_parent,  # noqa: PLW1509 nothing but a system call
+                env={**os.environ, "ROS_DOMAIN_ID": str(self._domain_id)})
+        self.launched.append(launched)
+
+    def wait_connected(self, apart: Mapping[str, Sequence[str]], deadline: float) -> None:
+        """Wait until every node has met every other one.
+
+        `apart` lists, by the kind of a node, the kinds that it has nothing to do with.
+
+        Raises
+        ------
+        HarnessError
+            If one has not by the deadline (steady clock), with its reason.
+        """
+        for launched in self.launched:
+            others = [each.full_name for each in self.launched
+                      if each.kind not in apart.get(launched.kind, ())]
+            reason = "it does not answer"
+            while True:
+                answer = self._call(Ready, f"{launched.full_name}/ready",
+                                    Ready.Request(nodes=others), deadline)
+                if answer is not None and answer.ready:
+                    break
+                reason = answer.message if answer is not None else reason
+                if time.monotonic() > deadline:
+                    raise HarnessError(f"{launched.full_name} is not ready: {reason}")
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self._complaints[status.name] = "" if status.level == b"\x00" else status.message
+
+    def spin_until(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+        """Spin until `condition` holds.
+
+        Raises
+        ------
+        HarnessError
+            After `timeout_s`, naming `what` was waited for, or when a node died meanwhile.
+        """
+        deadline = time.monotonic() + timeout_s
+        checked = 0.0
+        with StopRequest() as interrupted:
+            while not condition():
+                self._executor.spin_once(timeout_sec=0.01)
+                now = time.monotonic()
+                if now - checked > 0.1:
+                    checked = now
+                    if interrupted:
+                        break
+                    self._check_alive()
+                    if now > deadline:
+                        said = "".join(f"; {name} says: {text}"
+                                       for name, text in self._complaints.items() if text)
+                        raise HarnessError(f"{what}: not there after {timeout_s:.3g} s{said}")
+        if interrupted and not self._closing:
+            raise KeyboardInterrupt
+
+    def spin(self, duration_s: float) -> None:
+        """Let the graph run for a time (composed nodes only run while something spins)."""
+        end = time.monotonic() + duration_s
+        self.spin_until(lambda: time.monotonic() >= end, duration_s + 60.0, "the end of spin()")
+
+    def _check_alive(self) -> None:
+        for launched in self.launched:
+            if launched.process is not None and launched.process.poll() is not None:
+                raise HarnessError(f"{launched.full_name} ended with code "
+                                   f"{launched.process.returncode}: {self.last_words(launched)}")
+
+    @staticmethod
+    def last_words(launched: Launched) -> str:
+        """Return the last line a node process wrote."""
+        lines = launched.log.read_text(errors="replace").split("\n") if launched.log else []
+        lines = [line.strip() for line in lines if line.strip()]
+        return lines[-1] if lines else "it said nothing"
+
+    def _call(self, kind: Any, name: str, request: Any, deadline: float) -> Any:
+        """Call a service; None when it does not answer in a second or by the deadline."""
+        client = self._client_node.create_client(kind, name)
+        try:
+            self.spin_until(client.service_is_ready, deadline - time.monotonic() + 1.0,
+                            f"service {name}")
+            future = client.call_async(request)
+            with contextlib.suppress(HarnessError):
+                self.spin_until(future.done, 1.0, name)
+            self._check_alive()
+            return future.result() if future.done() else None
+        finally:
+            self._client_node.destroy_client(client)
+
+    def call(self, kind: Any, name: str, request: Any, timeout_s: float = 5.0) -> Any:
+        """Call a service of a node and return the response.
+
+        Raises
+        ------
+        HarnessError
+            If it does not answer in time.
+        """
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            answer = self._call(kind, name, request, deadline)
+            if answer is not None:
+                return answer
+        raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
+
+    def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
+        """Set parameters of a running node, all or none.
+
+        Raises
+        ------
+        HarnessError
+            With the node's reason if it refuses.
+        """
+        request = SetParametersAtomically.Request(parameters=[
+            RosParameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically",
+                           request).result
+        if not result.successful:
+            names = ", ".join(values)
+            if "undeclared" in result.reason:
+                raise HarnessError(f"{node} lacks one of the parameters {names}")
+            raise HarnessError(f"{node}: {result.reason} (setting {names})")
+
+    def cpu_seconds(self) -> float:
+        """Return the processor time that the node processes have used so far, s."""
+        ticks = 0
+        for launched in self.launched:
+            if launched.process is not None:
+                stat = Path(f"/proc/{launched.process.pid}/stat").read_text()
+                ticks += sum(map(int, stat.rpartition(")")[2].split()[11:13]))
+        return ticks / os.sysconf("SC_CLK_TCK")
+
+    def close(self) -> None:
+        """End every node and give everything back. Safe to call twice."""
+        atexit.unregister(self.close)
+        with StopRequest():
+            self._closing = True
+            self._cleanup.close()
+            self._let_go()
+
+    def _let_go(self) -> None:
+        """Drop every handle: only then does the middleware end the participant's threads."""
+        context, self._context = self._context, None
+        if context is None:
+            return
+        self._executor = self._client_node = None
+        gc.unfreeze()
+        gc.collect()
+        context.destroy()
+
+    def _end_nodes(self) -> None:
+        self.before_end()
+        for launched in self.launched:
+            if launched.node is not None:
+                self._executor.remove_node(launched.node)
+                launched.node.destroy_node()
+            if launched.process is not None and launched.process.poll() is None:
+                launched.process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + 5.0
+        for launched in self.launched:
+            if launched.process is not None:
+                try:
+                    launched.process.wait(max(0.05, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    launched.process.kill()
+                    launched.process.wait()
+        self.launched.clear()
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

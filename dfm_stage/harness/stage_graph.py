@@ -1,0 +1,297 @@
+"""The stage's own node set: its parameters, experiments on it, and the record of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
+
+from dfm_interfaces.action import RunExperiment
+from dfm_stage.control.parameter_file import FIXED, read_parameters
+from dfm_stage.harness.node_set import HarnessError, NodeSet
+from dfm_stage.nodes.share import find_experiment
+from dfm_stage.nodes.wire import codec
+from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, PUBLISHER_QOS
+from dfm_stage.trajectory import Experiment, load_experiment
+
+if TYPE_CHECKING:
+    from dfm_stage.recording import Record
+
+__all__ = ["RunResult", "StageGraph"]
+
+AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
+STAGE_NODES = ("sim_plant", "recorder")
+START_ORDER = ("recorder", "sim_plant", *AXIS_NODES)
+SIMULATED_STALE_S = 0.2
+REARM_S = 3.0
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """Where one axis's experiment stands in the record: sequence numbers of its samples."""
+
+    first_seq: int
+    last_seq: int
+
+
+class StageGraph(NodeSet):
+    """A running stage; a context manager.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        One or more axis names; each gets the four nodes of the loop in `/stage/<axis>`.
+    model : str
+        model.yaml the plant runs: a path or a name in config/models.
+    lockstep, composed : bool
+        Deterministic instead of paced by the clock; in this process instead of one each.
+    bag : path, optional
+        Folder of the new bag; without it nothing is recorded.
+    parameters : mapping, optional
+        Per node kind, further ROS parameters: `{"controller": {"kp": 2000.0}}`.
+    nodes : sequence of str, optional
+        Only these kinds, for instance without the controller.
+    domain_id : int, optional
+        A ROS domain to join instead of one's own.
+    start_timeout_s : float
+        How long the set may take to come up.
+
+    Raises
+    ------
+    HarnessError
+        On entering, if a node does not come up; the message names it and its own last words.
+    """
+
+    def __init__(self, *, axes: Sequence[str] = ("x",), model: str = "paper_stage",
+                 lockstep: bool = False, composed: bool = False,
+                 bag: str | os.PathLike[str] | None = None,
+                 parameters: Mapping[str, Mapping[str, Any]] | None = None,
+                 nodes: Sequence[str] | None = None, seed: int = 0,
+                 domain_id: int | None = None, start_timeout_s: float = 30.0) -> None:
+        super().__init__(composed, domain_id, start_timeout_s)
+        self.axes = tuple(axes)
+        self.lockstep = lockstep
+        self.bag = Path(bag) if bag is not None else None
+        kinds = tuple(nodes) if nodes is not None else (*STAGE_NODES, *AXIS_NODES)
+        self._kinds = [kind for kind in kinds if kind != "recorder" or self.bag is not None]
+        self._parameters = self._node_parameters(model, seed, parameters or {})
+        self._goals: dict[str, Any] = {}
+
+    def _node_parameters(self, model: str, seed: int,
+                         extra: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+        common = {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds}
+        out: dict[str, dict[str, Any]] = {kind: dict(common) for kind in self._kinds}
+        if "recorder" in out:
+            out["recorder"] |= {"bag": str(self.bag), "wait_for_recorder": False}
+        if "sim_plant" in out:
+            out["sim_plant"] |= {"model": model, "axes": " ".join(self.axes), "seed": seed}
+        if "trajectory_generator" in out:
+            out["trajectory_generator"]["autostart"] = False
+        if "amplifier_driver" in out and "device" not in extra.get("amplifier_driver", {}):
+            # a machine that stands still for a moment does a simulated coil no harm
+            out["amplifier_driver"]["stale_timeout_s"] = SIMULATED_STALE_S
+        for kind, values in extra.items():
+            if kind not in out:
+                raise HarnessError(f"parameters for {kind}, which is not among the nodes: "
+                                   f"{', '.join(out)}")
+            out[kind] |= values
+        return out
+
+    def __enter__(self) -> StageGraph:
+        self.bring_up()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
+                 traceback: TracebackType | None) -> None:
+        self.close()
+
+    def start_nodes(self) -> None:
+        """Launch the nodes and wait until they have met and experiments can be asked for."""
+        if "sim_plant" in self._kinds and not self.composed:
+            from dfm_stage.compile_all import compile_all
+
+            compile_all()
+        deadline = time.monotonic() + self._start_timeout_s
+        for kind in sorted(self._kinds, key=START_ORDER.index):
+            namespaces = ["/stage"] if kind in STAGE_NODES else [
+                f"/stage/{axis}" for axis in self.axes]
+            for namespace in namespaces:
+                self.launch(kind, namespace, self._parameters[kind])
+        self._goals = {axis: ActionClient(self._client_node, RunExperiment,
+                                          f"/stage/{axis}/trajectory_generator/run_experiment")
+                       for axis in self.axes if "trajectory_generator" in self._kinds}
+        self._wait_connected(deadline)
+        for axis, client in self._goals.items():
+            self.spin_until(client.server_is_ready, deadline - time.monotonic(),
+                            f"the action server of /stage/{axis}/trajectory_generator")
+
+    def _wait_connected(self, deadline: float) -> None:
+        by_wire = [kind for kind in self._kinds if self._on_hardware(kind)]
+        self.wait_connected({"sim_plant": by_wire}, deadline)
+
+    def before_end(self) -> None:
+        """Close the bag."""
+        if any(each.kind == "recorder" for each in self.launched):
+            with contextlib.suppress(HarnessError):
+                self.stop_recording()
+        for client in self._goals.values():
+            client.destroy()
+        self._goals = {}
+
+    def _on_hardware(self, kind: str) -> bool:
+        return bool(self._parameters.get(kind, {}).get("device", "sim") != "sim")
+
+    def run(self, experiment: str | os.PathLike[str] | Mapping[str, Any] | Experiment, *,
+            timeout_s: float | None = None,
+            progress: Callable[[float], None] | None = None) -> dict[str, RunResult]:
+        """Run one experiment on every axis it names and wait for its end.
+
+        Parameters
+        ----------
+        experiment : name, path, mapping or Experiment
+            A name in config/experiments, a YAML file, or the same content as a mapping.
+        timeout_s : float, optional
+            Wall time it may take; by default ten times its duration plus a minute.
+        progress : callable, optional
+            Called with the fraction done.
+
+        Raises
+        ------
+        HarnessError
+            If it is refused, fails, or does not end in time.
+        """
+        source, loaded = self._experiment(experiment)
+        for axis in loaded.axes:
+            if axis not in self._goals:
+                raise HarnessError(f"experiment {loaded.name!r} wants axis {axis}, the graph has "
+                                   f"{', '.join(self._goals)}")
+            if "controller" in self._kinds:
+                self._set_controller(loaded, axis)
+            self._rearm(axis)
+        limit = timeout_s or 60.0 + 10.0 * loaded.duration_s
+        done = dict.fromkeys(loaded.axes, 0.0)
+
+        def feedback(axis: str) -> Callable[[Any], None]:
+            def update(message: Any) -> None:
+                done[axis] = message.feedback.elapsed / message.feedback.duration
+                if progress is not None:
+                    progress(min(done.values()))
+            return update
+
+        futures = {axis: self._goals[axis].send_goal_async(
+            RunExperiment.Goal(experiment=str(source)), feedback_callback=feedback(axis))
+            for axis in loaded.axes}
+        results = {}
+        deadline = time.monotonic() + limit
+        handles = {}
+        for axis, future in futures.items():
+            self.spin_until(future.done, deadline - time.monotonic(), f"{axis}: acceptance")
+            handles[axis] = future.result().get_result_async()
+        for axis, future in handles.items():
+            self.spin_until(future.done, deadline - time.monotonic(),
+                            f"the end of {loaded.name!r} on axis {axis}")
+            result = future.result().result
+            if not result.success:
+                raise HarnessError(f"{loaded.name} on axis {axis}: {result.message}")
+            results[axis] = RunResult(result.first_seq, result.last_seq)
+        if progress is not None:
+            progress(1.0)
+        return results
+
+    def _rearm(self, axis: str) -> None:
+        """In simulation, what an earlier run left latched does not spoil the next."""
+        if "amplifier_driver" not in self._kinds or self._on_hardware("amplifier_driver"):
+            return
+        node = f"/stage/{axis}/amplifier_driver"
+        answer = self.call(Trigger, f"{node}/clear", Trigger.Request())
+        deadline = time.monotonic() + REARM_S
+        while answer.message.startswith("cleared"):
+            armed = self.call(Trigger, f"{node}/arm", Trigger.Request())
+            if armed.success:
+                return
+            if time.monotonic() > deadline:
+                raise HarnessError(f"{node} cannot be armed again: {armed.message}")
+
+    def _set_controller(self, experiment: Experiment, axis: str) -> None:
+        """Set what the experiment asks of the controller, from its mapping or parameter file."""
+        values: dict[str, Any] = {}
+        if isinstance(experiment.controller, Mapping):
+            values = dict(experiment.controller)
+        elif experiment.controller:
+            values = read_parameters(experiment.controller, axis)
+            if not values:
+                raise HarnessError(f"{experiment.controller}: this parameter file has nothing for "
+                                   f"/stage/{axis}/controller")
+            ahead = read_parameters(experiment.controller, axis, "trajectory_generator")
+            if ahead:
+                self.set_parameters(f"/stage/{axis}/trajectory_generator", ahead)
+        values = {name: value for name, value in values.items() if name not in FIXED}
+        self.set_parameters(f"/stage/{axis}/controller", {**values, "mode": experiment.mode})
+
+    def listen(self, axis: str, topic: str) -> list[Any]:
+        """Return a list that every message of a loop topic is put into from now on, decoded.
+
+        `topic` is a name in `dfm_stage.nodes.wiring.LINKS`, such as `measurement`.
+        """
+        link, heard = LINKS[topic], []
+        decode = codec(link.type).decode
+        subscription = self._client_node.create_subscription(
+            link.type, f"/stage/{axis}/{topic}", lambda data: heard.append(decode(data)),
+            LOCKSTEP_QOS if self.lockstep else PUBLISHER_QOS, raw=True)
+        self.spin_until(lambda: subscription.get_publisher_count() > 0,
+                        self._start_timeout_s, f"a publisher of {topic}")
+        return heard
+
+    def _experiment(self, given: Any) -> tuple[Path, Experiment]:
+        if isinstance(given, Experiment):
+            if not given.source:
+                raise HarnessError(f"experiment {given.name!r} has no file; pass its mapping")
+            return Path(given.source), given
+        if isinstance(given, Mapping):
+            loaded = load_experiment(given)
+            path = self.folder / f"experiment_{time.monotonic_ns()}.yaml"
+            path.write_text(json.dumps(given))
+            return path, loaded
+        path = find_experiment(os.fspath(given)).resolve()
+        return path, load_experiment(path)
+
+    def stop_recording(self, timeout_s: float = 20.0) -> str:
+        """Close the bag and return what the recorder says of it.
+
+        In lockstep everything that was published is in it.
+
+        Raises
+        ------
+        HarnessError
+            If the bag is not complete or the recorder does not answer.
+        """
+        deadline = time.monotonic() + timeout_s
+        if self.lockstep:
+            self._wait_connected(deadline)
+        answer = self.call(Trigger, "/stage/recorder/stop", Trigger.Request(), timeout_s)
+        if not answer.success:
+            raise HarnessError(f"recorder: {answer.message}")
+        return str(answer.message)
+
+    def record(self, axis: str | None = None) -> Record:
+        """Return the record of the bag, which must be closed (after the `with` block).
+
+        Raises
+        ------
+        DfmError
+            If nothing was recorded or the bag cannot be read.
+        """
+        from dfm_stage.recording import read_record
+
+        if self.bag is None:
+            raise HarnessError("nothing was recorded: give StageGraph a bag folder")
+        return read_record(self.bag, axis=axis)
