@@ -34,6 +34,7 @@ from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
 __all__ = ["HarnessError", "Launched", "NodeSet"]
 
 _PR_SET_PDEATHSIG = 1
+_ASK_AGAIN_S = 2.0
 
 
 class HarnessError(DfmError):
@@ -155,15 +156,14 @@ class NodeSet:
         for launched in self.launched:
             others = [each.full_name for each in self.launched
                       if each.kind not in apart.get(launched.kind, ())]
-            reason = "it does not answer"
             while True:
-                answer = self._call(Ready, f"{launched.full_name}/ready",
-                                    Ready.Request(nodes=others), deadline)
-                if answer is not None and answer.ready:
+                left = max(deadline - time.monotonic(), 1.0)
+                answer = self.call(Ready, f"{launched.full_name}/ready",
+                                   Ready.Request(nodes=others), left)
+                if answer.ready:
                     break
-                reason = answer.message if answer is not None else reason
                 if time.monotonic() > deadline:
-                    raise HarnessError(f"{launched.full_name} is not ready: {reason}")
+                    raise HarnessError(f"{launched.full_name} is not ready: {answer.message}")
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -213,21 +213,7 @@ class NodeSet:
         lines = [line.strip() for line in lines if line.strip()]
         return lines[-1] if lines else "it said nothing"
 
-    def _call(self, kind: Any, name: str, request: Any, deadline: float) -> Any:
-        """Call a service; None when it does not answer in a second or by the deadline."""
-        client = self._client_node.create_client(kind, name)
-        try:
-            self.spin_until(client.service_is_ready, deadline - time.monotonic() + 1.0,
-                            f"service {name}")
-            future = client.call_async(request)
-            with contextlib.suppress(HarnessError):
-                self.spin_until(future.done, 1.0, name)
-            self._check_alive()
-            return future.result() if future.done() else None
-        finally:
-            self._client_node.destroy_client(client)
-
-    def call(self, kind: Any, name: str, request: Any, timeout_s: float = 5.0) -> Any:
+    def call(self, kind: Any, name: str, request: Any, timeout_s: float = 20.0) -> Any:
         """Call a service of a node and return the response.
 
         Raises
@@ -236,11 +222,23 @@ class NodeSet:
             If it does not answer in time.
         """
         deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
-            answer = self._call(kind, name, request, deadline)
-            if answer is not None:
-                return answer
-        raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
+        client = self._client_node.create_client(kind, name)
+        try:
+            self.spin_until(client.service_is_ready, timeout_s, f"service {name}")
+            asked: list[Any] = []
+            while True:
+                # An answer is lost where the node has not met the client yet: ask again.
+                asked.append(client.call_async(request))
+                until = min(time.monotonic() + _ASK_AGAIN_S, deadline)
+                self.spin_until(lambda until=until: any(f.done() for f in asked)
+                                or time.monotonic() > until, timeout_s + 60.0, name)
+                answered = [future.result() for future in asked if future.done()]
+                if answered:
+                    return answered[0]
+                if time.monotonic() >= deadline:
+                    raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
+        finally:
+            self._client_node.destroy_client(client)
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a running node, all or none.

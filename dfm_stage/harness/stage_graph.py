@@ -76,7 +76,7 @@ class StageGraph(NodeSet):
                  bag: str | os.PathLike[str] | None = None,
                  parameters: Mapping[str, Mapping[str, Any]] | None = None,
                  nodes: Sequence[str] | None = None, seed: int = 0,
-                 domain_id: int | None = None, start_timeout_s: float = 30.0) -> None:
+                 domain_id: int | None = None, start_timeout_s: float = 60.0) -> None:
         super().__init__(composed, domain_id, start_timeout_s)
         self.axes = tuple(axes)
         self.lockstep = lockstep

@@ -50,7 +50,7 @@ def test_a_bad_parameter_reaches_the_caller():
             composed=True, parameters={"controller": {"kp": "high"}}):
         pass
     with pytest.raises(DfmError, match="ki"), StageGraph(
-            parameters={"controller": {"ki": -1.0}}, start_timeout_s=10.0):
+            parameters={"controller": {"ki": -1.0}}):
         pass
 
 
