@@ -229,9 +229,7 @@ class NodeSet:
             while True:
                 # An answer is lost where the node has not met the client yet: ask again.
                 asked.append(client.call_async(request))
-                until = min(time.monotonic() + _ASK_AGAIN_S, deadline)
-                self.spin_until(lambda until=until: any(f.done() for f in asked)
-                                or time.monotonic() > until, timeout_s + 60.0, name)
+                self._spin_while_unanswered(asked, min(time.monotonic() + _ASK_AGAIN_S, deadline))
                 answered = [future.result() for future in asked if future.done()]
                 if answered:
                     return answered[0]
@@ -239,6 +237,10 @@ class NodeSet:
                     raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
         finally:
             self._client_node.destroy_client(client)
+
+    def _spin_while_unanswered(self, asked: Sequence[Any], until: float) -> None:
+        self.spin_until(lambda: any(future.done() for future in asked)
+                        or time.monotonic() > until, _ASK_AGAIN_S + 60.0, "an answer")
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a running node, all or none.
