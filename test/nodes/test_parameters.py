@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-import rclpy
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 
@@ -18,27 +17,6 @@ from dfm_stage.nodes.sim_plant import SimPlant
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
 
 NODES = (AmplifierDriver, Controller, EncoderDriver, Recorder, SimPlant, TrajectoryGenerator)
-
-
-@pytest.fixture
-def make(tmp_path):
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    nodes = []
-
-    def start(kind, **parameters):
-        if kind is Recorder:
-            parameters.setdefault("bag", f"'{tmp_path / 'bag'}'")
-        args = ["--ros-args"]
-        for name, value in parameters.items():
-            args += ["-p", f"{name.replace('__', '.')}:={value}"]
-        nodes.append(kind(context=context, cli_args=args))
-        return nodes[-1]
-
-    yield start
-    for node in nodes:
-        node.destroy_node()
-    context.try_shutdown()
 
 
 @pytest.mark.parametrize("kind", NODES, ids=lambda kind: kind.kind)

@@ -4,30 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import rclpy
 from rclpy.parameter import Parameter
 
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
 
-
-@pytest.fixture
-def make():
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    nodes = []
-
-    def start(**parameters):
-        args = ["--ros-args"]
-        for name, value in parameters.items():
-            args += ["-p", f"{name.replace('__', '.')}:={value}"]
-        nodes.append(TrajectoryGenerator(context=context, cli_args=args))
-        return nodes[-1]
-
-    yield start
-    for node in nodes:
-        node.destroy_node()
-    context.try_shutdown()
+SINE = {"reference__kind": "sine", "reference__frequency_hz": 0.5}
 
 
 def refused(node, **values) -> str:
@@ -40,8 +22,8 @@ def refused(node, **values) -> str:
 def test_a_movement_beyond_the_travel_is_refused_at_start_and_at_run_time(make):
     with pytest.raises(DfmError, match=r"position of .* at t = .* exceeds the limit of 0\.0077 m; "
                                        r"make the movement smaller.*not started"):
-        make(reference__kind="sine", reference__amplitude_m=8e-3, reference__frequency_hz=0.5)
-    node = make(reference__kind="sine", reference__amplitude_m=5e-3, reference__frequency_hz=0.5)
+        make(TrajectoryGenerator, **SINE, reference__amplitude_m=8e-3)
+    node = make(TrajectoryGenerator, **SINE, reference__amplitude_m=5e-3)
     assert "position of" in refused(node, reference__amplitude_m=8e-3)
     assert "velocity of" in refused(node, limits__velocity_m_s=0.01)
     assert "voltage of 11 V" in refused(node, excitation__kind="hold", excitation__voltage_v=11.0)
@@ -54,7 +36,7 @@ def test_an_experiment_that_leaves_a_limit_is_refused_before_its_first_sample(ma
     file = tmp_path / "e.yaml"
     file.write_text("name: swing\nmode: open_loop\nduration_s: 4\naxes:\n  x:\n    excitation: "
                     "{kind: sine, amplitude_v: 0.5, frequency_hz: 3.9}\n", encoding="utf-8")
-    node = make(limits__model="paper_stage")
+    node = make(TrajectoryGenerator, limits__model="paper_stage")
     with pytest.raises(DfmError, match=r"^swing: position of .*it was not started"):
         node._make_run(str(file))
     node.set_parameters([Parameter("limits.travel_m", value=13e-3)])
@@ -62,7 +44,8 @@ def test_an_experiment_that_leaves_a_limit_is_refused_before_its_first_sample(ma
 
 
 def test_the_inverse_of_a_model_is_added_ahead(make):
-    node = make(reference__kind="raster", inverse_model="raster_bench", duration_s=3.0)
+    node = make(TrajectoryGenerator, reference__kind="raster", inverse_model="raster_bench",
+                duration_s=3.0)
     run = node._make_run()
     assert np.max(np.abs(run.voltage)) > 1.0
     from dfm_stage.model import Simulator, load_model

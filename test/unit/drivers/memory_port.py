@@ -81,3 +81,13 @@ class Ports:
     @property
     def sent(self) -> list[bytes]:
         return [data for port in self.opened for data in port.sent]
+
+
+def talk(emulator: Emulator, *commands: bytes, now: float = 0.0) -> list[bytes]:
+    """What the emulator says to each command."""
+    answers = []
+    for command in commands:
+        emulator.receive(command, now)
+        answers.append(b"".join(emulator.out))
+        emulator.out.clear()
+    return answers

@@ -7,7 +7,7 @@ import time
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from memory_port import Ports
+from memory_port import Ports, talk
 
 from dfm_stage.drivers.amplifiers import copley_ascii
 from dfm_stage.drivers.amplifiers.copley_ascii import CopleyAscii
@@ -32,15 +32,6 @@ def driver(emulator=None, answers=None, baud=115200, **limits):
     ports = Ports(emulator, answers)
     limits = {"peak_limit_a": 2.0, "continuous_limit_a": 1.0, **limits}
     return CopleyAscii("port", baud, open_port=ports, **limits), ports
-
-
-def talk(emulator, *commands, now=0.0):
-    answers = []
-    for command in commands:
-        emulator.receive(command, now)
-        answers.append(b"".join(emulator.out))
-        emulator.out.clear()
-    return answers
 
 
 # The emulator

@@ -8,7 +8,7 @@ import time
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from memory_port import Ports
+from memory_port import Ports, talk
 
 from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
 from dfm_stage.drivers.encoders import qsb_d
@@ -18,16 +18,6 @@ from dfm_stage.drivers.qsb_protocol import Identity
 
 START_UP = [b"W161\r", b"W15F\r", b"R14\r", b"W000\r", b"W0303\r", b"W040\r", b"W0B0\r",
             b"W0C1\r", b"W0D1\r", b"R06\r"]
-
-
-def talk(emulator, *commands, now=0.0):
-    """What the emulator says to each command."""
-    answers = []
-    for command in commands:
-        emulator.receive(command, now)
-        answers.append(b"".join(emulator.out))
-        emulator.out.clear()
-    return answers
 
 
 def driver(emulator=None, answers=None, **options):
