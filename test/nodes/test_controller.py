@@ -262,3 +262,18 @@ def test_a_shaped_step_does_not_wake_the_mode_of_the_model(loop):
         vibration[kind] = np.ptp(stage.position[-2000:])
     assert vibration["zv"] < 0.02 * vibration["none"]
     assert vibration["zvd"] < 0.02 * vibration["none"]
+
+
+@pytest.mark.parametrize("mode", ["pid", "lqr"])
+@pytest.mark.parametrize(("then", "missed"), [(0, 0), (-300, 0), (4, 4), (0x7FFFFFFF, 0)])
+def test_numbers_that_repeat_begin_anew_or_leave_out_do_not_upset_the_loop(
+        loop, mode, then, missed):
+    stage = loop(model="paper_stage", mode=mode)
+    stage.reference = (2e-4, 0.0, 0.0)
+    stage.run(500)
+    stage.k += then - 1 if then <= 0 else then
+    stage.run(1)
+    assert stage.node.counters.get("samples_missed", 0) == missed
+    stage.run(3000)
+    assert np.max(np.abs(np.array(stage.position[-500:]) - 2e-4)) < 2e-6
+    assert np.all(np.isfinite([each[4] for each in stage.sent]))
