@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,9 +123,16 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
     return Diagnosis(
         verdict, _sentence(verdict, effects, gap, description), effects,
         {n: q for n, q in base.items() if "." not in n}, _rejected(case, effects),
-        gap, description, next_experiment(verdict, open_members, case.model, case.runs),
+        gap, description, _next(case, verdict, open_members),
         tuple(warnings), _signed(model, effects, case), left, limits,
         _traces(case, shown))
+
+
+def _next(case: Case, verdict: str, members: Sequence[str]) -> dict[str, Any] | None:
+    rivals = [r.fit for found in case.rivals.values() for r in found if r.name in members]
+    free = [case.search.parameters(rival.model) for rival in rivals]
+    return next_experiment(verdict, members, case.fit.model, rivals, case.runs,
+                           case.search.weights[0][0], free, MARGIN, case.search.dither)
 
 
 def _with_values(found: Mapping[str, Quantity], model: Model) -> dict[str, Quantity]:

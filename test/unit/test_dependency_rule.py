@@ -29,7 +29,7 @@ ARROWS: dict[str, set[str]] = {
     "trajectory": BASE | {"model"},
     "control": BASE | {"model"},
     "identification": BASE | {"model", "recording"},
-    "diagnosis": BASE | {"model", "recording", "identification"},
+    "diagnosis": BASE | {"model", "recording", "identification", "trajectory"},
     "paper": BASE | {"model", "trajectory", "control", "identification", "recording", "reporting"},
 }
 PURE = set(ARROWS)

@@ -110,6 +110,31 @@ def test_a_next_experiment_is_one_the_generator_takes():
     assert any("held out" in w for w in found.warnings)
 
 
+def test_the_next_experiment_parts_what_was_ambiguous():
+    """Slowly moved, a stiffening spring and a coil whose force falls off look alike."""
+    from dfm_stage.trajectory import load_experiment
+
+    def spring(x: float, v: float) -> float:
+        return -K3 * x**3
+
+    time = truth.PERIOD * np.arange(truth.SAMPLES)
+    slow = 0.7 * np.sin(0.4 * np.pi * time) + 0.3 * np.sin(0.6 * np.pi * time)
+    first = truth.record(slow, truth.move(slow, spring), 11)
+    found = diagnose([first], truth.believed(), library=QUICK)
+    assert found.verdict == "ambiguous"
+    assert set(found.effects[0].members) == {"cubic_stiffness", "force_constant_droop"}
+
+    asked = load_experiment(found.next_experiment)
+    voltage = asked.excitation("x", truth.PERIOD).voltage
+    moved = truth.move(voltage, spring)
+    assert np.max(np.abs(voltage)) <= np.max(np.abs(slow))
+    assert np.ptp(moved) <= 1.15 * np.ptp(first.axes["x"].position)
+    again = diagnose([first, truth.record(voltage, moved, 13)], truth.believed(), library=QUICK)
+    assert again.names == ("cubic_stiffness",)
+    assert again.verdict == "named"
+    assert "part cubic stiffness and force constant droop by" in asked.description
+
+
 def test_json_has_the_agreed_shape(cubic):
     data = json.loads(json.dumps(cubic.to_dict(), allow_nan=False))
     assert data["schema"] == 1
