@@ -62,7 +62,8 @@ def example_record(excitation: dict[str, object], seed: int) -> Record:
     volts = make_excitation(excitation, sample_period_s=period, duration_s=DURATION_S,
                             seed=seed).voltage
     reading = Simulator(stage).run(volts).measured(seed)
-    return Record(np.arange(len(volts)) * period, period, {"x": AxisRecord(volts, reading)},
+    time = np.arange(len(volts), dtype=np.float64) * period
+    return Record(time, period, {"x": AxisRecord(volts, reading)},
                   Provenance(str(excitation["kind"]), "simulated"))
 
 
@@ -86,7 +87,7 @@ def _write(folder: Path, form: str, seed: int) -> int:
 
 
 def _write_dspace(record: Record, path: Path) -> None:
-    """Write a capture as ControlDesk exports it: X the time, Y the signals by their block paths."""
+    """Write a capture as ControlDesk exports it: X the time, Y the signals by block path."""
     import io
 
     import scipy.io

@@ -8,9 +8,12 @@ What the first line of a block says decides what is done with it:
   (`...` stands for anything);
 - ```` ```yaml ````: loaded as the model or experiment that it is;
 - a second word `slow`: only where DFM_DOCS_SLOW is set, as `.ci/run` does;
+- a second word `file`: a file of the package, named in a comment; the page's Python then runs in a
+  copy of the package that has it;
 - a second word `fragment`: a part that does not stand alone; it has to compile.
 
-An HTML comment `<!-- before ... -->` holds Python that is run first and that readers do not see.
+An HTML comment `<!-- before ... -->` above a block holds Python that is run before it and that
+readers do not see.
 """
 
 from __future__ import annotations
@@ -22,20 +25,21 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-_BLOCK = re.compile(r"^<!-- before\n(?P<before>.*?)^-->\n|^```(?P<info>[^\n]*)\n(?P<code>.*?)^```$",
-                    re.DOTALL | re.MULTILINE)
+_BLOCK = re.compile(r"(?:^<!-- before\n(?P<before>.*?)^-->\n)?"
+                    r"^```(?P<info>[^\n]*)\n(?P<code>.*?)^```$", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"\[(?:[^\]\[]|\[[^\]]*\])*\]\(([^)\s]+)\)")
 
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block, or a hidden one of language `before`."""
+    """A fenced block, and the hidden Python before it."""
 
     page: Path
     line: int
     language: str
     mark: str
     code: str
+    before: str
 
     def __str__(self) -> str:
         return f"{self.page.relative_to(ROOT)}:{self.line}"
@@ -45,12 +49,9 @@ def blocks(page: Path) -> Iterator[Block]:
     """Yield the blocks of a page from top to bottom."""
     text = page.read_text(encoding="utf-8")
     for found in _BLOCK.finditer(text):
-        line = text.count("\n", 0, found.start()) + 2
-        if found["before"] is not None:
-            yield Block(page, line, "before", "", found["before"])
-        else:
-            words = [*found["info"].split(), "", ""]
-            yield Block(page, line, words[0], words[1], found["code"])
+        line = text.count("\n", 0, found.start("code")) + 1
+        words = [*found["info"].split(), "", ""]
+        yield Block(page, line, words[0], words[1], found["code"], found["before"] or "")
 
 
 def prose(page: Path) -> str:

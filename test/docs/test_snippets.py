@@ -38,7 +38,7 @@ def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     run.chmod(0o755)
     (tmp_path / "config").symlink_to(ROOT / "config")
     namespace: dict[str, Any] = {"__name__": page.stem}
-    runs = {"python": _python, "before": _python, "console": _console, "yaml": _yaml}
+    runs = {"python": _python, "console": _console, "yaml": _yaml}
     if any(block.mark == "file" for block in blocks(page)):
         shutil.copytree(ROOT / "dfm_stage", tmp_path / "dfm_stage",
                         ignore=shutil.ignore_patterns("__pycache__"))
@@ -52,6 +52,8 @@ def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
             assert not (ROOT / path[1]).exists()
             Path(path[1]).write_text(block.code, encoding="utf-8")
         elif block.language in runs and (SLOW or block.mark != "slow"):
+            if block.before:
+                exec(compile(block.before, f"before {block}", "exec"), namespace)  # noqa: S102
             runs[block.language](block, namespace)
 
 
