@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dfm_stage.errors import DfmError
+from dfm_stage.cli.command import command_parser, output_folder, run_command
 
 if TYPE_CHECKING:
     from dfm_stage.recording import Record
@@ -33,8 +31,7 @@ then:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the files; 0 done, 2 where they cannot be written."""
-    parser = argparse.ArgumentParser(prog="example", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("example", __doc__, EPILOG)
     parser.add_argument("folder", nargs="?", default="example", metavar="DIR",
                         help="folder to write to (default: %(default)s)")
     parser.add_argument("--format", choices=FORMATS, default="csv",
@@ -42,13 +39,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                         "%(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="fixes the noise (default: 1)")
     options = parser.parse_args(argv)
-    try:
-        return _write(Path(options.folder), options.format, options.seed)
-    except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    return run_command(lambda: _write(output_folder(options.folder), options.format,
+                                      options.seed))
 
 
 def example_record(excitation: dict[str, object], seed: int) -> Record:
@@ -73,11 +65,6 @@ def _write(folder: Path, form: str, seed: int) -> int:
 
     write: Callable[[Record, Path], None] = {
         "csv": write_csv, "mat": write_mat, "dspace": _write_dspace}[form]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DfmError(f"{folder}: cannot be made a folder ({error.strerror}); name another"
-                       ) from None
     suffix = "csv" if form == "csv" else "mat"
     for number, (name, excitation) in enumerate((("multisine", SHAKE), ("sweep", SWEEP))):
         write(example_record(excitation, seed + number), folder / f"{name}.{suffix}")
@@ -92,8 +79,8 @@ def _write_dspace(record: Record, path: Path) -> None:
 
     import scipy.io
 
+    from dfm_stage.files import write_whole
     from dfm_stage.recording.errors import write_error
-    from dfm_stage.recording.files import write_atomically
 
     axis = record.axis()
     signals = [{"Name": f'"Model Root/Stage/{name}"', "Data": values}
@@ -102,7 +89,7 @@ def _write_dspace(record: Record, path: Path) -> None:
     scipy.io.savemat(content, {path.stem: {"X": {"Name": "Time", "Data": record.time},
                                            "Y": signals}})
     try:
-        write_atomically(path, content.getvalue())
+        write_whole(path, content.getvalue())
     except OSError as error:
         raise write_error(path, error) from None
 

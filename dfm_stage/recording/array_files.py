@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from dfm_stage.files import write_whole
 from dfm_stage.recording.errors import RecordError, write_error
-from dfm_stage.recording.files import write_atomically
 from dfm_stage.recording.record import FloatArray, Record
 from dfm_stage.recording.table import columns_of
 
@@ -92,7 +92,7 @@ def write_mat(record: Record, path: str | os.PathLike[str]) -> None:
     content = io.BytesIO()
     scipy.io.savemat(content, dict(columns_of(record)), oned_as="column", do_compression=True)
     try:
-        write_atomically(Path(path), content.getvalue())
+        write_whole(path, content.getvalue())
     except OSError as error:
         raise write_error(Path(path), error) from error
 
