@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dfm_stage.cli.colour import paint
+from dfm_stage.cli.command import command_parser
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
@@ -174,11 +176,8 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bench",
-        description="Run the benchmarks; each figure stands beside its bar and its peer.",
-        epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser(
+        "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG)
     parser.add_argument("names", nargs="*", metavar="NAME", help="which; all without a name")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write machine and figures")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write all of it as one page "
@@ -284,7 +283,8 @@ def _shown(report: Mapping[str, Any], options: argparse.Namespace) -> int:
     print(table(report["figures"]))
     judged = [figure["met"] for figure in report["figures"] if figure["met"] is not None]
     facts, failed = report["machine"], len(report["failed"])
-    print(f"\n{len(report['figures'])} figures, {sum(judged)} of {len(judged)} bars met, "
+    bars = paint(f"{sum(judged)} of {len(judged)} bars met", "good" if all(judged) else "warn")
+    print(f"\n{len(report['figures'])} figures, {bars}, "
           f"{failed} benchmark{'' if failed == 1 else 's'} failed")
     if facts:
         print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_1min']:.2f} at the "

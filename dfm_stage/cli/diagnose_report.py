@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from dfm_stage.cli.diagnose import TONES
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -24,12 +25,9 @@ from dfm_stage.reporting import (
 
 if TYPE_CHECKING:
     from dfm_stage.diagnosis import Diagnosis, Trace
-    from dfm_stage.reporting.page import Tone
     from dfm_stage.reporting.table import Cell
 
 Array = NDArray[np.float64]
-TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
-                          "unknown": "bad", "not_excited": "warn"}
 WORDS = {"none": "nothing missing", "retune": "retune", "named": "named",
          "ambiguous": "ambiguous", "unknown": "unknown", "not_excited": "not excited"}
 BINS = 40

@@ -16,6 +16,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
+from dfm_stage.cli.colour import paint
+from dfm_stage.cli.command import command_parser
 from dfm_stage.drivers.copley_protocol import Parameter
 from dfm_stage.drivers.emulators.copley_ascii import CopleyAsciiEmulator
 from dfm_stage.drivers.emulators.pty_port import Emulator, PtyPort
@@ -32,6 +34,10 @@ HELP = """faults, typed as lines:
   fault BITS       copley_ascii: latches faults (bits of 0xa4, such as 0x4, a short circuit)
   enable on|off    copley_ascii: the enable input
   quit             ends
+
+examples:
+  ./run emulate qsb_d --amplitude 1000 --frequency 2
+  ./run emulate copley_ascii --stage /stage/x --log out/current.txt
 """
 
 
@@ -52,9 +58,7 @@ class OutputLog:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="emulate", description=(__doc__ or "").partition("\n")[0], epilog=HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("emulate", (__doc__ or "").partition("\n")[0], HELP)
     parser.add_argument("device", choices=DEVICES)
     parser.add_argument("--link", type=Path, metavar="PATH",
                         help="where the port is to be found (default /tmp/dfm_<device>)")
@@ -176,7 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{options.device} at {link_path}", flush=True)
         _run(port, stop)
     except DfmError as error:
-        print(f"emulate: {error}", file=sys.stderr)
+        print(f"{paint('error:', 'bad', sys.stderr)} {error}", file=sys.stderr)
         return 2
     finally:
         if port is not None:

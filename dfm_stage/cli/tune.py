@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dfm_stage.cli.command import command_parser, run_command
+from dfm_stage.cli.progress import steps
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
@@ -107,7 +108,10 @@ def _tune(options: argparse.Namespace) -> int:
     found: dict[str, dict[str, Ultimate]] = {}
     try:
         for axis, each in axes.items():
-            results[axis], found[axis] = _tuned(axis, each, name, options)
+            quiet = options.json or options.method == "ziegler_nichols"
+            with steps("tune", quiet) as step:
+                step(f"axis {axis}")
+                results[axis], found[axis] = _tuned(axis, each, name, options)
     except TuningFailedError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -28,7 +28,7 @@ def offered(tmp_path_factory: pytest.TempPathFactory) -> Iterable[tuple[dict[str
     bag = tmp_path_factory.mktemp("reference") / "bag"
     with StageGraph(lockstep=True, composed=True, bag=bag, model="current_stage") as graph:
         topics, services = {}, set()
-        for launched in graph._launched:
+        for launched in graph.launched:
             node: Any = launched.node
             where = (launched.kind, launched.namespace)
             for name, types in node.get_publisher_names_and_types_by_node(*where):
