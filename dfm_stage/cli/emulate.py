@@ -164,8 +164,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """0 after quit or a signal, 2 when it cannot be set up."""
     options = _parser().parse_args(argv)
     stop: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda signum, _frame: stop.append(signum))
+    before = {number: signal.signal(number, lambda signum, _frame: stop.append(signum))
+              for number in (signal.SIGINT, signal.SIGTERM)}
     link_path = options.link or Path(f"/tmp/dfm_{options.device}")  # noqa: S108 asked for by name
     log_file = options.log.open("w", encoding="utf-8") if options.log else None
     port = stage = None
@@ -189,6 +189,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             stage.close()
         if log_file is not None:
             log_file.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return 130 if signal.SIGINT in stop else 0
 
 
