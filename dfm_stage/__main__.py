@@ -29,7 +29,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         print(usage())
         return 0
-    name, rest = arguments[0], arguments[1:]
+    try:
+        return _run(arguments[0], arguments[1:])
+    except DfmError as error:
+        return _refuse(str(error))
+    except KeyboardInterrupt:
+        return 130
+
+
+def _run(name: str, rest: list[str]) -> int:
     try:
         module_name = module_of(name)
     except KeyError:
@@ -47,12 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
         return _refuse(f"{name} needs the Python package {missing}: start it as ./run {name}")
     sys.argv = [name, *rest]
-    try:
-        return int(module.main(rest) or 0)
-    except DfmError as error:
-        return _refuse(str(error))
-    except KeyboardInterrupt:
-        return 130
+    return int(module.main(rest) or 0)
 
 
 def _unknown(name: str) -> str:

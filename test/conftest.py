@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import fcntl
+import json
 import os
+import re
 import shutil
 import signal
+import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from html import unescape
 from pathlib import Path
 
 import hypothesis
@@ -27,6 +31,35 @@ REACHING_OUT = (
     "ROS_LOCALHOST_ONLY",
     "ROS_STATIC_PEERS",
 )
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
+PROBE = """<body><iframe src="page.html" width="390" height="900"></iframe>
+<iframe src="page.html" width="1440" height="900"></iframe><script>
+const light = colour => { const [r, g, b] = colour.match(/[0-9.]+/g).map(Number);
+                          return 0.3 * r + 0.6 * g + 0.1 * b; };
+const seen = frame => {
+  const page = frame.contentDocument, all = [...page.querySelectorAll(".plot svg")];
+  const shown = all.filter(e => e.getClientRects().length);
+  const texts = shown.map(e => [e.getBoundingClientRect(), [...e.querySelectorAll("text")]]);
+  const style = frame.contentWindow.getComputedStyle(page.body);
+  return {
+    width: page.documentElement.clientWidth, content: page.documentElement.scrollWidth,
+    figures: page.querySelectorAll("figure").length, shown: shown.length,
+    plots: shown.map(e => [e.getBoundingClientRect().width, e.getBoundingClientRect().height]),
+    empty: shown.filter(e => e.querySelectorAll("path, use").length < 4).length,
+    text: shown.length ? Math.min(...texts.flatMap(([_, each]) =>
+      each.map(t => t.getBoundingClientRect().height))) : null,
+    outside: texts.flatMap(([box, each]) => each.filter(t =>
+      t.getBoundingClientRect().right > box.right + 2
+      || t.getBoundingClientRect().left < box.left - 2).map(t => t.textContent)),
+    ink: light(style.color), paper: light(style.backgroundColor),
+    foot: page.querySelectorAll("footer dd").length,
+  };
+};
+window.onload = () => {
+  const found = [...document.querySelectorAll("iframe")].map(seen);
+  document.body.innerHTML = "<pre></pre>";
+  document.querySelector("pre").textContent = JSON.stringify(found);
+};</script></body>"""
 DOMAIN = pytest.StashKey[Domain]()
 FOLDER = pytest.StashKey[Path]()
 
@@ -67,6 +100,47 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("real_time"):
             item.add_marker(pytest.mark.flaky(reruns=2))
+
+
+@pytest.fixture(scope="session")
+def opens_well(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], None]:
+    """Open a page in a headless browser, at the width of a phone and of a desk, and judge it.
+
+    Where there is no browser the test that asks for it is skipped, and says so.
+    """
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+
+    def judge(page: Path, *, dark: bool = False) -> None:
+        if browser is None:
+            pytest.skip("no Chromium here to open the page in (requirements/system.txt)")
+        folder = tmp_path_factory.mktemp("browser")
+        shutil.copy(page, folder / "page.html")
+        (folder / "probe.html").write_text(PROBE, encoding="utf-8")
+        scheme = ["--blink-settings=preferredColorScheme=0"] if dark else []
+        done = subprocess.run(
+            [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--dump-dom", *scheme,
+             f"--user-data-dir={folder / 'profile'}", "--allow-file-access-from-files",
+             "--enable-logging=stderr", "--window-size=1600,1000",
+             (folder / "probe.html").as_uri()],
+            capture_output=True, text=True, timeout=120, check=True)
+        said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+        assert not said
+        found = re.search(r"<pre>(.*?)</pre>", done.stdout, re.DOTALL)
+        assert found, done.stdout[:2000]
+        for seen in json.loads(unescape(found[1])):
+            assert seen["content"] <= seen["width"], "the page is wider than the window"
+            assert seen["shown"] == seen["figures"], "a figure is not shown once"
+            for width, height in seen["plots"]:
+                assert width > 0.6 * min(seen["width"], 960)
+                assert height > 60
+            assert seen["empty"] == 0, "a plot has no lines in it"
+            assert seen["outside"] == [], "text sticks out of a plot"
+            assert seen["text"] is None or seen["text"] > 9, "text too small to read"
+            assert (seen["paper"] < 128 < seen["ink"]) if dark else (
+                seen["ink"] < 128 < seen["paper"])
+            assert seen["foot"], "no provenance"
+
+    return judge
 
 
 @pytest.fixture(autouse=True)

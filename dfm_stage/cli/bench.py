@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dfm_stage.cli.colour import paint
+from dfm_stage.cli.command import command_parser
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
@@ -28,6 +30,14 @@ STDERR = 2
 EXTRA = ("cases", "seed", "resume", "keep", "jobs")
 PR_SET_PDEATHSIG = 1
 COLUMNS = ("key", "value", "unit", "bar", "", "peer", "peer value", "ratio", "how")
+
+
+EPILOG = """\
+examples:
+  ./run bench loop lockstep --json out/loop.json
+  ./run bench diagnose --cases 100 --seed 7 --resume --keep out/diagnose
+  ./run bench --from out/loop.json --from out/all.json --page out/bench.html
+"""
 
 
 class BenchError(DfmError):
@@ -166,12 +176,15 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bench",
-        description="Run the benchmarks; each figure stands beside its bar and its peer.",
-    )
+    parser = command_parser(
+        "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG)
     parser.add_argument("names", nargs="*", metavar="NAME", help="which; all without a name")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write machine and figures")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write all of it as one page "
+                        "(.html)")
+    parser.add_argument("--from", dest="results", type=Path, action="append", default=[],
+                        metavar="FILE", help="measure nothing: take what --json wrote, several "
+                        "files together, and write the --page or print the table")
     parser.add_argument("--quick", action="store_true", help="shorter runs, rougher figures")
     parser.add_argument("--list", action="store_true", help="print the names and stop")
     some = parser.add_argument_group("for benchmarks of many cases (diagnose)")
@@ -210,16 +223,34 @@ def main(argv: Sequence[str] | None = None) -> int:
                           _extra(options))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
+        if options.results:
+            return _shown(_merged(options.results), options)
         names = _chosen(options.names, folder)
         if options.list:
             print("\n".join(names))
             return 0
         return _run_all(names, folder, options)
-    except BenchError as error:
+    except DfmError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+def _merged(files: Sequence[Path]) -> dict[str, Any]:
+    """Results of several runs as one: of a figure measured twice, the later file's counts."""
+    out: dict[str, Any] = {"machine": {}, "figures": [], "failed": []}
+    figures: dict[str, Any] = {}
+    for file in files:
+        try:
+            content = json.loads(file.read_text("utf-8"))
+            figures |= {figure["key"]: figure for figure in content["figures"]}
+            out["machine"] |= content["machine"]
+            out["failed"] += content.get("failed", [])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise BenchError(f"{file}: not what bench --json writes ({error}): name such a file "
+                             "with --from") from None
+    return {**out, "figures": list(figures.values())}
 
 
 def _run_all(names: Sequence[str], folder: Path, options: argparse.Namespace) -> int:
@@ -237,14 +268,29 @@ def _run_all(names: Sequence[str], folder: Path, options: argparse.Namespace) ->
         print(f"[{index}/{len(names)}] {name}: {time.monotonic() - begin:.1f} s", file=sys.stderr)
         if options.json:
             _write_json(options.json, report)
+    return _shown(report, options)
+
+
+def _shown(report: Mapping[str, Any], options: argparse.Namespace) -> int:
+    """Print the table, and write the page if asked; 1 when a benchmark failed."""
+    if options.page:
+        from dfm_stage.cli.bench_report import write_page
+
+        names = " ".join(options.names)
+        how = [f"./run bench {names}".strip()] if not options.results else []
+        options.page.parent.mkdir(parents=True, exist_ok=True)
+        write_page(report["figures"], options.page, report["machine"], report["failed"], how)
     print(table(report["figures"]))
     judged = [figure["met"] for figure in report["figures"] if figure["met"] is not None]
-    print(
-        f"\n{len(report['figures'])} figures, {sum(judged)} of {len(judged)} bars met, "
-        f"{len(report['failed'])} of {len(names)} benchmarks failed"
-    )
-    facts = report["machine"]
-    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_1min']:.2f} at the start")
+    facts, failed = report["machine"], len(report["failed"])
+    bars = paint(f"{sum(judged)} of {len(judged)} bars met", "good" if all(judged) else "warn")
+    print(f"\n{len(report['figures'])} figures, {bars}, "
+          f"{failed} benchmark{'' if failed == 1 else 's'} failed")
+    if facts:
+        print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_1min']:.2f} at the "
+              "start")
+    if options.page:
+        print(f"page: {options.page}")
     return 1 if report["failed"] else 0
 
 

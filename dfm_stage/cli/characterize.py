@@ -44,6 +44,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", action="store_true",
                         help="one process per node instead of all in this one")
     parser.add_argument("--no-report", action="store_true", help="do not write report.html")
+    parser.add_argument("--json", action="store_true",
+                        help="print characterize.json, nothing else")
     options = parser.parse_args(argv)
     return run_command(lambda: _characterize(options))
 
@@ -65,16 +67,20 @@ def _characterize(options: argparse.Namespace) -> int:
         result = characterise(kind, record, axis=options.axis,
                               force_constant=used.base.get("force_constant") if used else None)
         found[kind] = record, result
-        _print(kind, result)
+        if not options.json:
+            _print(kind, result)
     content = {"schema": 1, "model": model.name if model else None,
                "results": {kind: result.to_dict() for kind, (_, result) in found.items()},
                "records": {kind: record.provenance.source for kind, (record, _) in found.items()}}
     from dfm_stage.cli.characterize_report import write_report
     folder = output_folder(out)
-    write_output(folder / "characterize.json",
-           json.dumps(finite(content), indent=1, allow_nan=False) + "\n")
+    text = json.dumps(finite(content), indent=1, allow_nan=False) + "\n"
+    write_output(folder / "characterize.json", text)
     if not options.no_report:
         write_report(found, folder / "report.html", model)
+    if options.json:
+        print(text, end="")
+        return 0
     print(f"  characterize.json{'' if options.no_report else ', report.html'} in {folder}")
     return 0
 

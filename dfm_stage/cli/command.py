@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dfm_stage.cli.colour import paint
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
@@ -24,7 +25,7 @@ def run_command(work: Callable[[], int], stopped: str = "stopped") -> int:
     try:
         return work()
     except DfmError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"{paint('error:', 'bad', sys.stderr)} {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(stopped, file=sys.stderr)

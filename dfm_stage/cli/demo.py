@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 from datetime import datetime
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dfm_stage.cli.command import new_folder, run_command
+from dfm_stage.cli.command import command_parser, new_folder, run_command
 from dfm_stage.cli.progress import Progress
 from dfm_stage.errors import DfmError
 
@@ -24,12 +23,12 @@ LARGE_MULTISINE = {
     "axes": {"x": {"excitation": {
         "kind": "multisine", "amplitude_v": 0.8, "low_hz": 1.0, "high_hz": 70.0, "period_s": 8.0,
         "odd": True, "detection_lines": True}}}}
-EPILOG = "example: ./run demo --out my_demo"
+EPILOG = "example:\n  ./run demo --out my_demo"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the demonstration; 0 when it worked, 2 with one line when it could not."""
-    parser = argparse.ArgumentParser(prog="demo", description=__doc__, epilog=EPILOG)
+    parser = command_parser("demo", __doc__, EPILOG)
     parser.add_argument("--out", metavar="DIR", help="new folder for bags and pages "
                         "(default: demo/<date and time>)")
     parser.add_argument("--model", default="paper_stage",
@@ -47,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
     from dfm_stage.cli import identify
+    from dfm_stage.model import load_model
 
+    load_model(model)
     new_folder(out)
     where = "in this process" if composed else "in a process each"
     print(f"1. ROS 2 nodes {where}, in lockstep: {LOOP_NODES.replace(' ', ', ')}")

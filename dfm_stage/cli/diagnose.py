@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dfm_stage.cli.colour import Tone, paint
 from dfm_stage.cli.command import (
     add_column_options,
     command_parser,
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from dfm_stage.diagnosis import Diagnosis
     from dfm_stage.model import Model
 
+TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
+                          "unknown": "bad", "not_excited": "warn"}
 EPILOG = """\
 examples:
   ./run diagnose runs/multisine --holdout runs/scan --model found/model.yaml --out diagnosis
@@ -158,7 +161,7 @@ def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
 def _print(found: Diagnosis, out: Path, report: bool) -> None:
     from dfm_stage.reporting import format_quantity
 
-    print(f"{found.verdict}: {found.sentence}")
+    print(f"{paint(found.verdict, TONES[found.verdict])}: {found.sentence}")
     for effect in found.effects:
         print(f"  {' or '.join(effect.members)}  ({effect.gap_share:.0%} of the gap)")
         for name, q in effect.parameters.items():

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from dfm_stage.cli.diagnose import TONES
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -24,12 +25,9 @@ from dfm_stage.reporting import (
 
 if TYPE_CHECKING:
     from dfm_stage.diagnosis import Diagnosis, Trace
-    from dfm_stage.reporting.page import Tone
     from dfm_stage.reporting.table import Cell
 
 Array = NDArray[np.float64]
-TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
-                          "unknown": "bad", "not_excited": "warn"}
 WORDS = {"none": "nothing missing", "retune": "retune", "named": "named",
          "ambiguous": "ambiguous", "unknown": "unknown", "not_excited": "not excited"}
 BINS = 40
@@ -64,24 +62,24 @@ def _gap(page: Page, found: Diagnosis) -> None:
     page.section("The gap", "RMS of measured minus simulated: with the model as it was given, "
                  "with its own parameters re-estimated, and with what was found added. The line "
                  f"is the noise floor, known from {gap.noise_floor_from}.")
-    page.figure(_bars(found), "The gap before and after, on fitted and on held-out records")
+    page.figure(_gaps(found), "The gap before and after, on fitted and on held-out records")
 
 
-def _bars(found: Diagnosis) -> Drawing:
+def _gaps(found: Diagnosis) -> Drawing:
     gap = found.gap
     values = np.array([gap.fit, gap.held_out], dtype=float)
     factor, unit = display_unit((float(np.nanmax(values)),), gap.unit)
     figure, axis = new_figure(1, 2.6)
     words = ("as given", "retuned", "with effects" if found.effects else "as answered")
     with page_style():
-        for row, label in enumerate(("fitted", "held out")):
-            place = np.arange(3) + (row - 0.5) * 0.38
-            axis.bar(place, values[row] * factor, 0.34, color=f"C{row}", label=label)
+        for row, (label, mark) in enumerate((("fitted", "o"), ("held out", "D"))):
+            axis.plot(range(3), values[row] * factor, mark, linestyle=":", linewidth=1.0,
+                      markersize=7.0, color=f"C{row}", label=label)
         axis.axhline(gap.noise_floor * factor, color="C2", linewidth=1.2, linestyle="--",
                      label="noise floor")
         axis.set_xticks(range(3), words)
         axis.set_yscale("log")
-        axis.set_ylim(bottom=0.4 * gap.noise_floor * factor)
+        axis.margins(x=0.15, y=0.12)
         axis.set_ylabel(f"RMS ({unit})")
         axis.legend(loc="upper right")
     rows: list[list[Cell]] = [
@@ -149,6 +147,8 @@ def _localised(trace: Trace, unit: str) -> Drawing:
     before, after = trace.measured - trace.before, trace.measured - trace.after
     speed = np.gradient(trace.measured, trace.sample_period)
     factor, shown = display_unit((float(np.max(np.abs(before))),), unit)
+    abscissae = [(signal, *display_unit((float(np.max(np.abs(signal))),), its)) for signal, its in
+                 ((trace.measured, unit), (speed, f"{unit}/s"))]
     figure, axes = new_figure(3, 5.6, squeeze=False)
     rows: list[list[Cell]] = []
     with page_style():
@@ -156,20 +156,20 @@ def _localised(trace: Trace, unit: str) -> Drawing:
             hertz, power = welch(left, 1.0 / trace.sample_period,
                                  nperseg=min(4096, left.size // 2))
             axes[0, 0].loglog(hertz[1:], np.sqrt(power[1:]) * factor, color=colour, label=label)
-            for row, along in ((1, trace.measured), (2, speed)):
+            for row, (along, scale, _) in enumerate(abscissae, 1):
                 centre, mean = _binned(along, left)
-                axes[row, 0].plot(centre, mean * factor, color=colour, marker="o", markersize=2.5)
+                axes[row, 0].plot(scale * centre, mean * factor, color=colour, marker="o",
+                                  markersize=2.5)
             rows.append([label, Quantity(float(np.std(left)), unit),
                          float(hertz[1 + int(np.argmax(power[1:]))])])
         axes[0, 0].set_xlabel("frequency (Hz)")
-        axes[0, 0].set_ylabel(f"{shown}/√Hz")
+        axes[0, 0].set_ylabel(f"gap ({shown}/√Hz)")
         axes[0, 0].legend(loc="best")
         for each in (axes[0, 0].xaxis, axes[0, 0].yaxis):
             each.set_major_formatter(lambda value, _: f"{value:g}")
             each.set_minor_formatter("")
-        axes[1, 0].set_xlabel(f"position ({unit})")
-        axes[2, 0].set_xlabel(f"speed ({unit}/s)")
-        for row in (1, 2):
+        for row, name in ((1, "position"), (2, "speed")):
+            axes[row, 0].set_xlabel(f"{name} ({abscissae[row - 1][2]})")
             axes[row, 0].set_ylabel(f"mean gap ({shown})")
     return Drawing(figure, Table(("", "RMS", "strongest at (Hz)"), rows))
 

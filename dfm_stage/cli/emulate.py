@@ -16,6 +16,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
+from dfm_stage.cli.colour import paint
+from dfm_stage.cli.command import command_parser
 from dfm_stage.drivers.copley_protocol import Parameter
 from dfm_stage.drivers.emulators.copley_ascii import CopleyAsciiEmulator
 from dfm_stage.drivers.emulators.pty_port import Emulator, PtyPort
@@ -32,6 +34,10 @@ HELP = """faults, typed as lines:
   fault BITS       copley_ascii: latches faults (bits of 0xa4, such as 0x4, a short circuit)
   enable on|off    copley_ascii: the enable input
   quit             ends
+
+examples:
+  ./run emulate qsb_d --amplitude 1000 --frequency 2
+  ./run emulate copley_ascii --stage /stage/x --log out/current.txt
 """
 
 
@@ -52,9 +58,7 @@ class OutputLog:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="emulate", description=(__doc__ or "").partition("\n")[0], epilog=HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser("emulate", (__doc__ or "").partition("\n")[0], HELP)
     parser.add_argument("device", choices=DEVICES)
     parser.add_argument("--link", type=Path, metavar="PATH",
                         help="where the port is to be found (default /tmp/dfm_<device>)")
@@ -160,8 +164,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """0 after quit or a signal, 2 when it cannot be set up."""
     options = _parser().parse_args(argv)
     stop: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda signum, _frame: stop.append(signum))
+    before = {number: signal.signal(number, lambda signum, _frame: stop.append(signum))
+              for number in (signal.SIGINT, signal.SIGTERM)}
     link_path = options.link or Path(f"/tmp/dfm_{options.device}")  # noqa: S108 asked for by name
     log_file = options.log.open("w", encoding="utf-8") if options.log else None
     port = stage = None
@@ -176,7 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{options.device} at {link_path}", flush=True)
         _run(port, stop)
     except DfmError as error:
-        print(f"emulate: {error}", file=sys.stderr)
+        print(f"{paint('error:', 'bad', sys.stderr)} {error}", file=sys.stderr)
         return 2
     finally:
         if port is not None:
@@ -185,6 +189,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             stage.close()
         if log_file is not None:
             log_file.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return 130 if signal.SIGINT in stop else 0
 
 

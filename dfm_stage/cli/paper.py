@@ -45,6 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                         "of through the node graph: same signals and analysis, no bags")
     parser.add_argument("--processes", action="store_true",
                         help="one process per node instead of all in this one")
+    parser.add_argument("--json", action="store_true", help="print paper.json, nothing else")
     options = parser.parse_args(argv)
     return run_command(lambda: _paper(options))
 
@@ -79,10 +80,13 @@ def _paper(options: argparse.Namespace) -> int:
     seconds = time.monotonic() - started
     used = {"model": models.stage.name, "two_mode_model": models.two_mode.name,
             "xy_model": models.xy.name, "records": stage.description}
-    write_output(folder / "paper.json",
-           json.dumps(as_json(found.rows, used), indent=1, allow_nan=False) + "\n")
+    text = json.dumps(as_json(found.rows, used), indent=1, allow_nan=False) + "\n"
+    write_output(folder / "paper.json", text)
     write_page(found, folder / "report.html",
                {**used, "Seed": options.seed, "Took": f"{seconds:.0f} s"})
+    if options.json:
+        print(text, end="")
+        return 0
     _print(found, seconds)
     print(f"paper.json, report.html{'' if options.quick else ' and the bags'} in {folder}")
     return 0

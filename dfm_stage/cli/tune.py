@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dfm_stage.cli.command import command_parser, run_command
+from dfm_stage.cli.progress import steps
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
@@ -62,8 +63,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--plant", metavar="FILE", help="model the simulated stage runs for "
                         "--verify and ziegler_nichols (default: the model tuned on)")
     parser.add_argument("--out", metavar="FILE", help="parameter file to write (default: "
-                        "<method>.yaml); the identified model goes beside it")
+                        "<method>.yaml); a page and the identified model go beside it")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--no-report", action="store_true",
+                        help="do not write the page beside the parameter file")
     graph = parser.add_argument_group("ziegler_nichols, on the node graph in lockstep")
     graph.add_argument("--way", choices=(*WAYS, "both", "model"), default="both",
                        help="raise the gain until the loop oscillates, relay feedback, both, or "
@@ -105,12 +108,21 @@ def _tune(options: argparse.Namespace) -> int:
     found: dict[str, dict[str, Ultimate]] = {}
     try:
         for axis, each in axes.items():
-            results[axis], found[axis] = _tuned(axis, each, name, options)
+            quiet = options.json or options.method == "ziegler_nichols"
+            with steps("tune", quiet) as step:
+                step(f"axis {axis}")
+                results[axis], found[axis] = _tuned(axis, each, name, options)
     except TuningFailedError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     write_text(out, _yaml(results, axes))
     verified = _verify(out, results, axes, options.plant or name, options)
+    page = out.with_suffix(".html")
+    if not options.no_report:
+        from dfm_stage.cli.tune_report import write_report
+
+        write_report(page, results, axes, found, verified,
+                     {"Model": name, "Bag": options.bag or "none", "Parameters": out})
     if options.json:
         plain = {axis: _plain(results[axis], found[axis], verified.get(axis)) for axis in axes}
         said = {"schema": 1, "axes": plain} if len(plain) > 1 else next(iter(plain.values()))
@@ -120,7 +132,7 @@ def _tune(options: argparse.Namespace) -> int:
             if len(axes) > 1:
                 print(f"axis {axis}")
             _print(results[axis], found[axis], axes[axis], verified.get(axis))
-        print(f"written: {out}")
+        print(f"written: {out}" + ("" if options.no_report else f", {page}"))
     return 0
 
 

@@ -226,6 +226,18 @@ def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | No
     return best
 
 
+def loop_of(tuned: Tuned, model: Model) -> tuple[Array, NDArray[np.complex128]]:
+    """Return frequencies (F,), Hz, and the loop gain L (F,) of what was tuned, on the model."""
+    stage = sample_model(model)
+    f = frequency_grid(stage)
+    if tuned.parameters["mode"] == "lqr":
+        design = design_lqr(model, LqrSpec.from_mapping(tuned.parameters))
+        return f, design.stage.response(f) * design.response(f)
+    gains = PidGains.from_mapping({name: value for name, value in tuned.parameters.items()
+                                   if name not in ("mode", "model", "feedforward")})
+    return f, stage.response(f) * controller_response(gains, f, stage.sample_period_s)
+
+
 def pid_margins(model: Model, gains: PidGains) -> tuple[Margins, float]:
     """Return margins and bandwidth (Hz) of a PID on the whole model."""
     stage = sample_model(model)

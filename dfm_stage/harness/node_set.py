@@ -120,20 +120,22 @@ class NodeSet:
         self._cleanup.callback(self._end_nodes)
         atexit.register(self.close)
 
-    def launch(self, kind: str, namespace: str, parameters: Mapping[str, Any]) -> None:
-        """Start one node of the set."""
+    def launch(self, kind: str, namespace: str, parameters: Mapping[str, Any],
+               make: Callable[..., Any] | None = None) -> Launched:
+        """Start one node of the set; one that `make` returns is always in this process."""
         launched = Launched(kind, namespace)
         file = self.folder / f"{launched.full_name.strip('/').replace('/', '_')}.yaml"
         file.write_text(json.dumps(
             {launched.full_name: {"ros__parameters": dict(parameters)}}))
         ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
-        if self.composed:
+        if self.composed and make is None:
             module = importlib.import_module(f"dfm_stage.nodes.{kind}")
             make = getattr(module, "".join(part.capitalize() for part in kind.split("_")))
+        if make is not None:
             launched.node = make(context=self._context, cli_args=ros_args)
             self.launched.append(launched)
             self._executor.add_node(launched.node)
-            return
+            return launched
         launched.log = file.with_suffix(".log")
         with launched.log.open("wb") as log:
             launched.process = subprocess.Popen(
@@ -142,6 +144,7 @@ class NodeSet:
                 preexec_fn=_die_with_parent,  # noqa: PLW1509 nothing but a system call
                 env={**os.environ, "ROS_DOMAIN_ID": str(self._domain_id)})
         self.launched.append(launched)
+        return launched
 
     def wait_connected(self, apart: Mapping[str, Sequence[str]], deadline: float) -> None:
         """Wait until every node has met every other one.

@@ -24,6 +24,7 @@ from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, PUBLISHER_QOS
 from dfm_stage.trajectory import Experiment, load_experiment
 
 if TYPE_CHECKING:
+    from dfm_stage.nodes.base import LoopNode
     from dfm_stage.recording import Record
 
 __all__ = ["RunResult", "StageGraph"]
@@ -133,6 +134,23 @@ class StageGraph(NodeSet):
         for axis, client in self._goals.items():
             self.spin_until(client.server_is_ready, deadline - time.monotonic(),
                             f"the action server of /stage/{axis}/trajectory_generator")
+
+    def add(self, make: type[LoopNode], axis: str = "x",
+            parameters: Mapping[str, Any] | None = None) -> Any:
+        """Add a node of one's own to the running graph, in this process, and return it.
+
+        Parameters
+        ----------
+        make : subclass of LoopNode
+            Its `kind` is the node's name.
+        axis : str
+            Whose namespace it lives in.
+        parameters : mapping, optional
+            ROS parameters, besides `lockstep` and `wait_for_recorder`, which are the graph's.
+        """
+        common = {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds}
+        return self.launch(make.kind, f"/stage/{axis}", {**common, **(parameters or {})},
+                           make).node
 
     def _wait_connected(self, deadline: float) -> None:
         by_wire = [kind for kind in self._kinds if self._on_hardware(kind)]

@@ -12,7 +12,15 @@ from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.ring_down import RingDown
 from dfm_stage.identification.static import StaticTest
 from dfm_stage.recording import Record
-from dfm_stage.reporting import Drawing, Response, Table, bode_figure, new_figure, page_style
+from dfm_stage.reporting import (
+    Drawing,
+    Response,
+    Table,
+    bode_figure,
+    new_figure,
+    page_style,
+    thinned,
+)
 
 Array = NDArray[np.float64]
 Curves = Mapping[str, tuple[Array, Array]]
@@ -59,11 +67,11 @@ def static_figure(test: StaticTest, theory_n_m: float | None = None,
 def decay_figure(position: Array, sample_period: float, decay: RingDown) -> Drawing:
     """The free decay with its extremes and the fitted envelope (paper: Fig. 7)."""
     figure, axis = new_figure(1, 3.2)
-    time = np.arange(position.size - decay.release) * sample_period
+    time = np.arange(position.size - decay.release, dtype=np.float64) * sample_period
     free = 1e3 * position[decay.release:]
     offset = 1e3 * decay.offset.value
     with page_style():
-        axis.plot(time[::4], free[::4], linewidth=1.0, label="measured")
+        axis.plot(*thinned(time, free), linewidth=1.0, label="measured")
         axis.plot(decay.time_s, 1e3 * decay.extreme_m, "o", markersize=4.0, label="extremes")
         for sign in (1.0, -1.0):
             axis.plot(decay.time_s, offset + sign * 1e3 * decay.envelope_m, "--", color="C2",
@@ -115,8 +123,7 @@ def curves_figure(curves: Curves, ylabel: str, *, difference: Curves | None = No
                 i = names.index(name)
                 style = {"linewidth": 2.6, "alpha": 0.5} if i == 0 and len(curves) > 1 else {
                     "linewidth": 1.2, "linestyle": ("-", "-", "--", ":")[min(i, 3)]}
-                step = max(1, x.size // 3000)
-                axis.plot(x[::step], factor * y[::step], label=name, color=f"C{i}", **style)
+                axis.plot(*thinned(x, factor * y), label=name, color=f"C{i}", **style)
                 rows.append([name, label, float(factor * np.mean(y)),
                              float(factor * np.sqrt(np.mean(y**2))), float(factor * np.min(y)),
                              float(factor * np.max(y))])

@@ -1,5 +1,6 @@
 """Recording and reading runs: MCAP bags, CSV files, and the record they all become."""
 
+from dfm_stage.recording.array_files import write_mat
 from dfm_stage.recording.bag import Bag, Ragged, Topic
 from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_writer import BagWriter
@@ -46,4 +47,5 @@ __all__ = [
     "read_bag",
     "read_record",
     "write_csv",
+    "write_mat",
 ]

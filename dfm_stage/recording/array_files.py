@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -9,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from dfm_stage.recording.errors import RecordError
-from dfm_stage.recording.record import FloatArray
+from dfm_stage.files import write_whole
+from dfm_stage.recording.errors import RecordError, write_error
+from dfm_stage.recording.record import FloatArray, Record
+from dfm_stage.recording.table import columns_of
 
 _PERIODS = ("sample_period", "sample_time", "ts", "dt")
 _RATES = ("sample_rate", "sampling_rate", "fs")
@@ -72,6 +76,25 @@ def load_mat(path: Path) -> ArrayTable:
         raise RecordError(f"{path}: cannot be read as .mat ({_line(error)})") from error
     return ArrayTable(path, "mat", dict(_flat({name: value for name, value in content.items()
                                                if not name.startswith("__")})))
+
+
+def write_mat(record: Record, path: str | os.PathLike[str]) -> None:
+    """Write a record as a .mat file of MATLAB 5 to 7 that `read_record` reads back, whole or not
+    at all; the variables are the columns of `write_csv`.
+
+    Raises
+    ------
+    BagWriteError
+        If the file cannot be written.
+    """
+    import scipy.io
+
+    content = io.BytesIO()
+    scipy.io.savemat(content, dict(columns_of(record)), oned_as="column", do_compression=True)
+    try:
+        write_whole(path, content.getvalue())
+    except OSError as error:
+        raise write_error(Path(path), error) from error
 
 
 def _line(error: Exception) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from dfm_stage.files import write_whole
 from dfm_stage.recording.errors import RecordError, write_error
 from dfm_stage.recording.record import FloatArray, Record
+from dfm_stage.recording.table import columns_of
 
 _DELIMITERS = ",;\t"
 _COMMENTS = ("#", "%")
@@ -143,17 +144,7 @@ def write_csv(record: Record, path: str | os.PathLike[str]) -> None:
     BagWriteError
         If the file cannot be written.
     """
-    where = Path(path)
-    columns: dict[str, FloatArray] = {"time_s": record.time}
-    for name, axis in record.axes.items():
-        prefix = f"{name}_" if len(record.axes) > 1 else ""
-        position_unit = axis.position_unit.lower()
-        columns[f"{prefix}input_{axis.input_unit.lower()}"] = axis.input
-        columns[f"{prefix}position_{position_unit}"] = axis.position
-        if axis.current is not None:
-            columns[f"{prefix}current_a"] = axis.current
-        if axis.reference is not None:
-            columns[f"{prefix}reference_{position_unit}"] = axis.reference
+    where, columns = Path(path), columns_of(record)
     lines = [",".join(columns)]
     lines += [",".join(map(_cell, row)) for row in zip(*(array.tolist() for array in
                                                          columns.values()), strict=True)]

@@ -46,6 +46,25 @@ class Table(Protocol):
         """Return where a row stands, as the user counts ("line 17")."""
 
 
+def columns_of(record: Record) -> dict[str, FloatArray]:
+    """Return a record as the columns that `read_record` understands, by name.
+
+    `time_s`, and for each axis `input_v`, `position_m`, `current_a`, `reference_m` as far as there
+    are, prefixed by the axis name where there are several axes.
+    """
+    columns: dict[str, FloatArray] = {"time_s": record.time}
+    for name, axis in record.axes.items():
+        prefix = f"{name}_" if len(record.axes) > 1 else ""
+        position_unit = axis.position_unit.lower()
+        columns[f"{prefix}input_{axis.input_unit.lower()}"] = axis.input
+        columns[f"{prefix}position_{position_unit}"] = axis.position
+        if axis.current is not None:
+            columns[f"{prefix}current_a"] = axis.current
+        if axis.reference is not None:
+            columns[f"{prefix}reference_{position_unit}"] = axis.reference
+    return columns
+
+
 @dataclass(frozen=True)
 class Options:
     """What `read_record` was told about a table; None where it was told nothing."""

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import platform
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from dfm_stage import __version__
 from dfm_stage.errors import DfmError
@@ -92,7 +95,9 @@ class Page:
     def html(self) -> str:
         """Return the whole page."""
         made = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-        foot = {**self._provenance, "dfm_stage": __version__, "Made": made}
+        versions = f"Python {platform.python_version()}, NumPy {np.__version__}"
+        foot = {**self._provenance, "Versions": f"dfm_stage {__version__}, {versions}",
+                "Made": made}
         entries = "".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>"
                           for key, value in foot.items())
         return "\n".join((

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
 import time
 from pathlib import Path
 
 import pytest
 
+from dfm_stage import __main__
+from dfm_stage.cli.colour import paint
 from dfm_stage.cli.command import finite, names_in, new_folder, run_command, write_output
 from dfm_stage.cli.progress import Progress, steps
 from dfm_stage.errors import DfmError
@@ -32,6 +36,51 @@ def test_an_end_that_was_not_planned_is_one_line(
         error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(lambda: _raise(error)) == code
     assert capsys.readouterr().err == line
+
+
+def test_colours_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("NO_COLOR", "TERM"):
+        monkeypatch.delenv(name, raising=False)
+    assert paint("x", "bad", Terminal()) == "\x1b[31mx\x1b[0m"
+    assert paint("x", "bad", io.StringIO()) == "x"
+    monkeypatch.setenv("TERM", "dumb")
+    assert paint("x", "bad", Terminal()) == "x"
+    monkeypatch.delenv("TERM")
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert paint("x", "bad", Terminal()) == "x"
+
+
+@pytest.mark.parametrize("arguments", [
+    ["identify", "absent.csv"], ["identify"], ["diagnose", "absent.csv", "--model", "paper_stage"],
+    ["diagnose", "absent.csv", "--model", "absent"], ["tune"], ["tune", "--model", "absent"],
+    ["characterize", "all", "--bag", "absent"], ["paper", "--model", "absent"],
+    ["learn", "absent", "--model", "paper_stage"], ["learn", "--replay", "absent"],
+    ["bench", "absent"], ["bench", "--from", "absent"], ["demo", "--model", "absent"],
+    ["emulate", "qsb_d", "--link", "absent/port"], ["example", "/dev/null/folder"], ["absent"],
+])
+def test_what_cannot_be_used_is_one_line_and_code_2(
+        arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert __main__.main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert not said.out
+
+
+@pytest.mark.parametrize("tool", ["identify", "diagnose"])
+def test_ctrl_c_ends_with_130_and_leaves_no_half_file(
+        tool: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(10.0)
+
+    monkeypatch.setattr("dfm_stage.recording.read_record", interrupted)
+    out = tmp_path / "out"
+    assert __main__.main([tool, "a.csv", "--model", "paper_stage", "--out", str(out)]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "stopped"
+    assert not list(out.iterdir())
 
 
 def test_the_work_decides_otherwise() -> None:

@@ -18,5 +18,10 @@ def test_every_row_and_figure_is_on_the_page(comparison, tmp_path):
     assert "http" not in re.sub(r'xmlns="[^"]*"', "", text)
 
 
+def test_the_page_opens_well(comparison, tmp_path, opens_well):
+    write_page(comparison, tmp_path / "report.html", {"Model": "paper_stage"})
+    opens_well(tmp_path / "report.html")
+
+
 def test_the_tally_adds_up(comparison):
     assert sum(tally(comparison.rows)) == len(comparison.rows)

@@ -1,0 +1,104 @@
+"""The page of the benchmarks: every figure beside its bar and its peer, and how to repeat it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dfm_stage.reporting import Page, new_figure, page_style
+from dfm_stage.reporting.table import Cell
+from dfm_stage.reporting.units import format_number
+
+Figure = Mapping[str, Any]
+TITLES = {
+    "loop": "The node graph in real time", "lockstep": "The node graph in lockstep",
+    "bags": "Reading bags", "simulate": "The simulator", "coverage": "Intervals that hold",
+    "identify": "Identification", "motor_bench": "Data recorded by others",
+    "control": "Controllers on one scan", "drivers": "Serial drivers", "diagnose": "Diagnosis",
+    "faults": "Faults", "executors": "Executors", "zero_current": "Time to zero current",
+}
+COLUMNS = ("figure", "value", "unit", "bar", "", "peer", "its value", "ratio", "how")
+MOST_IN_A_PLOT = 24
+
+
+def write_page(figures: Sequence[Figure], path: Path, machine: Mapping[str, Any],
+               failed: Sequence[Mapping[str, str]] = (), commands: Sequence[str] = ()) -> None:
+    """Write the page to `path`, whole or not at all; `figures` as bench's JSON has them.
+
+    Raises
+    ------
+    ReportError
+        If the folder cannot be written.
+    """
+    page = Page("Measured figures")
+    judged = [figure for figure in figures if figure.get("met") is not None]
+    met = sum(bool(figure["met"]) for figure in judged)
+    complete = met == len(judged) and not failed
+    page.lead(f"{len(figures)} figures, {met} of {len(judged)} bars met. A bar is what was "
+              "promised before the measurement; a peer did the same work in the same run.",
+              "all met" if complete else "some missed", "good" if complete else "warn")
+    for each in failed:
+        page.note(f"{each['bench']} failed: {each['reason']}")
+    missed = [figure for figure in judged if not figure["met"]]
+    if missed:
+        page.section("Missed")
+        page.table(COLUMNS, [_cells(figure) for figure in missed])
+    groups: dict[str, list[Figure]] = {}
+    for figure in figures:
+        groups.setdefault(str(figure["key"]).partition(".")[0], []).append(figure)
+    for name, group in groups.items():
+        page.section(TITLES.get(name, name.replace("_", " ")), f"Repeat it: ./run bench {name}")
+        compared = [figure for figure in group if _margin(figure) is not None]
+        if compared:
+            page.figure(_margins(compared[:MOST_IN_A_PLOT]), "Each figure over its bar, on the "
+                        "side that was promised: right of the line is met")
+        page.table(COLUMNS, [_cells(figure) for figure in group])
+    page.provenance({"Commands": "; ".join(commands) or "./run bench",
+                     "Machine": f"{machine.get('cpu', '?')}, {machine.get('cores', '?')} cores, "
+                     f"{machine.get('memory_gib', '?')} GiB",
+                     "Load at the start": machine.get("load_1min", "?"),
+                     "Kernel": machine.get("kernel", "?"),
+                     "Measured with": f"Python {machine.get('python', '?')}, "
+                     f"NumPy {machine.get('numpy', '?')}"})
+    page.write(path)
+
+
+def _cells(figure: Figure) -> list[Cell]:
+    return [str(figure["key"]), figure["value"], str(figure["unit"]), _bar(figure),
+            "" if figure.get("met") is None else "met" if figure["met"] else "MISSED",
+            str(figure["peer"] or ""), figure["peer_value"], figure["ratio"], str(figure["how"])]
+
+
+def _bar(figure: Figure) -> str:
+    if figure["bar"] is None:
+        return ""
+    bar = format_number(float(figure["bar"]))
+    if figure.get("bar_kind") == "between":
+        return f"{bar} to {format_number(float(figure['bar_to']))}"
+    return {"at least": "≥ ", "at most": "≤ "}.get(str(figure.get("bar_kind")), "") + bar
+
+
+def _margin(figure: Figure) -> float | None:
+    """By what factor a bar is met, above 1, or missed, below; None where there is none."""
+    value, bar = figure["value"], figure["bar"]
+    if value is None or bar is None or value <= 0.0 or bar <= 0.0:
+        return None
+    return {"at least": value / bar, "at most": bar / value}.get(str(figure.get("bar_kind")))
+
+
+def _margins(figures: Sequence[Figure]) -> Any:
+    figure, axis = new_figure(1, 0.9 + 0.24 * len(figures))
+    with page_style():
+        for row, each in enumerate(reversed(figures)):
+            margin = _margin(each) or 0.0
+            axis.plot(margin, row, "o", color="C0" if each["met"] else "C1", markersize=6.0)
+        axis.axvline(1.0, color="C2", linestyle="--", linewidth=1.0)
+        low, high = (edge(_margin(each) or 1.0 for each in figures) for edge in (min, max))
+        axis.set_xscale("log")
+        axis.set_xlim(min(0.5, 0.8 * low), max(2.0, 1.25 * high))
+        axis.set_yticks(range(len(figures)),
+                        [str(each["key"]).partition(".")[2] for each in reversed(figures)])
+        axis.set_ylim(-0.7, len(figures) - 0.3)
+        axis.set_xlabel("times the bar")
+    return figure

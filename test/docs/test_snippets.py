@@ -1,0 +1,148 @@
+"""What README and docs show runs, and says what it is said to say."""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import importlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pages import PAGES, ROOT, Block, blocks
+from ruamel.yaml import YAML
+
+from dfm_stage.commands import NODES, TOOLS, module_of
+
+SLOW = bool(os.environ.get("DFM_DOCS_SLOW"))
+FRONT_DOOR = {"test", "lint", "shell", "exec", "setup"}
+SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+RUN = '#!/bin/sh\nexec "{python}" -m dfm_stage "$@"\n'
+RUNNABLE = [page for page in PAGES if {block.language for block in blocks(page)}
+            & {"python", "console", "yaml"}]
+COMMAND = re.compile(r"(?:\$ )?\./run +(\S+)(.*)")
+
+
+@pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.name)
+def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "run"
+    run.write_text(RUN.format(python=sys.executable))
+    run.chmod(0o755)
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    namespace: dict[str, Any] = {"__name__": page.stem}
+    runs = {"python": _python, "console": _console, "yaml": _yaml}
+    if any(block.mark == "file" for block in blocks(page)):
+        shutil.copytree(ROOT / "dfm_stage", tmp_path / "dfm_stage",
+                        ignore=shutil.ignore_patterns("__pycache__"))
+        runs["python"] = _python_in_the_copy
+    for block in blocks(page):
+        if block.mark == "fragment":
+            compile(block.code, str(block), "exec")
+        elif block.mark == "file":
+            path = re.search(r"^# (dfm_stage/\S+\.py)$", block.code, re.MULTILINE)
+            assert path, f"{block}: no line that names the file"
+            assert not (ROOT / path[1]).exists()
+            Path(path[1]).write_text(block.code, encoding="utf-8")
+        elif block.language in runs and (SLOW or block.mark != "slow"):
+            if block.before:
+                exec(compile(block.before, f"before {block}", "exec"), namespace)  # noqa: S102
+            runs[block.language](block, namespace)
+
+
+def _python(block: Block, namespace: dict[str, Any]) -> None:
+    out = io.StringIO()
+    # line numbers of a traceback are those of the page
+    code = compile("\n" * (block.line - 1) + block.code, str(block), "exec")
+    with contextlib.redirect_stdout(out):
+        exec(code, namespace)  # noqa: S102
+    _keeps_its_promises(block, out.getvalue())
+
+
+def _python_in_the_copy(block: Block, _namespace: dict[str, Any]) -> None:
+    """Run with the package and the page's files in it; interpreted, as compiling takes minutes."""
+    done = subprocess.run([sys.executable, "-c", block.code], capture_output=True, text=True,
+                          timeout=120, check=False, env={
+                              **os.environ, "PYTHONPATH": str(Path.cwd()), "PYTHONSAFEPATH": "1",
+                              "NUMBA_DISABLE_JIT": "1"})
+    assert done.returncode == 0, f"{block}: {done.stderr}"
+    _keeps_its_promises(block, done.stdout)
+
+
+def _keeps_its_promises(block: Block, out: str) -> None:
+    """Each `# ...` line after a print is a line of the output, in this order."""
+    rest = out.splitlines()
+    for promised in re.findall(r"^print\(.*\n# (.*)$", block.code, re.MULTILINE):
+        while rest and not _says(promised, rest[0]):
+            rest.pop(0)
+        assert rest, f"{block}: {promised!r} is not in the output:\n{out}"
+
+
+def _console(block: Block, _namespace: dict[str, Any]) -> None:
+    for part in re.split(r"^\$ ", block.code, flags=re.MULTILINE)[1:]:
+        command, _, promised = part.partition("\n")
+        done = subprocess.run(["/bin/sh", "-c", command], capture_output=True, text=True,
+                              timeout=120, check=False)
+        assert done.returncode == 0, f"{block}: {command}\n{done.stderr}"
+        if promised.strip():
+            assert _says(promised, done.stdout), f"{block}: {command}\n{done.stdout}"
+
+
+def _says(promised: str, out: str) -> bool:
+    return doctest.OutputChecker().check_output(promised.rstrip() + "\n", out, SAME)
+
+
+def _yaml(block: Block, _namespace: dict[str, Any]) -> None:
+    from dfm_stage.model import load_model
+    from dfm_stage.trajectory import load_experiment
+
+    file = Path("shown.yaml")
+    file.write_text(block.code, encoding="utf-8")
+    content = YAML(typ="safe").load(block.code)
+    if "dfm_model" in content:
+        load_model(file)
+    elif "mode" in content:
+        load_experiment(file)
+
+
+@cache
+def _help(name: str) -> str:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), pytest.raises(SystemExit) as ended:
+        importlib.import_module(module_of(name)).main(["--help"])
+    assert ended.value.code == 0
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_shown_exists_with_its_options(page: Path) -> None:
+    shown = [line for block in blocks(page) for line in block.code.splitlines()]
+    shown += re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8"))
+    for line in shown:
+        found = COMMAND.match(line.strip())
+        if not found or found[1].isupper() or found[1].startswith(("<", "-")):
+            continue
+        name, rest = found[1], found[2].partition(" #")[0].partition("--ros-args")[0]
+        assert name in {*NODES, *TOOLS, *FRONT_DOOR}, line
+        if name in TOOLS:
+            for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest):
+                assert option in _help(name), f"{page.name}: {line}: {option}"
+
+
+@pytest.mark.parametrize("name", sorted(TOOLS))
+def test_help_shows_an_example_that_parses(name: str) -> None:
+    said = _help(name)
+    examples = [line.strip() for line in said.splitlines() if line.strip().startswith("./run ")]
+    examples += re.findall(r"example: (\./run .*)", said)
+    assert any(example.startswith(f"./run {name}") for example in examples)
+    for example in examples:
+        other = example.split()[1]
+        for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", example.partition(" #")[0]):
+            assert other in NODES or option in _help(other)
