@@ -131,6 +131,31 @@ def _generic(name: str) -> list[Parameters]:
     return [values]
 
 
+LATE = ("amplifier_time_constant", "delay", "coil_inductance",
+        "amplifier_bandwidth.time_constant", "transport_delay.delay",
+        "coil_inductance.inductance")
+"""Parameters that make the force late, each in its own way."""
+
+
+def late_splits(model: Model, free: Sequence[str]) -> list[Parameters]:
+    """Other ways to share the whole lateness out: nearly all of it to one free parameter.
+
+    Lag, delay and inductance act alike to first order, and a search may end in a valley where one
+    stands in for another. Empty where fewer than two are free.
+    """
+    values = model.parameters()
+    unit = {n: model.base.get("coil_resistance", 0.0) if "inductance" in n else 1.0
+            for n in LATE if n in free}
+    if len(unit) < 2 or min(unit.values()) <= 0.0:
+        return []
+    whole = sum(values.get(n, 0.0) / u for n, u in unit.items())
+    if whole <= 0.0:
+        return []
+    rest = 0.1 / (len(unit) - 1)
+    return [{n: (0.9 if n == most else rest) * whole * u for n, u in unit.items()}
+            for most in unit]
+
+
 SMALL = 1e-3
 """Size of a nonlinear force in units of the actuator's, for sensitivities."""
 

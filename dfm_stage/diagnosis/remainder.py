@@ -53,7 +53,7 @@ def findings(run: Experiment, residual: Array, known_noise: float | None) -> lis
     found = [Finding("excess", spread / floor, EXCESS,
                      "RMS over that of high frequencies: slow or resonant motion is left")]
     if known_noise:
-        found.append(Finding("known_noise", spread / known_noise, 1.15,
+        found.append(Finding("known_noise", spread / known_noise, EXCESS,
                              "RMS over the noise that the model gives"))
     found += [*_repeating(run, residual), _drift(residual), _line(residual),
               _pattern(run, residual), _shape(residual)]

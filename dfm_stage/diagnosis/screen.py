@@ -58,11 +58,14 @@ class Screen:
     """Screens candidates against the residual of a fit."""
 
     def __init__(self, base: Fit, runs: Sequence[Experiment], weights: Weights,
-                 dither: float) -> None:
+                 dither: float, linear: Model | None = None) -> None:
+        """`linear` is a model that moves alike and answers for one that is slow to simulate."""
         self.base, self.runs, self.weights, self.dither = base, tuple(runs), weights, dither
         self.scales = Scales.of(base.model, runs, weights[0][0].rms)
         light = base.system.use_light(base.x)
         self.model = base.system.light.model if light else base.model
+        if linear is not None and not light and base.system.cost > 1.0:
+            self.model = linear
         if base.system.pushed:
             self.model = self.model.without_effect("force_offset")
         jacobian = weighted_sensitivities(base.system, base.x, weights, light)

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.candidates import excluded
+from dfm_stage.diagnosis.candidates import LATE, excluded, late_splits
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
+from dfm_stage.diagnosis.system import is_costly
 from dfm_stage.diagnosis.weighting import Weight, Weights, weights_of, white_weights
 from dfm_stage.model import EFFECTS, Model
 
@@ -25,9 +26,12 @@ PER_PARAMETER = 12.0
 """What a further parameter must bring at least for the larger of two models to be preferred."""
 ENOUGH = 0.2
 """A further effect must take this share of what is left above the noise: bits are no physics."""
-BUDGET = 4000.0
-"""Simulations (in units of one with a smooth force) after which no further candidate that is slow
-to simulate is tried."""
+BUDGET = 1500.0
+"""Work (`System.work`: simulations of 24 s with a smooth force) after which no further candidate
+that is slow to simulate is tried; after twice that none with a force that is not linear, and at
+three times that every fit ends where it is."""
+EACH = 1000.0
+"""Work of a single fit at most."""
 MOST = 4
 VALLEY = 1.03
 """Chi-square per sample above which effects are looked for anew beside the others."""
@@ -43,7 +47,9 @@ HELD = {"encoder_quantization": ("step",)}
 LATER = {"presliding_friction": ("breakaway_ratio", "stribeck_velocity", "damping"),
          "hysteresis": ("exponent",)}
 """Parameters freed once the others have been fitted."""
-STARTS = {"presliding_friction": {"breakaway_ratio": 1.1}, "hysteresis": {"exponent": 1.2}}
+STARTS: dict[str, dict[str, float]] = {
+    "presliding_friction": {"breakaway_ratio": 1.1}, "hysteresis": {"exponent": 1.2}}
+"""Where those begin then: off the values at which an effect is simpler and faster to simulate."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +93,21 @@ class Search:
         self.reweigh(white_weights(first.residuals))
         found = fit(first.model, self.runs, self.free, self.weights, earlier=first.locals)
         self.reweigh(white_weights(found.residuals))
-        return self.keep((), fit(found.model, self.runs, self.free, self.weights,
-                                 earlier=found.locals))
+        again = fit(found.model, self.runs, self.free, self.weights, earlier=found.locals)
+        split = self.resplit(again)
+        if split is again:
+            return self.keep((), again)
+        self.reweigh(white_weights(split.residuals))
+        return self.keep((), self._fit(split.model, self.free, split))
+
+    def resplit(self, found: Fit) -> Fit:
+        """The best of `found` and of fits that begin with lag, delay and inductance shared out
+        otherwise."""
+        for values in late_splits(found.model, found.system.free):
+            trial = self._fit(found.model.with_parameters(values), found.system.free, found)
+            if trial.chi2 < found.chi2 - PER_PARAMETER:
+                found = trial
+        return found
 
     @property
     def dither(self) -> float:
@@ -128,24 +147,34 @@ class Search:
                 model = model.without_effect(use.name)
         later: list[str] = []
         for hit in hits:
-            parameters = {**hit.parameters, **STARTS.get(hit.name, {})}
-            model = model.with_effect(hit.name, _inside(hit.name, parameters))
+            model = model.with_effect(hit.name, _inside(hit.name, hit.parameters))
             later += [f"{hit.name}.{n}" for n in LATER.get(hit.name, ())]
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
-        if hits and self.spent > BUDGET and any(h.name in LATER for h in hits):
+        if hits and (self.spent > BUDGET and later or self.spent > 2.0 * BUDGET
+                     and any(is_costly(use.name) for use in model.effects)):
             self.cut_short = True
             return replace(start, chi2=math.inf)
-        found = fit(model, self.runs, early, self.weights, earlier=start.locals,
-                    dither=self.dither, iterations=12 if later else 25,
-                    tolerance=1.0 if later else 0.03)
-        self.spent += found.system.work
+        found = self._fit(model, early, start, iterations=12 if later else 25,
+                          tolerance=1.0 if later else 0.03)
         if any(h.name == "encoder_quantization" for h in hits) and "noise" not in self.model.base:
             found = self._with_noise(found, early)
         if later and found.ok and found.chi2 < worth:
-            found = fit(found.model, self.runs, free, self.weights, earlier=found.locals,
-                        dither=self.dither, iterations=25, tolerance=0.1)
-            self.spent += found.system.work
+            freed = found.model.with_parameters({f"{hit.name}.{n}": v for hit in hits for n, v in
+                                                 STARTS.get(hit.name, {}).items()})
+            found = self._fit(freed, free, found, tolerance=0.1)
+        if found.ok and any(f"{h.name}.{n}" in LATE for h in hits for n in h.parameters):
+            found = self.resplit(found)
+        return found
+
+    def _fit(self, model: Model, free: Names, start: Fit, *, iterations: int = 25,
+             tolerance: float = 1e-2, exact: bool = False) -> Fit:
+        """A fit within what is left of the work that may be done."""
+        found = fit(model, self.runs, free, self.weights, earlier=start.locals,
+                    dither=self.dither, iterations=iterations, tolerance=tolerance, exact=exact,
+                    allowance=min(max(3.0 * BUDGET - self.spent, 0.0), EACH))
+        self.spent += found.system.work
+        self.cut_short |= self.spent > 3.0 * BUDGET
         return found
 
     def _with_noise(self, found: Fit, free: Names) -> Fit:
@@ -153,9 +182,9 @@ class Search:
         use = found.model.effect("encoder_quantization")
         if use is None or not found.ok:
             return found
-        trials = [fit(found.model.with_parameters({"noise": share * use.parameters["step"]}),
-                      self.runs, free, self.weights, earlier=found.locals, dither=self.dither,
-                      iterations=4) for share in (0.02, 0.035, 0.06, 0.085, 0.115, 0.15, 0.2)]
+        trials = [self._fit(found.model.with_parameters({"noise": share * use.parameters["step"]}),
+                            free, found, iterations=4)
+                  for share in (0.02, 0.035, 0.06, 0.085, 0.115, 0.15, 0.2)]
         return min([found, *trials], key=lambda f: f.chi2)
 
     def parameters(self, model: Model) -> Names:
@@ -173,7 +202,8 @@ class Search:
 
     def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         """Hits of every effect that is allowed and not in `current` yet, best first."""
-        screen = Screen(current, self.runs, self.weights, self.dither)
+        alike = self.fitted((), current).model if names else None
+        screen = Screen(current, self.runs, self.weights, self.dither, alike)
         found: list[Hit] = []
         for name in self.library:
             if name in names or excluded(name, self.model, self.runs) is not None:
@@ -218,7 +248,11 @@ class Search:
                 both = (*names, pair[0].name, pair[1].name)
                 self.step(f"fitting {pair[0].name} and {pair[1].name}")
                 trials.append((both, self.fitted(both, current, pair)))
+                if current.chi2 - trials[-1][1].chi2 > FULL * above:
+                    break
             best = self.best(trials)
+        if best[1].chi2 > VALLEY * best[1].white.size:
+            best = best[0], self.keep(best[0], self.resplit(best[1]))
         added = len(best[0]) - len(names)
         if current.chi2 - best[1].chi2 < limit + FURTHER * (added - 1):
             return None
@@ -265,8 +299,8 @@ class Search:
                 or current.chi2 < VALLEY * current.white.size:
             return None
         if current.system.costly:
-            exact = fit(current.model, self.runs, self.parameters(current.model), self.weights,
-                        earlier=current.locals, dither=self.dither, iterations=12, exact=True)
+            exact = self._fit(current.model, self.parameters(current.model), current,
+                              iterations=12, exact=True)
             if exact.chi2 < current.chi2 - FURTHER:
                 return self.keep(names, exact)
         for name in names:
@@ -274,7 +308,8 @@ class Search:
                 continue
             rest = tuple(n for n in names if n != name)
             without = self.fitted(rest, current)
-            screen = Screen(without, self.runs, self.weights, self.dither)
+            screen = Screen(without, self.runs, self.weights, self.dither,
+                            self.fitted((), current).model)
             for hit in screen.hits(name, keep=3):
                 trial = self._from(without.model, names, without, [hit], math.inf)
                 if trial.chi2 < current.chi2 - FURTHER:

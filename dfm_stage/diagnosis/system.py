@@ -24,8 +24,13 @@ PER_RUN = {"periodic_disturbance": ("periodic_disturbance.in_phase",
                                     "periodic_disturbance.quadrature"),
            "thermal_drift": ("thermal_drift.rate",)}
 """Coordinates of effects that do not carry over from one run to the next."""
-COST = {"presliding_friction": 6.0, "hysteresis": 12.0}
+COST = {"presliding_friction": 3.0, "hysteresis": 4.0}
 """What a simulation costs beside one with a smooth nonlinear force."""
+SAMPLES = 24_000
+"""Samples whose simulation with a smooth nonlinear force is one unit of work."""
+DISTANCES = ("presliding_friction.distance", "hysteresis.yield_displacement")
+UNSEEN = 0.1
+"""A distance below this much of the noise is that of dry friction, and slow to simulate."""
 SMALL_SHARE = 0.05
 """Nonlinear effects that move the output by less than this leave the base's sensitivities."""
 
@@ -56,6 +61,7 @@ class System:
                  dither: float = 0.0) -> None:
         self.runs, self.free = tuple(runs), tuple(free)
         self.dither = _dither(model, dither)
+        self.least = UNSEEN * dither
         self.springless = model.base.get("stiffness", 0.0) == 0.0 and "stiffness" not in free
         pushed = self.springless and model.effect("force_offset") is None
         self.model = model.with_effect("force_offset", {"force": 0.0}) if pushed else model
@@ -87,15 +93,20 @@ class System:
             if name in special:
                 coordinates, k = special[name]
                 scale = abs(value) or float(coordinates.scale[k])
-                yield Place(name, -1, scale, float(coordinates.low[k]),
+                low = float(coordinates.low[k])
+                yield Place(name, -1, scale, self._low(name, low),
                             float(coordinates.high[k]), step)
             else:
                 limits = self.model.parameter(address)
                 high = limits.high
                 if address == "thermal_drift.decay":
                     high = max(15.0 / self._longest(), abs(value))
-                yield Place(name, -1, abs(value) or self._typical(address), limits.low,
-                            high, step)
+                yield Place(name, -1, abs(value) or self._typical(address),
+                            self._low(name, limits.low), high, step)
+
+    def _low(self, name: str, limit: float) -> float:
+        """The least value of a coordinate that a search may try."""
+        return max(limit, self.least) if name in DISTANCES else limit
 
     def _step(self, address: str, value: float) -> float:
         """The relative step of a difference: small where a phase would turn within it."""
@@ -220,7 +231,7 @@ class System:
             kept = [k for k, n in enumerate(names) if n.partition(".")[0] not in self.costly]
             names, table = [names[k] for k in kept], table[:, kept]
         else:
-            self.work += self.cost * len(rows) / len(self.runs)
+            self.work += self.cost * len(rows) * run.input.size / SAMPLES
         out = [np.full((len(rows), run.input.size), np.nan) for _ in run.channels]
         if not np.any(allowed):
             return [o[:, run.skip:] for o in out]
