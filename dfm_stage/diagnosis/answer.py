@@ -166,7 +166,7 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
     better = case.after.chi2 < case.retuned.chi2 + (SILENT if case.silent else 0.0)
     first = case.retuned.rms if drifts else min(case.retuned.rms, case.before.rms)
     taken = 1.0 - (case.after.rms / max(first, 1e-300)) ** 2
-    if gross and better and taken > (MOST_OF - 0.05 if drifts else MOST_OF):
+    if gross and better and not _cornered(case) and taken > (MOST_OF - 0.05 if drifts else MOST_OF):
         return True, doubts
     if not better:
         return False, [f"{all_names}: lowers the fitted gap, not the held-out one"]
@@ -184,6 +184,14 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
         return True, doubts
     doubts.append(f"{all_names}: explains the fitted records, but not the held-out ones")
     return False, doubts
+
+
+def _cornered(case: Case) -> bool:
+    """Whether the fit pushed damping, stiffness or the actuator to nothing: no such stage."""
+    base = case.fit.model.base
+    return any(base.get(n, 1.0) <= 1e-9 * abs(case.model.base[n])
+               for n in ("damping", "stiffness", "force_constant")
+               if n in case.search.free and case.model.base.get(n, 0.0) != 0.0)
 
 
 def _members(case: Case, name: str) -> tuple[str, ...]:
