@@ -16,6 +16,7 @@ from dfm_stage.diagnosis.next_experiment import next_experiment
 from dfm_stage.diagnosis.remainder import Description, Finding, describe, findings
 from dfm_stage.diagnosis.result import Diagnosis, Gap, NamedEffect, Rejected, Trace, Verdict
 from dfm_stage.diagnosis.search import FIRST, Names, Rival, Search
+from dfm_stage.diagnosis.spectra import STEP_GRID, lattice
 from dfm_stage.diagnosis.verification import SILENT, Prediction, joint, predict
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.quantity import Quantity
@@ -226,7 +227,8 @@ def _named(case: Case, name: str, members: tuple[str, ...],
     for parameter, value in use.parameters.items():
         address = f"{name}.{parameter}"
         unit = case.fit.model.parameter(address).unit
-        held = Quantity(value, unit, (value * (1.0 - 1e-6), value * (1.0 + 1e-6)))
+        half = value * _unsure(case, address, value)
+        held = Quantity(value, unit, (value - half, value + half))
         own[parameter] = replace(values.get(address, held), value=float(value))
     rest = tuple(n for n in case.names if n != name)
     without = case.search.fitted(rest, case.fit)
@@ -241,6 +243,22 @@ def _named(case: Case, name: str, members: tuple[str, ...],
     evidence += [f"{rival.name} in its place costs {rival.cost:.0f} in chi-square"
                  for rival in case.rivals.get(name, ())[:2]]
     return NamedEffect(name, members, own, min(max(share, 0.0), 1.0), tuple(evidence), loss)
+
+
+def _unsure(case: Case, address: str, value: float) -> float:
+    """Half the relative interval of a parameter that was found by search and held.
+
+    A step read off the set of values that occur is known to their own rounding over the travel;
+    any other to the grid it was looked for on.
+    """
+    if address != "encoder_quantization.step":
+        return 1e-6
+    output = case.runs[0].output
+    travel = max(float(np.ptp(output)), value)
+    seen = lattice(output)
+    if seen is not None and abs(seen / value - 1.0) < 1e-9:
+        return max(1e-6, case.model.base.get("encoder_resolution", 0.0) / travel)
+    return STEP_GRID * value / travel
 
 
 def _offset(case: Case) -> NamedEffect | None:

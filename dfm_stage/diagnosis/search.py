@@ -43,7 +43,7 @@ FULL = 0.985
 RELATED, STRANGER, COUNTED = 0.9, 0.97, 0.25
 """Rivals whose screened gain is this share of an effect's loss are fitted in its place; counting
 in the steps of a periodic error, whose screened gain suffers from every error of the motion."""
-ROUGH = 0.005
+ROUGH = 0.02
 """Fall in chi-square per sample that a further effect must bring beside a reading that counts in
 steps: what rounding leaves is not noise."""
 HELD = {"encoder_quantization": ("step",)}
