@@ -161,8 +161,7 @@ def report(scores: Sequence[Score], others: Mapping[str, Sequence[Score]]) -> st
     lines = ["CONFUSION (effects at severity 3 and 10; answers by number)"]
     lines += [f"  {name:34s} " + ", ".join(f"{answer} {n}" for answer, n in row.most_common())
               for name, row in confusion(scores).items()]
-    lines += ["", "DETECTION LIMITS (half of the cases named exactly; range by Wilson intervals; share by "
-              "severity and cases)"]
+    lines += ["", "DETECTION LIMITS (half of the cases named exactly; range by Wilson intervals)"]
     for name, row in limits(scores).items():
         least, most = row["range"]
         lines.append(f"  {name:26s} limit {row['text']:>11s} ({least} to {most})   " + "  ".join(

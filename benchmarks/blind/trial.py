@@ -19,8 +19,7 @@ from benchmarks.corpus.rivals import pair_separability, separability
 
 Answerer = Callable[[Case], dict[str, Any]]
 LONGEST_S = 120
-"""Processor time (s) after which a case is kept as a failure: what the machine does besides does not
-count."""
+"""Processor time (s), whatever else the machine does, after which a case is kept as a failure."""
 SEPARATED_FROM = 3.0
 
 

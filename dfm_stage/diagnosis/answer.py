@@ -167,7 +167,8 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
     better = case.after.chi2 < case.retuned.chi2 + (SILENT if case.silent else 0.0)
     first = case.retuned.rms if drifts else min(case.retuned.rms, case.before.rms)
     taken = 1.0 - (case.after.rms / max(first, 1e-300)) ** 2
-    if gross and better and not _cornered(case) and taken > (MOST_OF - 0.05 if drifts else MOST_OF):
+    most = MOST_OF - 0.05 if drifts else MOST_OF
+    if gross and better and taken > most and not _cornered(case):
         return True, doubts
     if not better:
         return False, [f"{all_names}: lowers the fitted gap, not the held-out one"]

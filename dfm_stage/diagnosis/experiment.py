@@ -103,8 +103,9 @@ def experiment(record: Record, model: Model, axis: str | None = None,
                                  f"{record.time[bad[0]]:g} s; cut or repair the record")
     others = [n for n in record.axes if n != chosen]
     other = _usable(record.axes[others[0]].position if len(others) == 1 else None)
+    quiet = None if other is None else denoised(other)
     return Experiment(called, np.asarray(data.input, float), np.asarray(data.position, float),
-                      record.sample_period, unit, _usable(data.current), None if other is None else denoised(other),
+                      record.sample_period, unit, _usable(data.current), quiet,
                       _usable(data.reference), _periodicity(data.extra.get("excitation"),
                                                             data.input))
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.diagnosis.alike import counts_in, same_steps, shares_class
 from dfm_stage.diagnosis.candidates import LATE, excluded, late_splits
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit
@@ -155,8 +156,9 @@ class Search:
             later += [f"{hit.name}.{n}" for n in LATER.get(hit.name, ())]
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
-        if hits and (self.spent > BUDGET and later or self.spent > 2.0 * BUDGET
-                     and any(is_costly(use.name) for use in model.effects)):
+        slow = bool(later) or (self.spent > 2.0 * BUDGET
+                               and any(is_costly(use.name) for use in model.effects))
+        if hits and slow and self.spent > BUDGET:
             self.cut_short = True
             return replace(start, chi2=math.inf)
         found = self._fit(model, early, start, iterations=12 if later else 25,
@@ -213,7 +215,7 @@ class Search:
             if name in names or excluded(name, self.model, self.runs) is not None:
                 continue
             found += [h for h in screen.hits(name) if h.name != "encoder_periodic_error"
-                      or not _counts(current.model, h.parameters["period"])]
+                      or not counts_in(current.model, h.parameters["period"])]
         found.sort(key=lambda h: -h.gain)
         return screen, found
 
@@ -375,7 +377,8 @@ class Search:
         found: list[Rival] = []
         for hit in sorted(best, key=lambda h: -h.gain):
             least = RELATED if shares_class(hit.name, name) else STRANGER
-            if hit.name == "encoder_quantization" and _same_steps(current.model, hit.parameters):
+            if hit.name == "encoder_quantization" and same_steps(current.model,
+                                                                 hit.parameters):
                 least = COUNTED
             wanted = hit.gain > least * own
             if hit.name == name or not wanted or len(found) >= SHORT_LIST:
@@ -406,29 +409,6 @@ class Search:
                     names, current = kept, found
                     continue
             return names, current, bare
-
-
-def _counts(model: Model, period: float) -> bool:
-    """Whether a periodic error is but a harmonic of the steps in which the reading counts."""
-    use = model.effect("encoder_quantization")
-    return use is not None and _harmonic(use.parameters["step"], period)
-
-
-def _same_steps(model: Model, parameters: Mapping[str, float]) -> bool:
-    """Whether steps of a reading have the period of the model's periodic error."""
-    use = model.effect("encoder_periodic_error")
-    return use is not None and _harmonic(parameters["step"], use.parameters["period"])
-
-
-def _harmonic(step: float, period: float) -> bool:
-    order = step / period
-    return abs(order - round(order)) < 0.02 * max(order, 1.0) and round(order) > 0
-
-
-def shares_class(first: str, second: str) -> bool:
-    """Whether two effects stand in one equivalence class of the library."""
-    return any(second in c.members for c in EFFECTS[first].classes) or any(
-        first in c.members for c in EFFECTS[second].classes)
 
 
 def _inside(name: str, parameters: dict[str, float]) -> dict[str, float]:
