@@ -123,7 +123,8 @@ def beside(ours: Sequence[Figure], others: Mapping[str, Sequence[Score]]) -> lis
 
 
 def limits(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
-    """Per effect: share named exactly and cases by severity, and the detection limit."""
+    """Per effect: share named exactly and cases by severity, the detection limit, and its range:
+    the limits at the upper and lower ends of the shares' Wilson intervals, in words."""
     found: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
     for score in scores:
         if score.kind == "effect":
@@ -131,9 +132,19 @@ def limits(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
     table = {}
     for name, by_size in sorted(found.items()):
         shares = {size: sum(hits) / len(hits) for size, hits in sorted(by_size.items())}
+        bounds = {size: wilson(sum(hits), len(hits)) for size, hits in sorted(by_size.items())}
         table[name] = {"shares": shares, "cases": {s: len(h) for s, h in sorted(by_size.items())},
-                       "limit": detection_limit(shares)}
+                       "limit": detection_limit(shares), "text": _limit_text(shares),
+                       "range": tuple(_limit_text({s: b[end] / 100.0 for s, b in bounds.items()})
+                                      for end in (1, 0))}
     return table
+
+
+def _limit_text(shares: Mapping[float, float]) -> str:
+    limit = detection_limit(shares)
+    if limit is not None:
+        return f"{limit:.2f}"
+    return f"below {min(shares):g}" if shares[min(shares)] >= 0.5 else "not reached"
 
 
 def confusion(scores: Iterable[Score]) -> dict[str, Counter[str]]:
@@ -150,10 +161,10 @@ def report(scores: Sequence[Score], others: Mapping[str, Sequence[Score]]) -> st
     lines = ["CONFUSION (effects at severity 3 and 10; answers by number)"]
     lines += [f"  {name:34s} " + ", ".join(f"{answer} {n}" for answer, n in row.most_common())
               for name, row in confusion(scores).items()]
-    lines += ["", "DETECTION LIMITS (share named exactly by severity; limit: half of them)"]
+    lines += ["", "DETECTION LIMITS (half of the cases named exactly; range by Wilson intervals)"]
     for name, row in limits(scores).items():
-        limit = "-" if row["limit"] is None else f"{row['limit']:.2f}"
-        lines.append(f"  {name:26s} limit {limit:>5s}   " + "  ".join(
+        least, most = row["range"]
+        lines.append(f"  {name:26s} limit {row['text']:>11s} ({least} to {most})   " + "  ".join(
             f"{size:g}: {share:.2f} ({row['cases'][size]})"
             for size, share in row["shares"].items()))
     wrong: Callable[[Score], bool] = lambda s: s.counted and not s.exact and (  # noqa: E731

@@ -17,6 +17,7 @@ from dfm_stage.diagnosis.next_experiment import next_experiment
 from dfm_stage.diagnosis.remainder import Description, Finding, describe, findings
 from dfm_stage.diagnosis.result import Diagnosis, Gap, NamedEffect, Rejected, Trace, Verdict
 from dfm_stage.diagnosis.search import FIRST, Names, Rival, Search
+from dfm_stage.diagnosis.spectra import STEP_GRID, lattice
 from dfm_stage.diagnosis.verification import SILENT, Prediction, joint, predict
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.quantity import Quantity
@@ -174,7 +175,8 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
     better = case.after.chi2 < case.retuned.chi2 + (SILENT if case.silent else 0.0)
     first = case.retuned.rms if drifts else min(case.retuned.rms, case.before.rms)
     taken = 1.0 - (case.after.rms / max(first, 1e-300)) ** 2
-    if gross and better and taken > (MOST_OF - 0.05 if drifts else MOST_OF):
+    most = MOST_OF - 0.05 if drifts else MOST_OF
+    if gross and better and taken > most and not _cornered(case):
         return True, doubts
     if not better:
         return False, [f"{all_names}: lowers the fitted gap, not the held-out one"]
@@ -192,6 +194,14 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
         return True, doubts
     doubts.append(f"{all_names}: explains the fitted records, but not the held-out ones")
     return False, doubts
+
+
+def _cornered(case: Case) -> bool:
+    """Whether the fit pushed damping, stiffness or the actuator to nothing: no such stage."""
+    base = case.fit.model.base
+    return any(base.get(n, 1.0) <= 1e-9 * abs(case.model.base[n])
+               for n in ("damping", "stiffness", "force_constant")
+               if n in case.search.free and case.model.base.get(n, 0.0) != 0.0)
 
 
 def _members(case: Case, name: str) -> tuple[str, ...]:
@@ -226,7 +236,8 @@ def _named(case: Case, name: str, members: tuple[str, ...],
     for parameter, value in use.parameters.items():
         address = f"{name}.{parameter}"
         unit = case.fit.model.parameter(address).unit
-        held = Quantity(value, unit, (value * (1.0 - 1e-6), value * (1.0 + 1e-6)))
+        half = value * _unsure(case, address, value)
+        held = Quantity(value, unit, (value - half, value + half))
         own[parameter] = replace(values.get(address, held), value=float(value))
     rest = tuple(n for n in case.names if n != name)
     without = case.search.fitted(rest, case.fit)
@@ -241,6 +252,22 @@ def _named(case: Case, name: str, members: tuple[str, ...],
     evidence += [f"{rival.name} in its place costs {rival.cost:.0f} in chi-square"
                  for rival in case.rivals.get(name, ())[:2]]
     return NamedEffect(name, members, own, min(max(share, 0.0), 1.0), tuple(evidence), loss)
+
+
+def _unsure(case: Case, address: str, value: float) -> float:
+    """Half the relative interval of a parameter that was found by search and held.
+
+    A step read off the set of values that occur is known to their own rounding over the travel;
+    any other to the grid it was looked for on.
+    """
+    if address != "encoder_quantization.step":
+        return 1e-6
+    output = case.runs[0].output
+    travel = max(float(np.ptp(output)), value)
+    seen = lattice(output)
+    if seen is not None and abs(seen / value - 1.0) < 1e-9:
+        return max(1e-6, case.model.base.get("encoder_resolution", 0.0) / travel)
+    return STEP_GRID * value / travel
 
 
 def _offset(case: Case) -> NamedEffect | None:

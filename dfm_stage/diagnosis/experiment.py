@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.errors import DiagnosisError
+from dfm_stage.diagnosis.spectra import denoised
 from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.model import Model
 from dfm_stage.recording import Record
@@ -25,7 +26,8 @@ class Experiment:
     """One axis of one record.
 
     `input` (N,) V or A, held from sample k on; `output` (N,) in `unit`, before input k acts;
-    `current` (N,) A and `other` (N,) position of the neighbouring axis, where recorded. The first
+    `current` (N,) A and `other` (N,) position of the neighbouring axis, its noise filtered out,
+    where recorded. The first
     `skip` samples are simulated and not compared. `start_s` is the time of the first sample since
     the record began.
     """
@@ -100,9 +102,10 @@ def experiment(record: Record, model: Model, axis: str | None = None,
             raise DiagnosisError(f"{called}: the {what} is not a number at "
                                  f"{record.time[bad[0]]:g} s; cut or repair the record")
     others = [n for n in record.axes if n != chosen]
-    other = record.axes[others[0]].position if len(others) == 1 else None
+    other = _usable(record.axes[others[0]].position if len(others) == 1 else None)
+    quiet = None if other is None else denoised(other)
     return Experiment(called, np.asarray(data.input, float), np.asarray(data.position, float),
-                      record.sample_period, unit, _usable(data.current), _usable(other),
+                      record.sample_period, unit, _usable(data.current), quiet,
                       _usable(data.reference), _periodicity(data.extra.get("excitation"),
                                                             data.input))
 

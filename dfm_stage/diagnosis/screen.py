@@ -25,7 +25,7 @@ from dfm_stage.diagnosis.candidates import (
 )
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, weighted_sensitivities
-from dfm_stage.diagnosis.spectra import frequency_peaks, lattice, position_peaks
+from dfm_stage.diagnosis.spectra import STEP_GRID, frequency_peaks, lattice, position_peaks
 from dfm_stage.diagnosis.system import PER_RUN, System
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.model import Model
@@ -143,8 +143,9 @@ class Screen:
                     for p in periods]
         known = self.base.model.base.get("encoder_resolution", 0.0)
         step = lattice(self.runs[0].output)
+        grid = np.arange(-20, 21) * STEP_GRID
         steps = [p for period in periods for p in
-                 period * (1.0 + np.linspace(-1.0, 1.0, 41) * 0.5 * period / self.scales.travel)]
+                 period * (1.0 + grid * period / self.scales.travel)]
         steps = sorted(steps, key=lambda p: -_staircase(positions[0], residuals[0], p))[:2]
         if step is not None and step > 1.5 * known:
             steps.append(step)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.diagnosis.alike import counts_in, same_steps, shares_class
 from dfm_stage.diagnosis.candidates import LATE, excluded, late_splits
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit
@@ -40,8 +41,12 @@ CLOSE = 0.8
 """Candidates whose screened gain is this share of the best one's are fitted in full."""
 FULL = 0.985
 """A fit that takes this share of what is above the noise needs no pairs beside it."""
-RELATED, STRANGER = 0.9, 0.97
-"""Rivals whose screened gain is this share of an effect's loss are fitted in its place."""
+RELATED, STRANGER, COUNTED = 0.9, 0.97, 0.25
+"""Rivals whose screened gain is this share of an effect's loss are fitted in its place; counting
+in the steps of a periodic error, whose screened gain suffers from every error of the motion."""
+ROUGH = 0.02
+"""Fall in chi-square per sample that a further effect must bring beside a reading that counts in
+steps: what rounding leaves is not noise."""
 HELD = {"encoder_quantization": ("step",)}
 """Parameters found by search and held in fits: the criterion is not smooth in them."""
 LATER = {"presliding_friction": ("breakaway_ratio", "stribeck_velocity", "damping"),
@@ -151,8 +156,9 @@ class Search:
             later += [f"{hit.name}.{n}" for n in LATER.get(hit.name, ())]
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
-        if hits and (self.spent > BUDGET and later or self.spent > 2.0 * BUDGET
-                     and any(is_costly(use.name) for use in model.effects)):
+        slow = bool(later) or (self.spent > 2.0 * BUDGET
+                               and any(is_costly(use.name) for use in model.effects))
+        if hits and slow and self.spent > BUDGET:
             self.cut_short = True
             return replace(start, chi2=math.inf)
         found = self._fit(model, early, start, iterations=12 if later else 25,
@@ -208,13 +214,14 @@ class Search:
         for name in self.library:
             if name in names or excluded(name, self.model, self.runs) is not None:
                 continue
-            found += [h for h in screen.hits(name) if not _same_steps(h, current.model)]
+            found += [h for h in screen.hits(name) if h.name != "encoder_periodic_error"
+                      or not counts_in(current.model, h.parameters["period"])]
         found.sort(key=lambda h: -h.gain)
         return screen, found
 
     def extend(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
         """Add what helps most, one effect or two at once; None where nothing helps enough."""
-        limit = FURTHER if names else FIRST
+        limit = self._further(names, current) if names else FIRST
         screen, hits = self.screened(current, names)
         for hit in hits:
             if not names and hit.name not in self.hits:
@@ -257,6 +264,12 @@ class Search:
         if current.chi2 - best[1].chi2 < limit + FURTHER * (added - 1):
             return None
         return best
+
+    def _further(self, names: Names, current: Fit) -> float:
+        """Fall in chi-square that a further effect must bring."""
+        if "encoder_quantization" not in names:
+            return FURTHER
+        return max(FURTHER, ROUGH * current.white.size)
 
     def best(self, trials: Sequence[tuple[Names, Fit]]) -> tuple[Names, Fit]:
         """The smallest chi-square, further parameters paid for."""
@@ -324,7 +337,7 @@ class Search:
                 rest = tuple(n for n in names if n != name)
                 losses.append((self.fitted(rest, current).chi2 - current.chi2, name))
             loss, weakest = min(losses)
-            if loss >= FURTHER:
+            if loss >= self._further(names, current):
                 break
             names = tuple(n for n in names if n != weakest)
             current = self.fitted(names, current)
@@ -363,8 +376,11 @@ class Search:
         own = max((h.gain for h in best if h.name == name), default=loss)
         found: list[Rival] = []
         for hit in sorted(best, key=lambda h: -h.gain):
-            related = shares_class(hit.name, name)
-            wanted = hit.gain > (RELATED if related else STRANGER) * own
+            least = RELATED if shares_class(hit.name, name) else STRANGER
+            if hit.name == "encoder_quantization" and same_steps(current.model,
+                                                                 hit.parameters):
+                least = COUNTED
+            wanted = hit.gain > least * own
             if hit.name == name or not wanted or len(found) >= SHORT_LIST:
                 continue
             self.step(f"fitting {hit.name} in place of {name}")
@@ -393,21 +409,6 @@ class Search:
                     names, current = kept, found
                     continue
             return names, current, bare
-
-
-def _same_steps(hit: Hit, model: Model) -> bool:
-    """Whether a periodic error is but a harmonic of the steps in which the reading counts."""
-    use = model.effect("encoder_quantization")
-    if use is None or hit.name != "encoder_periodic_error":
-        return False
-    order = use.parameters["step"] / hit.parameters["period"]
-    return abs(order - round(order)) < 0.02 * max(order, 1.0) and round(order) > 0
-
-
-def shares_class(first: str, second: str) -> bool:
-    """Whether two effects stand in one equivalence class of the library."""
-    return any(second in c.members for c in EFFECTS[first].classes) or any(
-        first in c.members for c in EFFECTS[second].classes)
 
 
 def _inside(name: str, parameters: dict[str, float]) -> dict[str, float]:

@@ -6,10 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt, welch
 
 Array = NDArray[np.float64]
 
 BINS = 1 << 18
+STEP_GRID = 0.025
+"""Spacing of the grid on which the step of a reading is looked for, in steps over the travel."""
+ABOVE, HIGHEST, PADDING = 4.0, 0.7, 500
+"""Power over the noise that is motion; share of the Nyquist frequency up to which filtering pays;
+samples by which a filtered signal is continued at its ends."""
 
 
 def frequency_peaks(residuals: Sequence[Array], sample_period: float, count: int = 3,
@@ -42,6 +48,21 @@ def position_peaks(positions: Sequence[Array], residuals: Sequence[Array], count
     power[turns < cycles / travel] = 0.0
     power[turns > 0.2 * BINS / travel] = 0.0
     return [float(1.0 / turns[k]) for k in _peaks(power, 8, count) if power[k] > 0.0]
+
+
+def denoised(signal: Array) -> Array:
+    """`signal` (N,) without the noise above the frequency where its motion sinks into it.
+
+    Forward and backward through a Butterworth filter, so that nothing is delayed.
+    """
+    frequencies, power = welch(signal, nperseg=min(1024, signal.size // 4))
+    noise = float(np.median(power[-power.size // 4:]))
+    moving = np.flatnonzero(power > ABOVE * noise)
+    edge = 1.5 * 2.0 * float(frequencies[moving[-1]]) if moving.size else 1.0
+    if edge >= HIGHEST:
+        return signal
+    return np.asarray(sosfiltfilt(butter(6, max(edge, 0.02), output="sos"), signal,
+                                  padlen=min(PADDING, signal.size - 1)))
 
 
 def lattice(values: Array) -> float | None:
