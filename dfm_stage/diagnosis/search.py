@@ -15,7 +15,13 @@ from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
 from dfm_stage.diagnosis.system import is_costly
-from dfm_stage.diagnosis.weighting import Weight, Weights, weights_of, white_weights
+from dfm_stage.diagnosis.weighting import (
+    Weight,
+    Weights,
+    velocity_weights,
+    weights_of,
+    white_weights,
+)
 from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
@@ -81,6 +87,8 @@ class Search:
     screens: dict[frozenset[str], list[Hit]] = field(default_factory=dict)
     weights: Weights = ()
     stage: int = 0
+    dither: float = 0.0
+    """RMS of the output's noise, over which a quantised reading is averaged."""
     spent: float = 0.0
     cut_short: bool = False
 
@@ -92,17 +100,18 @@ class Search:
             (m, *(float(np.std(c)) for c in (r.current,) if c is not None)))
             for r, m in zip(self.runs, motion, strict=True))
         self.weights = rough
+        self.dither = rough[0][0].rms
         first = fit(self.model, self.runs, self.free, rough, iterations=40)
         if not first.ok:
             return first
-        self.reweigh(white_weights(first.residuals))
+        self.weigh_at_first(first)
         found = fit(first.model, self.runs, self.free, self.weights, earlier=first.locals)
-        self.reweigh(white_weights(found.residuals))
+        self.weigh_at_first(found)
         again = fit(found.model, self.runs, self.free, self.weights, earlier=found.locals)
         split = self.resplit(again)
         if split is again:
             return self.keep((), again)
-        self.reweigh(white_weights(split.residuals))
+        self.weigh_at_first(split)
         return self.keep((), self._fit(split.model, self.free, split))
 
     def resplit(self, found: Fit) -> Fit:
@@ -114,14 +123,16 @@ class Search:
                 found = trial
         return found
 
-    @property
-    def dither(self) -> float:
-        """RMS of the output's noise, over which a quantised reading is averaged."""
-        return self.weights[0][0].rms
+    def weigh_at_first(self, found: Fit) -> None:
+        """Weigh by what is left at high frequencies: there may be more than noise below."""
+        plain = white_weights(found.residuals)
+        self.reweigh(velocity_weights(found.residuals) if found.system.springless else plain)
+        self.dither = plain[0][0].rms
 
     def reweigh(self, weights: Weights) -> None:
         """Compare fits by other weights from now on."""
         self.weights = weights
+        self.dither = weights[0][0].rms
         self.stage += 1
 
     def keep(self, names: Iterable[str], found: Fit) -> Fit:
@@ -296,12 +307,14 @@ class Search:
                 continue
             names, current = found
             names, current = self.pruned(names, current)
-            weights = white_weights(current.residuals)
+            before = self.weights
+            self.weigh_at_first(current)
             if any(abs(a.sigma / b.sigma - 1.0) > 0.03 for new, old in
-                   zip(weights, self.weights, strict=True)
+                   zip(self.weights, before, strict=True)
                    for a, b in zip(new, old, strict=True)):
-                self.reweigh(weights)
                 current = self.refitted(names, current)
+            else:
+                self.weights, self.stage = before, self.stage - 1
         return names, current
 
     def reseated(self, names: Names, current: Fit) -> Fit | None:

@@ -51,6 +51,10 @@ KNOCK_OFFS = 5
 
 SILENT = 20.0
 """Chi-square of a contribution below which held-out records say nothing about an effect."""
+OUTSTANDING = 3.0
+"""How much more than at neighbouring frequencies a vibration must take: what a model leaves of a
+resonance stands at every line of the input."""
+NEIGHBOURS = (-2, -1, 1, 2)
 CONFIRMED = 15.0
 """Fall in held-out chi-square that an effect free in each run must bring."""
 
@@ -68,7 +72,8 @@ class KnockOff:
     def passed(self, per_run: bool) -> bool | None:
         """Whether the effect does better than its knock-offs; None where it does nothing here."""
         if per_run:
-            return self.without - self.true > CONFIRMED
+            return (self.without - self.true > CONFIRMED
+                    and self.without - self.true > OUTSTANDING * (self.without - self.best))
         if self.contribution < SILENT:
             return None
         return self.true < self.best
@@ -79,7 +84,8 @@ def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weight
     """Compare an effect with knock-offs: its contribution to held-out runs, shifted in time.
 
     Each has the contribution's size and spectrum and, moved by a quarter to three quarters of the
-    records, nothing to do with their motion.
+    records, nothing to do with their motion. Of a vibration, whose phase is free in each record,
+    the knock-offs are vibrations of neighbouring frequencies.
     """
     rng = np.random.default_rng(seed)
     found = fit(model, runs, (), weights, dither=dither, iterations=10)
@@ -87,11 +93,24 @@ def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weight
     bare = fit(without, runs, (), weights, dither=dither, iterations=10)
     if not (found.ok and bare.ok):
         return KnockOff(math.inf, found.chi2, bare.chi2, math.inf)
+    if name == "periodic_disturbance":
+        return KnockOff(math.inf, found.chi2, bare.chi2, min(
+            fit(model.with_parameters({f"{name}.frequency": f}), runs, (), weights,
+                dither=dither, iterations=10).chi2 for f in _neighbours(model, runs)))
     contribution = bare.white - found.white
     quarter = contribution.size // 4
     shifts = rng.integers(quarter, 3 * quarter, KNOCK_OFFS)
     return KnockOff(float(contribution @ contribution), found.chi2, bare.chi2, min(
         float(np.sum((bare.white - np.roll(contribution, int(k))) ** 2)) for k in shifts))
+
+
+def _neighbours(model: Model, runs: Sequence[Experiment]) -> list[float]:
+    """Frequencies (Hz) beside that of a vibration, one and two lines of the input away."""
+    own = model.parameters()["periodic_disturbance.frequency"]
+    run = runs[0]
+    samples = run.periodicity.period if run.periodicity is not None else run.input.size // 8
+    apart = 1.0 / (samples * run.sample_period)
+    return [own + k * apart for k in NEIGHBOURS if own + k * apart > 0.0] or [own + apart]
 
 
 def joint(model: Model, free: Sequence[str], runs: Sequence[Experiment],

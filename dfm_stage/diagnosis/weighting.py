@@ -19,6 +19,8 @@ PERIODS = 2
 HIGH_BAND = 0.7
 """Share of the Nyquist frequency above which only noise is expected in a first look."""
 ORDER = 40
+LEAK = 0.98
+"""Pole of the filter that turns position into velocity, above 3 Hz at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,14 @@ def white_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
     """
     return tuple(tuple(Weight(np.ones(1), high_band_rms(r), "high frequencies") for r in parts)
                  for parts in residuals)
+
+
+def velocity_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
+    """As `white_weights` for a stage without a spring, whose position integrates whatever small
+    force there is: the output's drift counts no more than its velocity."""
+    return tuple((Weight(np.array([1.0, -LEAK]),
+                         math.hypot(1.0, LEAK) * high_band_rms(parts[0]), "high frequencies"),
+                  *white_weights([parts[1:]])[0]) for parts in residuals)
 
 
 def weights_of(residuals: Sequence[Sequence[Array]]) -> Weights:

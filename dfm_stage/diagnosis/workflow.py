@@ -10,6 +10,7 @@ from dfm_stage.diagnosis.answer import Case, answer
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.experiment import Experiment, experiment, split_by_time
 from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.result import Diagnosis
 from dfm_stage.diagnosis.search import Names, Search
 from dfm_stage.diagnosis.system import PER_RUN
@@ -91,6 +92,7 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
         warnings.append("candidates that are slow to simulate were not all tried: the work grew "
                         "beyond its limit; diagnose shorter records or fewer effects (--without)")
     names, current, dropped, silent = _held_out(search, names, current, held, weights, seed)
+    names, current = _unlocked(search, names, current, dropped)
     rivals = {n: r for n, r in rivals.items() if n in names}
     case = Case(model=model, runs=runs, held=held, search=search, names=names, fit=current,
                 bare=bare, rivals=rivals, held_weights=weights,
@@ -99,6 +101,25 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
                 after=predict(current.model, held, weights, search.dither),
                 before_fit=predict(model, runs, search.weights), warnings=warnings)
     return answer(case, tell)
+
+
+def _unlocked(search: Search, names: Names, current: Fit,
+              dropped: dict[str, str]) -> tuple[Names, Fit]:
+    """Drop a vibration at a line of the input where the model leaves more than noise: it may be
+    no more than the model's own error there."""
+    name = "periodic_disturbance"
+    run = search.runs[0]
+    if name not in names or len(names) == 1 or run.periodicity is None:
+        return names, current
+    period = run.periodicity.period * run.sample_period
+    lines = current.model.parameters()[f"{name}.frequency"] * period
+    nearest = 0.5 * period / (run.input.size * run.sample_period)
+    left = findings(run, current.residuals[0][0], None)
+    if abs(lines - round(lines)) > nearest or not any(f.real for f in left):
+        return names, current
+    dropped[name] = "stands at a line of the input, as the model's own error does"
+    rest = tuple(n for n in names if n != name)
+    return rest, search.fitted(rest, current)
 
 
 def _held_out(search: Search, names: Names, current: Fit, held: Sequence[Experiment],
