@@ -32,7 +32,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={"": ["py.typed", "*.css", "*.html", "*.js", "*.json", "*.svg", "*.yaml"]},
+    package_data={"": ["py.typed", "*.css", "*.html", "*.js", "*.json", "*.svg", "*.txt",
+                       "*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -33,9 +33,9 @@ ARROWS: dict[str, set[str]] = {
     "paper": BASE | {"model", "trajectory", "control", "identification", "recording", "reporting"},
 }
 PURE = set(ARROWS)
-WITH_ROS = {"nodes", "harness", "emulated"}
-ANYTHING = {"cli", "nodes", "harness", "emulated", "__main__"}
-MAY_IMPORT_NODES = {"nodes", "harness", "emulated"}
+WITH_ROS = {"nodes", "harness", "emulated", "live"}
+ANYTHING = {"cli", "nodes", "harness", "emulated", "__main__", "live"}
+MAY_IMPORT_NODES = {"nodes", "harness", "emulated", "live"}
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "dfm_interfaces", "diagnostic_msgs",
     "geometry_msgs", "launch", "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy",
