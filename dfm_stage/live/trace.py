@@ -6,7 +6,7 @@ from collections import deque
 from typing import Any
 
 KEPT = 2000
-BEHIND = 30
+BEHIND = 100
 """Samples that the view stays behind the loop, so that a sample's command and answer are there."""
 MOST_ROWS = 120
 
