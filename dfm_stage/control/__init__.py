@@ -39,6 +39,7 @@ from dfm_stage.control.stage import (
     sample_model,
     sample_stage,
 )
+from dfm_stage.control.systems import model_of, state_space
 from dfm_stage.control.tuning import (
     Tuned,
     loop_of,
@@ -66,9 +67,9 @@ __all__ = [
     "Notch", "Oscillation", "Pid", "PidDesign", "PidGains", "ReferenceShaper", "RelayRun",
     "Sampled", "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
     "feedback_gain", "feedforward_gains", "finite_horizon", "highest_mode", "inverse_input",
-    "inverse_of", "kalman", "linear_stage", "loop_margins", "loop_of", "margins", "neighbours",
-    "oscillation", "parameter_text", "periodic_input", "pid_for", "pid_with_margin", "plan_laws",
-    "predicted_errors", "read_parameters", "run_on_model", "sample_model", "sample_stage", "shape",
-    "shaper", "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate", "ultimate_from_relays",
-    "write_text", "ziegler_nichols",
+    "inverse_of", "kalman", "linear_stage", "loop_margins", "loop_of", "margins", "model_of",
+    "neighbours", "oscillation", "parameter_text", "periodic_input", "pid_for", "pid_with_margin",
+    "plan_laws", "predicted_errors", "read_parameters", "run_on_model", "sample_model",
+    "sample_stage", "shape", "shaper", "state_space", "tune_lqr", "tune_pid",
+    "tune_ziegler_nichols", "ultimate", "ultimate_from_relays", "write_text", "ziegler_nichols",
 ]

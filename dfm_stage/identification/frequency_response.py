@@ -111,6 +111,29 @@ class FrequencyResponse:
 
         return control.FRD(self.response, self.omega)
 
+    @classmethod
+    def from_control(cls, given: control.FrequencyResponseData, sample_period: float, *,
+                     relative_std: float = 0.01, input_unit: str = "V",
+                     output_unit: str = "m") -> FrequencyResponse:
+        """Return a `control.FRD`, from held input to sampled output, for `fit_transfer_function`.
+
+        It says nothing of its noise: every point counts as good to `relative_std` of its size.
+
+        Raises
+        ------
+        IdentificationError
+            If it has several inputs or outputs.
+        """
+        response = np.asarray(given.frdata, dtype=complex)
+        if response.shape[:2] != (1, 1):
+            raise IdentificationError(f"a response of {response.shape[0]} outputs to "
+                                      f"{response.shape[1]} inputs: pass one of them")
+        order = np.argsort(given.omega)
+        values = response[0, 0][order]
+        return cls(np.asarray(given.omega, dtype=float)[order], values,
+                   (relative_std * np.abs(values))**2, float(2 * values.size), sample_period,
+                   np.empty(0, dtype=np.int64), 0, 0, input_unit, output_unit, "control.FRD")
+
 
 def frequency_response(input_: Array, output: Array, sample_period: float, *,
                        reference: Array | None = None, period: int | None = None,
