@@ -23,7 +23,7 @@ from dfm_stage.nodes.wiring import LINKS
 
 MEASUREMENT = "dfm_interfaces/msg/Measurement"
 # best effort: whoever watches never holds the loop up
-QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200,
+QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000,
                  reliability=ReliabilityPolicy.BEST_EFFORT)
 FAULTS = {getattr(AmplifierState, name): name.removeprefix("FAULT_").replace("_", " ").lower()
           for name in dir(AmplifierState) if name.startswith("FAULT_")}

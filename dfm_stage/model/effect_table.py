@@ -11,7 +11,10 @@ HEAD = """\
 Every effect is one file in `dfm_stage/model/effects/`, whose docstring holds equation and source.
 This table is written from the registry (`python -m dfm_stage.model.effect_table`). Signs: `x` is
 the position, `v` the velocity of the driven point; ranges are what is accepted, typical values
-what such stages show.
+what such stages show. [A new one](add_effect.md) is one file.
+
+![What each effect adds to the motion of one sweep from 1 to 13 Hz, at the middle of its typical \
+range](pictures/effects.png)
 
 | effect | equation | parameters (unit, accepted, typical) | side | what shows it |
 |---|---|---|---|---|

@@ -78,7 +78,8 @@ def decay_figure(position: Array, sample_period: float, decay: RingDown) -> Draw
                       linewidth=1.2, label="fitted envelope" if sign > 0 else None)
         axis.set_xlabel("time after the release (s)")
         axis.set_ylabel("position (mm)")
-        axis.legend(loc="upper right", ncols=3)
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=3,
+                    columnspacing=1.0, handlelength=1.4)
         axis.margins(x=0.01)
     height = decay.extreme_m - decay.offset.value
     rows = [[i / 2, float(t), float(1e3 * v), float(np.log(abs(height[0] / h)) / (i / 2))

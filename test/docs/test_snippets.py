@@ -21,18 +21,32 @@ from ruamel.yaml import YAML
 
 from dfm_stage.commands import NODES, TOOLS, module_of
 
-SLOW = bool(os.environ.get("DFM_DOCS_SLOW"))
 FRONT_DOOR = {"test", "lint", "shell", "exec", "setup"}
 SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 RUN = '#!/bin/sh\nexec "{python}" -m dfm_stage "$@"\n'
 RUNNABLE = [page for page in PAGES if {block.language for block in blocks(page)}
             & {"python", "console", "yaml"}]
+WITH_SLOW = [page for page in RUNNABLE if "slow" in {block.mark for block in blocks(page)}]
 COMMAND = re.compile(r"(?:\$ )?\./run +(\S+)(.*)")
 
 
 @pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.name)
 def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    run_page(page, tmp_path, slow=False)
+
+
+@pytest.mark.skipif(not os.environ.get("DFM_DOCS_SLOW"),
+                    reason="minutes: set DFM_DOCS_SLOW=1, as .ci/run does")
+@pytest.mark.parametrize("page", WITH_SLOW, ids=lambda page: page.name)
+def test_the_page_runs_with_what_is_slow(page: Path, tmp_path: Path,
+                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_page(page, tmp_path, slow=True)
+
+
+def run_page(page: Path, tmp_path: Path, *, slow: bool) -> None:
+    """Run the blocks of a page in `tmp_path`, which is the current folder."""
     run = tmp_path / "run"
     run.write_text(RUN.format(python=sys.executable))
     run.chmod(0o755)
@@ -51,7 +65,7 @@ def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
             assert path, f"{block}: no line that names the file"
             assert not (ROOT / path[1]).exists()
             Path(path[1]).write_text(block.code, encoding="utf-8")
-        elif block.language in runs and (SLOW or block.mark != "slow"):
+        elif block.language in runs and (slow or block.mark != "slow"):
             if block.before:
                 exec(compile(block.before, f"before {block}", "exec"), namespace)  # noqa: S102
             runs[block.language](block, namespace)

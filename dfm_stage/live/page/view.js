@@ -2,6 +2,7 @@
 // Frames come 30 times a second: {axes: {name: {rows: [[t, position, reference, V, A], ...]}}}.
 const byId = id => document.getElementById(id);
 const axes = new Map();
+const GAP_S = 0.05;      // where nothing was heard for so long no line is drawn
 let socket = null, held = false, watchOnly = false;
 
 const PREFIXES = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"]];
@@ -18,10 +19,10 @@ const shown = (value, unit) => {
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
 const PANELS = [
-  {title: "position", unit: "m", height: 190, lines: [["reference", 2, "c1"], ["position", 1, "c2"]]},
-  {title: "error", unit: "m", height: 150, lines: [["reference − position", 5, "c1"]]},
-  {title: "output", unit: "V", height: 130, lines: [["voltage", 3, "c1"]]},
-  {title: "current", unit: "A", height: 130, lines: [["current", 4, "c3"]]},
+  {title: "position", unit: "m", height: 210, lines: [["reference", 2, "c1"], ["position", 1, "c2"]]},
+  {title: "error", unit: "m", height: 170, lines: [["reference − position", 5, "c1"]]},
+  {title: "output", unit: "V", height: 150, lines: [["voltage", 3, "c1"]]},
+  {title: "current", unit: "A", height: 150, lines: [["current", 4, "c3"]]},
 ];
 
 class Axis {
@@ -48,7 +49,9 @@ class Axis {
 
   add(said) {
     for (const [t, position, reference, volts, amperes] of said.rows) {
-      if (this.data[0].length && t < this.data[0].at(-1)) this.data = [[], [], [], [], [], []];
+      const last = this.data[0].at(-1);
+      if (t < last) this.data = [[], [], [], [], [], []];          // begun anew
+      if (t - last > GAP_S) [t, null, null, null, null, null].forEach((v, i) => this.data[i].push(v));
       const error = reference === null ? null : reference - position;
       [t, position, reference, volts, amperes, error].forEach((v, i) => this.data[i].push(v));
     }
@@ -86,36 +89,24 @@ class Axis {
         entry.plot = this.make(entry.holder, panel, `${panel.title} (${prefix}${panel.unit})`);
       }
       const scaled = columns.map(column => column.map(v => v === null ? null : v / size));
-      entry.plot.setData([seconds, ...scaled], false);
-      entry.plot.batch(() => {
-        entry.plot.setScale("x", {min: -window, max: 0});
-        let low = Infinity, high = -Infinity;
-        for (const column of scaled) for (let i = 0; i < column.length; i++) {
-          if (seconds[i] < -window || column[i] === null) continue;
-          low = Math.min(low, column[i]); high = Math.max(high, column[i]);
-        }
-        const room = Math.max(0.06 * (high - low), 1e-3 * Math.abs(high), 1e-9);
-        if (low <= high) entry.plot.setScale("y", {min: low - room, max: high + room});
-      });
+      let low = Infinity, high = -Infinity;
+      for (const column of scaled) for (let i = 0; i < column.length; i++) {
+        if (seconds[i] < -window || column[i] === null) continue;
+        low = Math.min(low, column[i]); high = Math.max(high, column[i]);
+      }
+      if (low > high) continue;
+      const room = Math.max(0.06 * (high - low), 1e-3 * Math.abs(high), 1e-9);
+      entry.plot.draw(seconds, scaled, [-window, 0], [low - room, high + room]);
     }
   }
 
   make(holder, panel, label) {
-    const ink = colour("ink"), grid = {stroke: colour("grid"), width: 1};
-    const axis = {stroke: ink, grid, ticks: grid};
-    return new uPlot({
-      width: holder.clientWidth, height: panel.height, cursor: {show: false}, pxAlign: false,
-      legend: {show: panel.lines.length > 1, live: false},
-      scales: {x: {time: false, auto: false}, y: {auto: false}},
-      axes: [{...axis, size: 34}, {...axis, size: 62, label, labelSize: 18, labelFont: "12px sans-serif"}],
-      series: [{}, ...panel.lines.map(([name, , c]) => ({label: name, stroke: colour(c), width: 1.3}))],
-    }, [[], ...panel.lines.map(() => [])], holder);
+    return new Chart(holder, {height: panel.height, label, ink: colour("ink"), grid: colour("grid"),
+      lines: panel.lines.map(([name, , c]) => [name, colour(c)])});
   }
 
   resize() {
-    for (const {plot, holder, panel} of this.plots) {
-      plot?.setSize({width: holder.clientWidth, height: panel.height});
-    }
+    for (const {plot} of this.plots) plot?.resize();
   }
 
   restyle() {
