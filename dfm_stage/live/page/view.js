@@ -95,7 +95,7 @@ class Axis {
         low = Math.min(low, column[i]); high = Math.max(high, column[i]);
       }
       if (low > high) continue;
-      const room = Math.max(0.06 * (high - low), 1e-3 * Math.abs(high), 1e-9);
+      const room = 0.06 * (high - low) || 0.05 * Math.abs(high) || 1;
       entry.plot.draw(seconds, scaled, [-window, 0], [low - room, high + room]);
     }
   }
