@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ __all__ = ["HarnessError", "Launched", "NodeSet"]
 
 _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
+_ENDING_S = 10.0
 
 
 class HarnessError(DfmError):
@@ -50,6 +51,8 @@ class Launched:
     node: Any = None
     process: subprocess.Popen[bytes] | None = None
     log: Path | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    ended: bool = False
 
     @property
     def full_name(self) -> str:
@@ -123,7 +126,7 @@ class NodeSet:
     def launch(self, kind: str, namespace: str, parameters: Mapping[str, Any],
                make: Callable[..., Any] | None = None) -> Launched:
         """Start one node of the set; one that `make` returns is always in this process."""
-        launched = Launched(kind, namespace)
+        launched = Launched(kind, namespace, parameters=dict(parameters))
         file = self.folder / f"{launched.full_name.strip('/').replace('/', '_')}.yaml"
         file.write_text(json.dumps(
             {launched.full_name: {"ros__parameters": dict(parameters)}}))
@@ -203,9 +206,56 @@ class NodeSet:
         end = time.monotonic() + duration_s
         self.spin_until(lambda: time.monotonic() >= end, duration_s + 60.0, "the end of spin()")
 
+    def signal_node(self, name: str, number: int) -> None:
+        """Send a signal to the process of a node, such as `/stage/x/controller`.
+
+        One that ends the process is waited for, and its end is not held against the set:
+        `launch_again` starts the node anew.
+
+        Raises
+        ------
+        HarnessError
+            If there is no such process, or it does not end on SIGINT, SIGTERM or SIGKILL.
+        """
+        launched = self._process_of(name)
+        assert launched.process is not None  # noqa: S101 _process_of looked
+        launched.process.send_signal(number)
+        if number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            launched.ended = True
+            try:
+                launched.process.wait(_ENDING_S)
+            except subprocess.TimeoutExpired:
+                raise HarnessError(f"{name} does not end on signal {number}") from None
+
+    def launch_again(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
+        """Start a node that `signal_node` ended, with `parameters` besides those it had.
+
+        Raises
+        ------
+        HarnessError
+            If the node still runs.
+        """
+        launched = self._process_of(name)
+        if not launched.ended:
+            raise HarnessError(f"{name} still runs: end it with signal_node first")
+        self.launched.remove(launched)
+        self.launch(launched.kind, launched.namespace,
+                    {**launched.parameters, **(parameters or {})})
+
+    def _process_of(self, name: str) -> Launched:
+        for launched in self.launched:
+            if launched.full_name == name and launched.process is not None:
+                return launched
+        raise HarnessError(f"{name} is no process of this graph")
+
+    def watch_diagnostics(self, callback: Callable[[DiagnosticArray], None]) -> None:
+        """Have `callback` called with every message of /diagnostics while something spins."""
+        self._client_node.create_subscription(DiagnosticArray, "/diagnostics", callback, 50)
+
     def _check_alive(self) -> None:
         for launched in self.launched:
-            if launched.process is not None and launched.process.poll() is not None:
+            if launched.process is not None and not launched.ended and (
+                    launched.process.poll() is not None):
                 raise HarnessError(f"{launched.full_name} ended with code "
                                    f"{launched.process.returncode}: {self.last_words(launched)}")
 
