@@ -1,4 +1,4 @@
-"""A real bag cut off and damaged, and one of an hour: what is read is right, what is lost counted."""
+"""A real bag cut off and damaged, and one of an hour: what is read is right, the rest counted."""
 
 from __future__ import annotations
 
@@ -171,14 +171,13 @@ def _chunk_ends(data: bytes) -> list[tuple[int, int]]:
     """(end of a chunk's record, messages up to there), by the mcap library."""
     import io
 
-    from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk, MessageIndex
     from mcap.stream_reader import StreamReader
 
     stream = io.BytesIO(data)
     out: list[tuple[int, int]] = []
     messages, end = 0, 0
-    for record in StreamReader(ReadDataStream(stream), emit_chunks=True).records:
+    for record in StreamReader(stream, emit_chunks=True).records:
         if isinstance(record, Chunk):
             end = stream.tell()
         elif isinstance(record, MessageIndex):
@@ -194,12 +193,14 @@ def _hour(folder: Path, seconds: int) -> list[Figure]:
     early, late, lost = map(float, answer.split())
     size = next(folder.glob("*.mcap")).stat().st_size / 2**20
     sequence = read_bag(folder, ["/stage/y/plant"])["/stage/y/plant"].sequence
-    gaps = int(np.sum(np.diff(sequence.astype(np.int64)) != 1)) + (len(sequence) != 1000 * seconds)
-    how = f"{seconds} s of two axes at 1 kHz, 16 topics, {size:.0f} MiB, as fast as the disk takes it"
+    gaps = int(np.sum(np.diff(sequence.astype(np.int64)) != 1))
+    gaps += abs(len(sequence) - 1000 * seconds)
+    how = (f"{seconds} s of two axes at 1 kHz, 16 topics, {size:.0f} MiB, as fast as the disk "
+           "takes it")
     return [
         Figure("bags_damage.long_growth_mib", late - early, "MiB", 16.0, "at the start", early,
-               late / early, f"memory of the writing process at the end, above that early on; {how}",
-               bar_kind="at most"),
+               late / early, "memory of the writing process at the end, above that early on; "
+               f"{how}", bar_kind="at most"),
         Figure("bags_damage.long_gaps", float(gaps + lost), "messages", 0.0, bar_kind="at most",
                how=f"gaps in the numbers of one topic, and messages not recorded; {how}"),
     ]

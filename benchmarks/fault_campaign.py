@@ -22,7 +22,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_srvs.srv import Trigger
 
-from dfm_stage.harness import AXIS_NODES, HarnessError, StageGraph
+from dfm_stage.harness import HarnessError, StageGraph
+from dfm_stage.harness.stage_graph import AXIS_NODES
 from dfm_stage.recording import read_bag
 
 KINDS = ("kill", "pause", "restart")

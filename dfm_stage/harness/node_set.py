@@ -317,7 +317,7 @@ class NodeSet:
         """Return the processor time that the node processes have used so far, s."""
         ticks = 0
         for launched in self.launched:
-            if launched.process is not None:
+            if launched.process is not None and not launched.ended:
                 stat = Path(f"/proc/{launched.process.pid}/stat").read_text()
                 ticks += sum(map(int, stat.rpartition(")")[2].split()[11:13]))
         return ticks / os.sysconf("SC_CLK_TCK")

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet
+from dfm_stage.model import load_model
 from dfm_stage.nodes.share import find_experiment
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, PUBLISHER_QOS
@@ -120,6 +121,8 @@ class StageGraph(NodeSet):
 
     def start_nodes(self) -> None:
         """Launch the nodes and wait until they have met and experiments can be asked for."""
+        if "sim_plant" in self._kinds:
+            load_model(self._parameters["sim_plant"]["model"])  # before the recorder has a bag
         if "sim_plant" in self._kinds and not self.composed:
             from dfm_stage.compile_all import compile_all
 

@@ -34,6 +34,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
 
 import dfm_stage
@@ -382,11 +383,17 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
     """
     stop = StopRequest()
     stop.install()
+    given = list(sys.argv[1:] if args is None else args)
     try:
-        rclpy.init(args=list(args) if args is not None else None,
-                   signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        foreign = remove_ros_args(["", *given])[1:]
     except RuntimeError as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    if foreign:
+        rclpy.try_shutdown()
+        print(f"error: unknown arguments {' '.join(foreign)}: write parameters as "
+              "--ros-args -p name:=value", file=sys.stderr)
         return 2
     node: Node | None = None
     try:

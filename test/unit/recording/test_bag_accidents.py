@@ -81,8 +81,7 @@ def test_whatever_happens_to_the_file_nothing_wrong_is_read(whole: Path, some: l
     copy.write_bytes(data)
     try:
         bag = read_bag(copy)
-    except BagReadError as error:
-        assert "\n" not in str(error)
+    except BagReadError:
         return
     finally:
         copy.unlink()
