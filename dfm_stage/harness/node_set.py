@@ -30,6 +30,7 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
+from dfm_stage.nodes.security import require_what_was_asked
 
 __all__ = ["HarnessError", "Launched", "NodeSet"]
 
@@ -109,6 +110,7 @@ class NodeSet:
             self._domain_id = self._cleanup.enter_context(claim_domain()).number
         self.folder = Path(self._cleanup.enter_context(
             tempfile.TemporaryDirectory(prefix="dfm_stage_")))
+        require_what_was_asked()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
         self._cleanup.callback(self._context.try_shutdown)

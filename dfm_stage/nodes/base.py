@@ -41,6 +41,7 @@ import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.parameters import Setting, Settings
+from dfm_stage.nodes.security import require_what_was_asked
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
@@ -385,9 +386,10 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
     stop.install()
     given = list(sys.argv[1:] if args is None else args)
     try:
+        require_what_was_asked()
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
         foreign = remove_ros_args(["", *given])[1:]
-    except RuntimeError as error:
+    except (RuntimeError, DfmError) as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
         return 2
     if foreign:
