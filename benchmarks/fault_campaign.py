@@ -32,6 +32,7 @@ RECORDER = "/stage/recorder"
 WITNESSED = ("measurement", "reference", "command", "amplifier", "plant")
 PAUSES_S = (0.05, 2.0)
 LOOKED_AT_S = 1.0
+SETTLING_S = 2.0
 SAFE_WITHIN_S = 3.0
 EXPLAINED_WITHIN_S = 8.0
 RECOVERED_WITHIN_S = 30.0
@@ -41,9 +42,11 @@ DIES_LATE_S = 0.5
 TRAVEL_M = 7.7e-3
 GENERATOR = {"reference.kind": "raster", "reference.line_length_m": 1e-3, "duration_s": 4.0,
              "repeat": True}
-# soft enough for what a busy machine adds to the loop's delay; the feedforward is paper_stage's
-CONTROLLER = {"kp": 600.0, "ki": 4000.0, "kd": 30.0, "feedforward_position": 600.7,
-              "feedforward_velocity": 1.705, "feedforward_acceleration": 1.0}
+# Soft enough for what a busy machine adds to the loop's delay, and no more output than keeps
+# the stage inside its travel whatever happens; the feedforward is that of paper_stage.
+CONTROLLER = {"kp": 600.0, "ki": 4000.0, "kd": 30.0, "output_limit_v": 2.0,
+              "feedforward_position": 600.7, "feedforward_velocity": 1.705,
+              "feedforward_acceleration": 1.0}
 
 
 @dataclass(frozen=True)
@@ -222,6 +225,7 @@ class Campaign:
         bag = {"bag": str(self._new_bag())} if fault.node == RECORDER else None
         self._graph.restart_node(fault.node, bag)
         if bag is not None:
+            self._graph.spin(SETTLING_S)  # a killed recorder still looks matched for a while
             self._begin_segment()
 
     # How it is

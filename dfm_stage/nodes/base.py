@@ -20,10 +20,9 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
-from dfm_stage.nodes.share import config_folder
+from dfm_stage.nodes.discovery import keep_to_this_machine
 
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_folder() / "fastdds.xml"))
+keep_to_this_machine()
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -42,6 +41,7 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.security import require_what_was_asked
+from dfm_stage.nodes.watch import Input, Watch
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
@@ -53,8 +53,6 @@ from dfm_stage.nodes.wiring import (
 )
 
 LOCKSTEP_PATIENCE_S = 5.0
-SILENT_S = 1.0
-HELD_UP_S = 0.5
 _EVENTS_PER_LOOK = 64
 COMMON = (
     Setting("lockstep", False, "wait for the sample's answer instead of the clock: "
@@ -138,23 +136,6 @@ class Publisher:
         return self._open
 
 
-class _Input:
-    """What came on one loop topic, for a word once it stops."""
-
-    def __init__(self, name: str, publisher: str) -> None:
-        self.name = name
-        self.publisher = publisher
-        self.received = 0
-        self._before = 0
-        self._silent_since = 0.0
-
-    def silent_s(self, now: float) -> float:
-        """Return for how long nothing has come, s; 0 before the first message."""
-        if self.received != self._before or not self.received:
-            self._before, self._silent_since = self.received, now
-        return now - self._silent_since
-
-
 class LoopNode(Node):
     """Base of the nodes on the loop of one axis.
 
@@ -176,11 +157,11 @@ class LoopNode(Node):
         self.errors_active: dict[str, str] = {}
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.publishers_of_links: list[Publisher] = []
-        self._inputs: list[_Input] = []
         self._config = self.create_publisher(String, "~/config", LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Ready, "~/ready", self._on_ready)
-        self._last_second_s = time.monotonic()
+        self._watch = Watch(self.warnings_active, self.count, self.get_logger().warning,
+                            time.monotonic())
         self.create_timer(1.0, self._every_second, clock=self.steady)
         self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
 
@@ -221,8 +202,8 @@ class LoopNode(Node):
         """Subscribe to a loop topic; `callback` gets the decoded fields."""
         link = LINKS[topic]
         decode = codec(link.type).decode
-        heard = _Input(prefix + topic, link.publisher)
-        self._inputs.append(heard)
+        heard = Input(prefix + topic, link.publisher)
+        self._watch.inputs.append(heard)
 
         def decoded(data: bytes) -> None:
             heard.received += 1
@@ -272,34 +253,9 @@ class LoopNode(Node):
 
     _waiting_since: tuple[tuple[str, int], float] | None = None
 
-    def _watch_inputs(self) -> None:
-        """Real time: say which topic stopped, once it had begun."""
-        now = time.monotonic()
-        for each in self._inputs:
-            key, silent = f"silent {each.name}", each.silent_s(now)
-            if silent < SILENT_S:
-                self.warnings_active.pop(key, None)
-                continue
-            if key not in self.warnings_active:
-                self.count("inputs_lost")
-                self.get_logger().warning(f"nothing more on {each.name} from {each.publisher}")
-            self.warnings_active[key] = (f"nothing on {each.name} from {each.publisher} for "
-                                         f"{silent:.0f} s")
-
-    def _watch_itself(self) -> None:
-        """Real time: say that this process stood still, so that nobody looks elsewhere."""
-        now = time.monotonic()
-        late, self._last_second_s = now - self._last_second_s - 1.0, now
-        if late > HELD_UP_S:
-            self.count("held_up")
-            self.warnings_active["held up"] = f"this process stood still for {late:.1f} s"
-        else:
-            self.warnings_active.pop("held up", None)
-
     def _every_second(self) -> None:
         if not self.lockstep:
-            self._watch_itself()
-            self._watch_inputs()
+            self._watch.look(time.monotonic())
         waiting = self.waiting_for() if self.lockstep else None
         if waiting is None:
             self._waiting_since = None
