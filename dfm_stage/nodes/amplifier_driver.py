@@ -199,7 +199,8 @@ class AmplifierDriver(ManagedNode):
         """Simulation: look for commands; a short hold-up of this process is not their absence."""
         now = time.monotonic()
         gap, self._checked_s = now - self._checked_s, now
-        if gap > max(_HELD_UP_S, self._interlock.stale_s):
+        begun = math.isfinite(self._interlock.last_command_s)
+        if begun and gap > max(_HELD_UP_S, self._interlock.stale_s):
             self._trip(Cause.STALE_COMMAND, f"this process stood still for {gap:.2f} s")
         elif gap <= self._interlock.stale_s / 2 and self._interlock.stale(now):
             self._apply(self.now_ns(), 0.0, self._off_bits)

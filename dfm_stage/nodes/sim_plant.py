@@ -155,7 +155,8 @@ class SimPlant(LoopNode):
         due = (now - self._next_ns + self._period_ns // 2) // self._period_ns
         if due > _GIVE_UP_SAMPLES:
             self.count("deadlines_missed", due)
-            self.get_logger().warning(f"held up for {due} samples; they are left out")
+            self.get_logger().warning(f"held up for {due} samples; they are left out",
+                                      throttle_duration_sec=1.0)
             self._next_ns += due * self._period_ns
             if self._watchdog:
                 self._cut_off()

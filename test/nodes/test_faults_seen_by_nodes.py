@@ -85,7 +85,10 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
 
 def test_an_amplifier_that_stood_still_does_not_go_on_by_itself(make):
     node = make(AmplifierDriver, stale_timeout_s=0.2)
+    node._checked_s = time.monotonic() - 0.7  # the other nodes of its process were starting
+    node._check_stale()
     assert node._interlock.armed
+    node._interlock.last_command_s = time.monotonic()
     node._checked_s = time.monotonic() - 0.3
     node._check_stale()
     assert node._interlock.armed
