@@ -20,10 +20,6 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
-from dfm_stage.nodes.discovery import keep_to_this_machine
-
-keep_to_this_machine()
-
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -39,6 +35,7 @@ from std_msgs.msg import String
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
+from dfm_stage.nodes.discovery import keep_to_this_machine
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.security import require_what_was_asked
 from dfm_stage.nodes.watch import Input, Watch
@@ -51,6 +48,8 @@ from dfm_stage.nodes.wiring import (
     publisher_qos,
     subscriber_qos,
 )
+
+keep_to_this_machine()
 
 LOCKSTEP_PATIENCE_S = 5.0
 _EVENTS_PER_LOOK = 64
