@@ -34,6 +34,7 @@ __all__ = ["HarnessError", "Launched", "NodeSet"]
 
 _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
+_ASKED_BY_ONE = 3
 _ENDING_S = 10.0
 
 
@@ -275,13 +276,16 @@ class NodeSet:
             If it does not answer in time.
         """
         deadline = time.monotonic() + timeout_s
-        client = self._client_node.create_client(kind, name)
+        clients: list[Any] = []
+        asked: list[Any] = []
         try:
-            self.spin_until(client.service_is_ready, timeout_s, f"service {name}")
-            asked: list[Any] = []
             while True:
-                # An answer is lost where the node has not met the client yet: ask again.
-                asked.append(client.call_async(request))
+                # An answer is lost where the node has not met the client yet: ask again. Where a
+                # node of this name was killed a client may never meet the next: take a new one.
+                if len(asked) % _ASKED_BY_ONE == 0:
+                    clients.append(self._client_node.create_client(kind, name))
+                    self.spin_until(clients[-1].service_is_ready, timeout_s, f"service {name}")
+                asked.append(clients[-1].call_async(request))
                 self._spin_while_unanswered(asked, min(time.monotonic() + _ASK_AGAIN_S, deadline))
                 answered = [future.result() for future in asked if future.done()]
                 if answered:
@@ -289,7 +293,8 @@ class NodeSet:
                 if time.monotonic() >= deadline:
                     raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
         finally:
-            self._client_node.destroy_client(client)
+            for client in clients:
+                self._client_node.destroy_client(client)
 
     def _spin_while_unanswered(self, asked: Sequence[Any], until: float) -> None:
         self.spin_until(lambda: any(future.done() for future in asked)

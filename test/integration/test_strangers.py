@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -22,6 +23,15 @@ POLICY = ROOT / "config" / "sros2" / "policy.xml"
 RIGHTS = ("publish", "subscribe", "reply", "request", "execute", "call")
 Rights = dict[str, set[str]]
 ACTION_PARTS = "/_action/"
+
+
+@pytest.fixture(autouse=True)
+def signals_as_they_were():
+    """A node takes the signals for good: its process ends with it."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def allowed() -> dict[str, Rights]:
