@@ -61,6 +61,7 @@ def test_a_cluster_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch) -> No
     class Client:
         def __init__(self, address: str, timeout: float) -> None:
             asked.append(address)
+            assert timeout > 0.0
             if "nobody" in address:
                 raise OSError("timed out")
 
@@ -72,6 +73,7 @@ def test_a_cluster_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch) -> No
 
         def map(self, function: object, jobs: list[Job], pure: bool) -> list[Job]:
             assert function is batch.work
+            assert not pure  # the same run may be asked for twice
             return jobs
 
     module = ModuleType("distributed")
