@@ -41,7 +41,7 @@ setup(
         *share("launch"),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "cluster": ["distributed>=2024.1"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [f"{name} = {module_of(name)}:main" for name in (*NODES, *TOOLS)]

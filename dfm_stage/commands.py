@@ -25,6 +25,7 @@ TOOLS: dict[str, str] = {
     "tune": "a controller's parameters from a model or a bag, with margins and reasons",
     "diagnose": "what a model lacks, by runs it should explain; named, or said to be unknown",
     "view": "the loop as it runs, on a page for this machine: errors, faults, arm, stop",
+    "diagnose_batch": "diagnose many bags, each by itself, on all cores or a Dask cluster",
     "emulate": "a serial device that is not there, on a pseudo-terminal, with faults to order",
     "learn": "repeat a scan on the graph until its error is learnt away; keep and replay that",
     "bench": "run the benchmarks and print each figure beside its bar and its peer",

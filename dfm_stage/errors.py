@@ -4,4 +4,10 @@ from __future__ import annotations
 
 
 class DfmError(Exception):
-    """An error whose message is one line: what is wrong, where, and what to do about it."""
+    """An error whose message is one line: what is wrong, where, and what to do about it.
+
+    Line ends in what was quoted, such as a key of a file, become spaces.
+    """
+
+    def __str__(self) -> str:
+        return " ".join(super().__str__().split("\n"))

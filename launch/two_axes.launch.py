@@ -17,7 +17,8 @@ def generate_launch_description():
 
     def node(name, namespace, condition=None):
         return Node(package="dfm_stage", executable=name, namespace=namespace, name=name,
-                    parameters=[parameters], output="screen", condition=condition)
+                    parameters=[parameters], output="screen", condition=condition,
+                    ros_arguments=["--enclave", f"{namespace}/{name}"])
 
     return LaunchDescription([
         DeclareLaunchArgument("parameters", default_value=default,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import sys
 from collections.abc import Callable, Sequence
@@ -17,11 +18,12 @@ if TYPE_CHECKING:
     from dfm_stage.recording import Record
 
 _COLUMNS = ("time", "input", "output")
+_made: list[Path] = []
 
 
 def run_command(work: Callable[[], int], stopped: str = "stopped") -> int:
     """Do the work and return its exit code; 2 with one line for an error of ours, 130 with the
-    line `stopped` after Ctrl-C."""
+    line `stopped` after Ctrl-C. An output folder that stayed empty is taken away again."""
     try:
         return work()
     except DfmError as error:
@@ -30,6 +32,10 @@ def run_command(work: Callable[[], int], stopped: str = "stopped") -> int:
     except KeyboardInterrupt:
         print(stopped, file=sys.stderr)
         return 130
+    finally:
+        while _made:
+            with contextlib.suppress(OSError):
+                _made.pop(0).rmdir()
 
 
 def command_parser(name: str, description: str | None, epilog: str) -> argparse.ArgumentParser:
@@ -78,6 +84,7 @@ def output_folder(path: str | Path) -> Path:
         If it cannot be made.
     """
     out = Path(path)
+    _made.extend(each for each in (out, *out.parents) if not each.exists())
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

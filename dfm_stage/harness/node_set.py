@@ -15,11 +15,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -30,11 +28,14 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
+from dfm_stage.nodes.security import require_what_was_asked
 
 __all__ = ["HarnessError", "Launched", "NodeSet"]
 
 _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
+_ASKED_BY_ONE = 3
+_ENDING_S = 10.0
 
 
 class HarnessError(DfmError):
@@ -50,6 +51,8 @@ class Launched:
     node: Any = None
     process: subprocess.Popen[bytes] | None = None
     log: Path | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    ended: bool = False
 
     @property
     def full_name(self) -> str:
@@ -106,6 +109,7 @@ class NodeSet:
             self._domain_id = self._cleanup.enter_context(claim_domain()).number
         self.folder = Path(self._cleanup.enter_context(
             tempfile.TemporaryDirectory(prefix="dfm_stage_")))
+        require_what_was_asked()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
         self._cleanup.callback(self._context.try_shutdown)
@@ -123,7 +127,7 @@ class NodeSet:
     def launch(self, kind: str, namespace: str, parameters: Mapping[str, Any],
                make: Callable[..., Any] | None = None) -> Launched:
         """Start one node of the set; one that `make` returns is always in this process."""
-        launched = Launched(kind, namespace)
+        launched = Launched(kind, namespace, parameters=dict(parameters))
         file = self.folder / f"{launched.full_name.strip('/').replace('/', '_')}.yaml"
         file.write_text(json.dumps(
             {launched.full_name: {"ros__parameters": dict(parameters)}}))
@@ -203,9 +207,56 @@ class NodeSet:
         end = time.monotonic() + duration_s
         self.spin_until(lambda: time.monotonic() >= end, duration_s + 60.0, "the end of spin()")
 
+    def signal_node(self, name: str, number: int) -> None:
+        """Send a signal to the process of a node, such as `/stage/x/controller`.
+
+        One that ends the process is waited for, and its end is not held against the set:
+        `launch_again` starts the node anew.
+
+        Raises
+        ------
+        HarnessError
+            If there is no such process, or it does not end on SIGINT, SIGTERM or SIGKILL.
+        """
+        launched = self._process_of(name)
+        assert launched.process is not None  # noqa: S101 _process_of looked
+        launched.process.send_signal(number)
+        if number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            launched.ended = True
+            try:
+                launched.process.wait(_ENDING_S)
+            except subprocess.TimeoutExpired:
+                raise HarnessError(f"{name} does not end on signal {number}") from None
+
+    def launch_again(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
+        """Start a node that `signal_node` ended, with `parameters` besides those it had.
+
+        Raises
+        ------
+        HarnessError
+            If the node still runs.
+        """
+        launched = self._process_of(name)
+        if not launched.ended:
+            raise HarnessError(f"{name} still runs: end it with signal_node first")
+        self.launched.remove(launched)
+        self.launch(launched.kind, launched.namespace,
+                    {**launched.parameters, **(parameters or {})})
+
+    def _process_of(self, name: str) -> Launched:
+        for launched in self.launched:
+            if launched.full_name == name and launched.process is not None:
+                return launched
+        raise HarnessError(f"{name} is no process of this graph")
+
+    def watch_diagnostics(self, callback: Callable[[DiagnosticArray], None]) -> None:
+        """Have `callback` called with every message of /diagnostics while something spins."""
+        self._client_node.create_subscription(DiagnosticArray, "/diagnostics", callback, 50)
+
     def _check_alive(self) -> None:
         for launched in self.launched:
-            if launched.process is not None and launched.process.poll() is not None:
+            if launched.process is not None and not launched.ended and (
+                    launched.process.poll() is not None):
                 raise HarnessError(f"{launched.full_name} ended with code "
                                    f"{launched.process.returncode}: {self.last_words(launched)}")
 
@@ -225,13 +276,16 @@ class NodeSet:
             If it does not answer in time.
         """
         deadline = time.monotonic() + timeout_s
-        client = self._client_node.create_client(kind, name)
+        clients: list[Any] = []
+        asked: list[Any] = []
         try:
-            self.spin_until(client.service_is_ready, timeout_s, f"service {name}")
-            asked: list[Any] = []
             while True:
-                # An answer is lost where the node has not met the client yet: ask again.
-                asked.append(client.call_async(request))
+                # An answer is lost where the node has not met the client yet: ask again. Where a
+                # node of this name was killed a client may never meet the next: take a new one.
+                if len(asked) % _ASKED_BY_ONE == 0:
+                    clients.append(self._client_node.create_client(kind, name))
+                    self.spin_until(clients[-1].service_is_ready, timeout_s, f"service {name}")
+                asked.append(clients[-1].call_async(request))
                 self._spin_while_unanswered(asked, min(time.monotonic() + _ASK_AGAIN_S, deadline))
                 answered = [future.result() for future in asked if future.done()]
                 if answered:
@@ -239,7 +293,8 @@ class NodeSet:
                 if time.monotonic() >= deadline:
                     raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
         finally:
-            self._client_node.destroy_client(client)
+            for client in clients:
+                self._client_node.destroy_client(client)
 
     def _spin_while_unanswered(self, asked: Sequence[Any], until: float) -> None:
         self.spin_until(lambda: any(future.done() for future in asked)
@@ -267,7 +322,7 @@ class NodeSet:
         """Return the processor time that the node processes have used so far, s."""
         ticks = 0
         for launched in self.launched:
-            if launched.process is not None:
+            if launched.process is not None and not launched.ended:
                 stat = Path(f"/proc/{launched.process.pid}/stat").read_text()
                 ticks += sum(map(int, stat.rpartition(")")[2].split()[11:13]))
         return ticks / os.sysconf("SC_CLK_TCK")

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet
+from dfm_stage.model import load_model
 from dfm_stage.nodes.share import find_experiment
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, PUBLISHER_QOS
@@ -33,6 +34,7 @@ AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_ge
 STAGE_NODES = ("sim_plant", "recorder")
 START_ORDER = ("recorder", "sim_plant", *AXIS_NODES)
 SIMULATED_STALE_S = 0.2
+SIMULATED_WATCHDOG_S = 0.5
 REARM_S = 3.0
 
 
@@ -100,6 +102,8 @@ class StageGraph(NodeSet):
         if "amplifier_driver" in out and "device" not in extra.get("amplifier_driver", {}):
             # a machine that stands still for a moment does a simulated coil no harm
             out["amplifier_driver"]["stale_timeout_s"] = SIMULATED_STALE_S
+            if "sim_plant" in out:
+                out["sim_plant"]["drive_watchdog_s"] = SIMULATED_WATCHDOG_S
         for kind, values in extra.items():
             if kind not in out:
                 raise HarnessError(f"parameters for {kind}, which is not among the nodes: "
@@ -117,6 +121,8 @@ class StageGraph(NodeSet):
 
     def start_nodes(self) -> None:
         """Launch the nodes and wait until they have met and experiments can be asked for."""
+        if "sim_plant" in self._kinds:
+            load_model(self._parameters["sim_plant"]["model"])  # before the recorder has a bag
         if "sim_plant" in self._kinds and not self.composed:
             from dfm_stage.compile_all import compile_all
 
@@ -156,9 +162,25 @@ class StageGraph(NodeSet):
         by_wire = [kind for kind in self._kinds if self._on_hardware(kind)]
         self.wait_connected({"sim_plant": by_wire}, deadline)
 
+    def restart_node(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
+        """Start a node that `signal_node` ended again, and wait until it is connected.
+
+        `parameters` are set besides those it had; a recorder needs a new `bag`.
+
+        Raises
+        ------
+        HarnessError
+            If the node still runs, or does not come up.
+        """
+        self.launch_again(name, parameters)
+        started = self.launched[-1]
+        if started.kind == "recorder":
+            self.bag = Path(started.parameters["bag"])
+        self._wait_connected(time.monotonic() + self._start_timeout_s)
+
     def before_end(self) -> None:
         """Close the bag."""
-        if any(each.kind == "recorder" for each in self.launched):
+        if any(each.kind == "recorder" and not each.ended for each in self.launched):
             with contextlib.suppress(HarnessError):
                 self.stop_recording()
         for client in self._goals.values():

@@ -34,6 +34,7 @@ _PUBLISHERS_PERIOD_S = 0.25
 _MEASURED_MARGIN = 1.1
 _MEASURED_MARGIN_A = 0.02
 _LATCHED = "output"
+_HELD_UP_S = 0.5
 
 
 class AmplifierDriver(ManagedNode):
@@ -195,14 +196,17 @@ class AmplifierDriver(ManagedNode):
         return min(1.0, share)
 
     def _check_stale(self) -> None:
-        """Simulation: look for commands, unless it was this process that was held up."""
+        """Simulation: look for commands; a short hold-up of this process is not their absence."""
         now = time.monotonic()
-        held_up, self._checked_s = now - self._checked_s > self._interlock.stale_s / 2, now
-        if not held_up and self._interlock.stale(now):
+        gap, self._checked_s = now - self._checked_s, now
+        begun = math.isfinite(self._interlock.last_command_s)
+        if begun and gap > max(_HELD_UP_S, self._interlock.stale_s):
+            self._trip(Cause.STALE_COMMAND, f"this process stood still for {gap:.2f} s")
+        elif gap <= self._interlock.stale_s / 2 and self._interlock.stale(now):
             self._apply(self.now_ns(), 0.0, self._off_bits)
 
     def _apply(self, stamp_ns: int, value: float, faults: int) -> None:
-        self._seq += 1
+        self._seq = (self._seq + 1) & 0xFFFFFFFF
         enabled = self._interlock.armed
         if self._drive is not None:
             self._drive.send(stamp_ns, self._seq, self._answered, value, enabled)

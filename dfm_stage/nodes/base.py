@@ -20,11 +20,6 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
-from dfm_stage.nodes.share import config_folder
-
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_folder() / "fastdds.xml"))
-
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -34,12 +29,16 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
 
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
+from dfm_stage.nodes.discovery import keep_to_this_machine
 from dfm_stage.nodes.parameters import Setting, Settings
+from dfm_stage.nodes.security import require_what_was_asked
+from dfm_stage.nodes.watch import Input, Watch
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
@@ -49,6 +48,8 @@ from dfm_stage.nodes.wiring import (
     publisher_qos,
     subscriber_qos,
 )
+
+keep_to_this_machine()
 
 LOCKSTEP_PATIENCE_S = 5.0
 _EVENTS_PER_LOOK = 64
@@ -158,6 +159,8 @@ class LoopNode(Node):
         self._config = self.create_publisher(String, "~/config", LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Ready, "~/ready", self._on_ready)
+        self._watch = Watch(self.warnings_active, self.count, self.get_logger().warning,
+                            time.monotonic())
         self.create_timer(1.0, self._every_second, clock=self.steady)
         self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
 
@@ -198,8 +201,11 @@ class LoopNode(Node):
         """Subscribe to a loop topic; `callback` gets the decoded fields."""
         link = LINKS[topic]
         decode = codec(link.type).decode
+        heard = Input(prefix + topic, link.publisher)
+        self._watch.inputs.append(heard)
 
         def decoded(data: bytes) -> None:
+            heard.received += 1
             callback(decode(data))
 
         self.create_subscription(link.type, prefix + topic, decoded,
@@ -247,6 +253,8 @@ class LoopNode(Node):
     _waiting_since: tuple[tuple[str, int], float] | None = None
 
     def _every_second(self) -> None:
+        if not self.lockstep:
+            self._watch.look(time.monotonic())
         waiting = self.waiting_for() if self.lockstep else None
         if waiting is None:
             self._waiting_since = None
@@ -331,11 +339,18 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
     """
     stop = StopRequest()
     stop.install()
+    given = list(sys.argv[1:] if args is None else args)
     try:
-        rclpy.init(args=list(args) if args is not None else None,
-                   signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
+        require_what_was_asked()
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        foreign = remove_ros_args(["", *given])[1:]
+    except (RuntimeError, DfmError) as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    if foreign:
+        rclpy.try_shutdown()
+        print(f"error: unknown arguments {' '.join(foreign)}: write parameters as "
+              "--ros-args -p name:=value", file=sys.stderr)
         return 2
     node: Node | None = None
     try:

@@ -255,7 +255,7 @@ class Controller(LoopNode):
         if saturated:
             self.count("saturated")
         self._sent_v, self._added_v = voltage, added
-        self._seq += 1
+        self._seq = (self._seq + 1) & 0xFFFFFFFF
         stamp = measurement.stamp_ns if self.lockstep else self.now_ns()
         self._out.send(stamp, self._seq, measurement.seq, measurement.stamp_ns, voltage,
                        saturated)

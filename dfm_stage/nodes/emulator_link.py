@@ -7,12 +7,9 @@ ROS.
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from typing import Any
-
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import rclpy
 from rclpy.executors import ExternalShutdownException

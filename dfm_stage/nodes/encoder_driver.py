@@ -24,6 +24,7 @@ from dfm_stage.nodes.wiring import LATCHED_QOS
 
 _JOINT_STATE_PERIOD_S = 0.05
 _SHORTEST_STEP_S = 1e-3
+_BACKWARDS = 0x80000000
 _REFERENCED = Measurement.FLAG_REFERENCED
 
 
@@ -146,7 +147,9 @@ class EncoderDriver(ManagedNode):
                         f"{self._travel * 1e3:.4g} mm")
         if self._last_seq is not None:
             lost = (seq - self._last_seq - 1) & 0xFFFFFFFF
-            if lost:
+            if lost >= _BACKWARDS:
+                self.count("source_restarts")
+            elif lost:
                 flags |= Measurement.FLAG_SAMPLES_LOST
                 self.count("samples_lost", lost)
             step = abs(raw - self._last_counts) * resolution

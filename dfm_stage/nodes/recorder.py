@@ -49,6 +49,7 @@ from dfm_stage.recording import (
 _FETCH_PERIOD_S = 0.002
 _LOOK_PERIODS_S = (0.05, 0.5)
 _SETTLED_S = 3.0
+_DRAIN_S = 0.05
 _NICENESS = 5
 
 
@@ -207,7 +208,11 @@ class Recorder(LoopNode):
         """Close the bag; return whether it is complete and what is in it."""
         if not self._open:
             return True, "closed before"
+        until = time.monotonic() + _DRAIN_S
         self._fetch()
+        while time.monotonic() < until:  # what is still on its way was published before
+            time.sleep(_FETCH_PERIOD_S)
+            self._fetch()
         self._open = False
         # what still comes is taken, so that nobody waits for us, and dropped
         self._taps = [(take, message_type, len) for take, message_type, _ in self._taps]

@@ -48,11 +48,13 @@ class _Axis:
         self.current = (node.link_publisher("sim/current", prefix)
                         if _measures_current(self.plant.model) else None)
         self.answered = -1
+        self.driven = 0
         node.link_subscription("sim/drive", self._on_drive, prefix)
         self._node = node
         self._index = index
 
     def _on_drive(self, drive: Any) -> None:
+        self.driven = self._node.seq
         if drive.measurement_seq == self._node.seq:
             self.answered = drive.measurement_seq
         else:
@@ -61,6 +63,14 @@ class _Axis:
         self.stage.inputs[self._index] = drive.voltage if usable else 0.0
         if self._node.lockstep:
             self._node.step_when_answered()
+
+    def watch(self, samples: int) -> bool:
+        """Take the coil's input away after `samples` without a drive; return whether it did."""
+        held = self.stage.inputs[self._index]
+        if not held or (self._node.seq - self.driven) & 0xFFFFFFFF <= samples:
+            return False
+        self.stage.inputs[self._index] = 0.0
+        return True
 
 
 class SimPlant(LoopNode):
@@ -73,6 +83,9 @@ class SimPlant(LoopNode):
         Setting("axes", "", "axes to simulate, such as 'x y', each in its own sub-namespace; "
                 "empty: all axes of the model; one without a name stays in the node's namespace"),
         Setting("seed", 0, "fixes the noise", "", 0, 2**31),
+        Setting("drive_watchdog_s", 0.0, "real time: without a drive for this long the coil has "
+                "no current, as behind a hardware watchdog relay; 0 = it keeps the last, as a "
+                "Copley drive does", "s", 0.0, 60.0),
     )
 
     def __init__(self, **kwargs: Any) -> None:
@@ -86,6 +99,8 @@ class SimPlant(LoopNode):
         self._axes = self._wire(names)
         self._stages = list({id(axis.stage): axis.stage for axis in self._axes}.values())
         self._next_ns: int | None = None
+        self._watchdog = (0 if self.lockstep else
+                          round(self.settings["drive_watchdog_s"] / self._model.sample_period))
         if self.lockstep:
             self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
         else:
@@ -140,8 +155,11 @@ class SimPlant(LoopNode):
         due = (now - self._next_ns + self._period_ns // 2) // self._period_ns
         if due > _GIVE_UP_SAMPLES:
             self.count("deadlines_missed", due)
-            self.get_logger().warning(f"held up for {due} samples; they are left out")
+            self.get_logger().warning(f"held up for {due} samples; they are left out",
+                                      throttle_duration_sec=1.0)
             self._next_ns += due * self._period_ns
+            if self._watchdog:
+                self._cut_off()
             for _ in range(due):
                 self._advance()
             self._publish_samples(self.now_ns())
@@ -153,9 +171,19 @@ class SimPlant(LoopNode):
             self._advance()
             self._publish_samples(self.now_ns())
 
+    def _cut_off(self) -> None:
+        """An amplifier that sees no samples for so long has put its output to zero."""
+        for stage in self._stages:
+            stage.inputs = [0.0] * len(stage.inputs)
+
     # Both
 
     def _advance(self) -> None:
+        if self._watchdog:
+            for axis in self._axes:
+                if axis.watch(self._watchdog):
+                    self.count("watchdog_trips")
+                    self.get_logger().warning(f"nothing on {axis.topic}: the coil is cut off")
         for stage in self._stages:
             stage.step()
         self.seq = (self.seq + 1) & 0xFFFFFFFF

@@ -8,9 +8,11 @@ holds the last position. What would leave a limit (`limits.*`) is refused before
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionServer, CancelResponse
 from std_srvs.srv import Trigger
 
@@ -22,6 +24,7 @@ from dfm_stage.nodes.base import LoopNode, run_node
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.share import find_experiment
 from dfm_stage.nodes.signal_settings import KINDS, signal_settings, specification
+from dfm_stage.nodes.watch import HELD_UP_S
 from dfm_stage.trajectory import (
     LIMIT_PARAMETERS,
     Excitation,
@@ -32,6 +35,9 @@ from dfm_stage.trajectory import (
     make_reference,
     require_run_within,
 )
+
+RECORDER_SILENT_S = 2.5
+_BACKWARDS = 0x80000000
 
 
 @dataclass
@@ -87,6 +93,7 @@ class TrajectoryGenerator(LoopNode):
         self._run: Run | None = None
         self._pending: Any = None
         self._hold = 0.0
+        self._asked_s = time.monotonic()
         self._reference = self.link_publisher("reference")
         self._excitation = self.link_publisher("excitation")
         self.link_subscription("measurement", self._on_measurement)
@@ -97,6 +104,10 @@ class TrajectoryGenerator(LoopNode):
             handle_accepted_callback=self._on_goal,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT)
         self.create_timer(0.2, self._report, clock=self.steady)
+        self._recorder_heard_s: float | None = None
+        if self.settings["wait_for_recorder"] and not self.lockstep:
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10,
+                                     raw=True)
         if self.settings["autostart"] and self._asked_for_something():
             self._autostart = self.create_timer(0.05, self._start_when_open, clock=self.steady)
         self._make_run()
@@ -208,7 +219,7 @@ class TrajectoryGenerator(LoopNode):
             result = RunExperiment.Result(success=how == "succeed", message=message)
             if run is not None and run.first_seq is not None:
                 result.first_seq = run.first_seq
-                result.last_seq = run.first_seq + max(0, run.done - 1)
+                result.last_seq = (run.first_seq + max(0, run.done - 1)) & 0xFFFFFFFF
             return result
 
         goal.execute(execute)
@@ -247,6 +258,8 @@ class TrajectoryGenerator(LoopNode):
         if run is None:
             return
         self.count("experiments")
+        if how == "abort":
+            self.get_logger().warning(f"{run.name} is over: {message}")
         if run.goal is not None:
             self._conclude(run.goal, how, message, run)
 
@@ -254,7 +267,12 @@ class TrajectoryGenerator(LoopNode):
 
     def _on_measurement(self, measurement: Any) -> None:
         if not self.lockstep:
-            self._answer(measurement.seq + 1,
+            now = time.monotonic()
+            gap, self._asked_s = now - self._asked_s, now
+            if gap > HELD_UP_S and self._run is not None and self._run.done:
+                self.count("runs_held_up")
+                self._end("abort", f"no measurement for {gap:.2f} s in the middle of it")
+            self._answer((measurement.seq + 1) & 0xFFFFFFFF,
                          measurement.stamp_ns + int(self.settings["sample_period_s"] * 1e9))
         elif self._run is not None:
             self._answer(measurement.seq, measurement.stamp_ns)
@@ -270,7 +288,11 @@ class TrajectoryGenerator(LoopNode):
         if run.first_seq is None:
             run.first_seq = seq
             self.publish_config()
-        index = seq - run.first_seq
+        index = (seq - run.first_seq) & 0xFFFFFFFF
+        if index >= _BACKWARDS:
+            self.count("source_restarts")
+            self._end("abort", "the measurements started anew in the middle of it")
+            return
         if index < run.count:
             run.done = index + 1
             self._hold = run.position[index]
@@ -282,7 +304,7 @@ class TrajectoryGenerator(LoopNode):
                 return
         if index >= run.count - 1:
             if self.settings["repeat"] and not self.lockstep and run.goal is None:
-                run.first_seq = seq + 1
+                run.first_seq = (seq + 1) & 0xFFFFFFFF
             else:
                 self._end("succeed")
 
@@ -292,6 +314,19 @@ class TrajectoryGenerator(LoopNode):
             period = self.settings["sample_period_s"]
             run.goal.publish_feedback(RunExperiment.Feedback(
                 elapsed=run.done * period, duration=run.count * period))
+
+    def _on_diagnostics(self, data: bytes) -> None:
+        if b"/recorder\0" in data:
+            self._recorder_heard_s = time.monotonic()
+
+    def _every_second(self) -> None:
+        heard = self._recorder_heard_s
+        if heard is not None and (silent := time.monotonic() - heard) > RECORDER_SILENT_S:
+            self.warnings_active["recorder"] = (f"nothing is heard of the recorder for "
+                                                f"{silent:.0f} s: this is not recorded")
+        else:
+            self.warnings_active.pop("recorder", None)
+        super()._every_second()
 
     def not_ready(self) -> str | None:
         """Measurements must be on their way."""

@@ -1,7 +1,7 @@
 """Who talks to whom: the loop topics, their types, their quality of service.
 
 Loop topics are relative names inside the namespace of one axis (`/stage/x`). Publishers are
-reliable with a history of 500 samples, so a recorder that is held up for half a second
+reliable with a history of 2000 samples, so a recorder that is held up for two seconds at 1 kHz
 loses nothing; the nodes of the loop subscribe best effort with depth 1, because a late sample is
 of no use to them. The simulated scale is read through a deep, reliable subscription, as the
 buffer of a real counter would be, and the generator, which works one sample ahead, counts every
@@ -60,7 +60,7 @@ LINKS = {
 }
 
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-PUBLISHER_QOS = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
+PUBLISHER_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 SUBSCRIBER_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                          durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -33,7 +33,7 @@ class SampleGrid:
     stamps_ns : (count,) when each was taken, as stamped; missing ones in between
     steady_ns : (count,) the same without the steps of a clock that was set meanwhile
     period_s : sample period
-    log_window_ns : log times of the first and last measurement
+    log_window_ns : earliest and latest log time of the measurements
     notes : what was found on the way
     """
 
@@ -98,10 +98,10 @@ def sample_grid(measurement: Topic, nominal_s: float | None, given_s: float | No
     stamps = measurement["header.stamp"][rows]
     steady = _without_clock_steps(index, stamps, name, notes)
     period = _period(index, steady, nominal_s, given_s, name, notes)
-    log = measurement.log_time_ns
+    log = measurement.log_time_ns[rows]
     return SampleGrid(int(seq[0] % _WRAP), place, _everywhere(index, stamps),
                       _everywhere(index, steady), period,
-                      (int(log[rows[0]]), int(log[rows[-1]])), notes)
+                      (int(log.min()), int(log.max())), notes)
 
 
 def _everywhere(index: Ints, stamps: Ints) -> Ints:

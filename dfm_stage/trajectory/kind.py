@@ -15,6 +15,7 @@ from dfm_stage.trajectory.errors import TrajectoryError, nearest, place
 
 Array = NDArray[np.float64]
 Signal = TypeVar("Signal")
+MOST_SAMPLES = 20_000_000
 _WHOLE = 1e-6
 
 
@@ -80,7 +81,11 @@ class Timing:
             if not (math.isfinite(number) and number > 0.0):
                 raise TrajectoryError(f"{name} must be a positive number of seconds, "
                                       f"not {number!r}", name)
-        count = round(duration_s / sample_period_s)
+        count = round(min(duration_s / sample_period_s, 2.0 * MOST_SAMPLES))
+        if count > MOST_SAMPLES:
+            raise TrajectoryError(f"duration_s = {duration_s:g} s has more than {MOST_SAMPLES} "
+                                  f"samples of {sample_period_s:g} s; shorten it, or repeat a "
+                                  "shorter signal", "duration_s")
         if count < 1:
             raise TrajectoryError(f"duration_s = {duration_s:g} s is shorter than one sample of "
                                   f"{sample_period_s:g} s", "duration_s")

@@ -80,7 +80,7 @@ def test_ctrl_c_ends_with_130_and_leaves_no_half_file(
     out = tmp_path / "out"
     assert __main__.main([tool, "a.csv", "--model", "paper_stage", "--out", str(out)]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == "stopped"
-    assert not list(out.iterdir())
+    assert not out.exists()
 
 
 def test_the_work_decides_otherwise() -> None:

@@ -1,0 +1,59 @@
+"""What a node notices by itself once a second: topics that stopped, and its own standstill."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+SILENT_S = 1.0
+HELD_UP_S = 0.5
+
+
+class Input:
+    """What came on one loop topic; `received` is counted by the subscription."""
+
+    def __init__(self, name: str, publisher: str) -> None:
+        self.name = name
+        self.publisher = publisher
+        self.received = 0
+        self._before = 0
+        self._silent_since = 0.0
+
+    def silent_s(self, now: float) -> float:
+        """Return for how long nothing has come, s; 0 before the first message."""
+        if self.received != self._before or not self.received:
+            self._before, self._silent_since = self.received, now
+        return now - self._silent_since
+
+
+class Watch:
+    """Puts words into `warnings` and takes them out again.
+
+    `count` and `log` are called when something begins; times are on one steady clock, s.
+    """
+
+    def __init__(self, warnings: dict[str, str], count: Callable[[str], None],
+                 log: Callable[[str], object], now: float) -> None:
+        self.inputs: list[Input] = []
+        self._warnings = warnings
+        self._count = count
+        self._log = log
+        self._last_look = now
+
+    def look(self, now: float) -> None:
+        """Look once, a second after the last time."""
+        late, self._last_look = now - self._last_look - 1.0, now
+        if late > HELD_UP_S:
+            self._count("held_up")
+            self._warnings["held up"] = f"this process stood still for {late:.1f} s"
+        else:
+            self._warnings.pop("held up", None)
+        for each in self.inputs:
+            key, silent = f"silent {each.name}", each.silent_s(now)
+            if silent < SILENT_S:
+                self._warnings.pop(key, None)
+                continue
+            if key not in self._warnings:
+                self._count("inputs_lost")
+                self._log(f"nothing more on {each.name} from {each.publisher}")
+            self._warnings[key] = (f"nothing on {each.name} from {each.publisher} for "
+                                   f"{silent:.0f} s")

@@ -1,0 +1,111 @@
+"""What a node makes of a source that starts anew, falls silent, or of its own standstill."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import pytest
+import rclpy
+
+from dfm_stage.nodes import base
+from dfm_stage.nodes.amplifier_driver import AmplifierDriver
+from dfm_stage.nodes.encoder_driver import EncoderDriver
+from dfm_stage.nodes.sim_plant import SimPlant
+from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
+
+
+@pytest.fixture
+def make():
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    nodes = []
+
+    def start(kind, **parameters):
+        args = ["--ros-args"]
+        for name, value in parameters.items():
+            args += ["-p", f"{name.replace('__', '.')}:={value}"]
+        nodes.append(kind(context=context, cli_args=args))
+        return nodes[-1]
+
+    yield start
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def measurement(seq):
+    return SimpleNamespace(seq=seq, stamp_ns=seq * 10**6, position=0.0)
+
+
+def test_measurements_that_start_anew_end_the_run(make):
+    node = make(TrajectoryGenerator, reference__kind="sine", reference__amplitude_m=1e-3,
+                reference__frequency_hz=1.0, autostart=False)
+    node._run = node._make_run()
+    for seq in (500, 501, 502):
+        node._on_measurement(measurement(seq))
+    assert node._run.done == 3
+    held = node._hold
+    node._on_measurement(measurement(0))
+    assert node._run is None
+    assert (node.counters["source_restarts"], node._hold) == (1, held)
+
+
+def test_numbers_that_wrap_around_are_no_restart(make):
+    node = make(TrajectoryGenerator, reference__kind="sine", reference__amplitude_m=1e-3,
+                reference__frequency_hz=1.0, autostart=False)
+    node._run = node._make_run()
+    for seq in (2**32 - 2, 2**32 - 1, 0, 1):
+        node._on_measurement(measurement(seq))
+    assert node._run.done == 4
+
+
+def test_an_encoder_that_starts_anew_has_lost_no_four_billion_samples(make):
+    node = make(EncoderDriver)
+    for seq in (7, 8, 10, 0, 1):
+        node._on_counts(SimpleNamespace(seq=seq, stamp_ns=seq * 10**6, counts=0, resolution=1e-9))
+    assert node.counters["samples_lost"] == 1
+    assert node.counters["source_restarts"] == 1
+
+
+def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(base.time, "monotonic", lambda: now[0])
+    node = make(EncoderDriver)
+    source = node._watch.inputs[0]
+    for second, received, silent in ((101, 0, False), (102, 5, False), (103, 9, False),
+                                     (104, 9, True), (105, 9, True), (106, 10, False)):
+        now[0], source.received = float(second), received
+        node._every_second()
+        words = list(node.warnings_active.values())
+        assert any(text.startswith("nothing on sim/position_counts from sim_plant")
+                   for text in words) == silent, second
+    assert node.counters["inputs_lost"] == 1
+
+
+def test_an_amplifier_that_stood_still_does_not_go_on_by_itself(make):
+    node = make(AmplifierDriver, stale_timeout_s=0.2)
+    node._checked_s = time.monotonic() - 0.7  # the other nodes of its process were starting
+    node._check_stale()
+    assert node._interlock.armed
+    node._interlock.last_command_s = time.monotonic()
+    node._checked_s = time.monotonic() - 0.3
+    node._check_stale()
+    assert node._interlock.armed
+    node._checked_s = time.monotonic() - 0.7
+    node._check_stale()
+    assert not node._interlock.armed
+    assert "this process stood still for 0.7" in node._interlock.words()
+
+
+@pytest.mark.parametrize(("watchdog_s", "kept"), [(0.05, 0.0), (0.0, 1.5)])
+def test_the_plants_watchdog_cuts_a_drive_that_nobody_renews(make, watchdog_s, kept):
+    node = make(SimPlant, drive_watchdog_s=watchdog_s)
+    axis = node._axes[0]
+    axis._on_drive(SimpleNamespace(measurement_seq=0, enabled=True, voltage=1.5))
+    for _ in range(50):
+        node._advance()
+    assert axis.stage.inputs == [1.5]
+    for _ in range(10):
+        node._advance()
+    assert axis.stage.inputs == [kept]
