@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.hosts import Hosts, NoHostsError
 from benchmarks.machines import HOSTS, STALE_S, TOPICS, missing, run, zero_after_s
+from dfm_stage.nodes.share import config_folder
 
 LOOK = """
 import sys, time
@@ -45,6 +46,11 @@ def test_three_hosts_scan_are_recorded_and_go_safe_when_the_link_dies(tmp_path):
     assert np.max(np.abs(seen.near["/stage/x/plant"]["position"][after])) < 7.7e-3
 
 
+STRANGER = {"ROS_STATIC_PEERS": "10.77.0.1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_folder() / "fastdds.xml")}
+"""What was set here for this machine only does not reach another one."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("plant_range", "seen"), [("", False), ("SUBNET", True)])
 def test_a_stranger_on_the_network_sees_a_graph_only_where_it_was_opened(
@@ -57,6 +63,6 @@ def test_a_stranger_on_the_network_sees_a_graph_only_where_it_was_opened(
         friend.wait(90.0)
         assert "seen: True" in (tmp_path / "friend.log").read_text()
         stranger = hosts.start("stranger", ["-c", LOOK, "60" if seen else "4"],
-                               tmp_path / "stranger.log", ROS_STATIC_PEERS="10.77.0.1")
+                               tmp_path / "stranger.log", **STRANGER)
         stranger.wait(90.0)
         assert f"seen: {seen}" in (tmp_path / "stranger.log").read_text()
