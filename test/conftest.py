@@ -96,8 +96,12 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give a test against the clock two more chances; the report counts them as reruns."""
+    """Give a test against the clock two more chances, which the report counts as reruns; leave
+    slow ones to those who ask for them."""
+    skip = pytest.mark.skip(reason="slow: set DFM_SLOW=1, as .ci/run does")
     for item in items:
+        if item.get_closest_marker("slow") and not os.environ.get("DFM_SLOW"):
+            item.add_marker(skip)
         if item.get_closest_marker("real_time"):
             item.add_marker(pytest.mark.flaky(reruns=2))
 

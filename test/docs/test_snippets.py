@@ -37,8 +37,7 @@ def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.real_time
-@pytest.mark.skipif(not os.environ.get("DFM_DOCS_SLOW"),
-                    reason="minutes: set DFM_DOCS_SLOW=1, as .ci/run does")
+@pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_SLOW, ids=lambda page: page.name)
 def test_the_page_runs_with_what_is_slow(page: Path, tmp_path: Path,
                                          monkeypatch: pytest.MonkeyPatch) -> None:

@@ -110,6 +110,7 @@ def told(heard, kind):
     return {}
 
 
+@pytest.mark.slow
 def test_every_way_to_fail_is_zero_and_stays_zero_and_the_driver_ends_with_it_off():
     with moving_stage() as rig:
         rig.open_publisher()
@@ -134,6 +135,7 @@ def struck(rig: ZeroCurrentRig, kind: str) -> float:
     raise AssertionError(rig.others)
 
 
+@pytest.mark.slow
 def test_a_drive_that_was_gone_comes_back_off_and_a_counter_unreferenced():
     with moving_stage() as rig:
         graph = rig.graph
