@@ -136,10 +136,12 @@ class ZeroCurrentRig:
                     self.graph.trigger(kind, service)
                 self.graph.spin(0.1)
             elif now > let_go_s:
-                # armed, and no current: the controller's guard has let go
+                # armed, and no current: the controller's guard has let go, or the run is over
+                # because measurements paused
                 let_go_s = now + GUARD_S
                 with contextlib.suppress(HarnessError):
                     self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
+                    self.graph.trigger("trajectory_generator", "start")
             self.graph.spin(0.005)
             if now > begin + PATIENCE_S:
                 raise HarnessError("no current in the coil: "
