@@ -130,9 +130,11 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
 
 
 def _next(case: Case, verdict: str, members: Sequence[str]) -> dict[str, Any] | None:
+    best = case.fit.model if verdict == "ambiguous" else case.model
+    members = members if verdict == "ambiguous" else ()
     rivals = [r.fit for found in case.rivals.values() for r in found if r.name in members]
     free = [case.search.parameters(rival.model) for rival in rivals]
-    return next_experiment(verdict, members, case.fit.model, rivals, case.runs,
+    return next_experiment(verdict, members, best, rivals, case.runs,
                            case.search.weights[0][0], free, MARGIN, case.search.dither)
 
 

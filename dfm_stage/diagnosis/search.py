@@ -125,14 +125,12 @@ class Search:
 
     def weigh_at_first(self, found: Fit) -> None:
         """Weigh by what is left at high frequencies: there may be more than noise below."""
-        plain = white_weights(found.residuals)
-        self.reweigh(velocity_weights(found.residuals) if found.system.springless else plain)
-        self.dither = plain[0][0].rms
+        self.reweigh(_first_weights(found), white_weights(found.residuals)[0][0].rms)
 
-    def reweigh(self, weights: Weights) -> None:
+    def reweigh(self, weights: Weights, dither: float | None = None) -> None:
         """Compare fits by other weights from now on."""
         self.weights = weights
-        self.dither = weights[0][0].rms
+        self.dither = weights[0][0].rms if dither is None else dither
         self.stage += 1
 
     def keep(self, names: Iterable[str], found: Fit) -> Fit:
@@ -307,14 +305,11 @@ class Search:
                 continue
             names, current = found
             names, current = self.pruned(names, current)
-            before = self.weights
-            self.weigh_at_first(current)
             if any(abs(a.sigma / b.sigma - 1.0) > 0.03 for new, old in
-                   zip(self.weights, before, strict=True)
+                   zip(_first_weights(current), self.weights, strict=True)
                    for a, b in zip(new, old, strict=True)):
+                self.weigh_at_first(current)
                 current = self.refitted(names, current)
-            else:
-                self.weights, self.stage = before, self.stage - 1
         return names, current
 
     def reseated(self, names: Names, current: Fit) -> Fit | None:
@@ -422,6 +417,11 @@ class Search:
                     names, current = kept, found
                     continue
             return names, current, bare
+
+
+def _first_weights(found: Fit) -> Weights:
+    weights = velocity_weights if found.system.springless else white_weights
+    return weights(found.residuals)
 
 
 def _inside(name: str, parameters: dict[str, float]) -> dict[str, float]:

@@ -6,32 +6,12 @@ import time
 from types import SimpleNamespace
 
 import pytest
-import rclpy
 
 from dfm_stage.nodes import base
 from dfm_stage.nodes.amplifier_driver import AmplifierDriver
 from dfm_stage.nodes.encoder_driver import EncoderDriver
 from dfm_stage.nodes.sim_plant import SimPlant
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
-
-
-@pytest.fixture
-def make():
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    nodes = []
-
-    def start(kind, **parameters):
-        args = ["--ros-args"]
-        for name, value in parameters.items():
-            args += ["-p", f"{name.replace('__', '.')}:={value}"]
-        nodes.append(kind(context=context, cli_args=args))
-        return nodes[-1]
-
-    yield start
-    for node in nodes:
-        node.destroy_node()
-    context.try_shutdown()
 
 
 def measurement(seq):
