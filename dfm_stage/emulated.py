@@ -168,10 +168,11 @@ class EmulatedGraph(StageGraph):
 
     def trigger(self, kind: str, service: str) -> tuple[bool, str]:
         """Call `arm`, `disarm`, `clear` or `home`; return success and message."""
-        answer = self._once(Trigger, f"{self.node(kind)}/{service}", Trigger.Request())
+        answer = self.call(Trigger, f"{self.node(kind)}/{service}", Trigger.Request())
         return bool(answer.success), str(answer.message)
 
     def _once(self, kind: Any, name: str, request: Any) -> Any:
+        """As `call`, but never asking twice: a transition that was made is refused then."""
         client = self._client_node.create_client(kind, name)
         try:
             self.spin_until(client.service_is_ready, SERVICE_S, f"service {name}")
