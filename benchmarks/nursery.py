@@ -7,11 +7,13 @@ kills minutes.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
 import sys
+import time
+
+_LOOK_S = 0.001
 
 
 class Nursery:
@@ -33,7 +35,8 @@ class Nursery:
         self.child = 0
 
     def start(self) -> int:
-        """Start one; return its process id."""
+        """Start one in place of the last; return its process id."""
+        self.kill()
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write("go\n")
@@ -41,11 +44,13 @@ class Nursery:
         return self.child
 
     def kill(self) -> None:
-        """SIGKILL the one that was started last."""
-        if self.child:
-            with contextlib.suppress(ProcessLookupError):
+        """SIGKILL the one that was started last, and wait until it is gone."""
+        while self.child:
+            try:
                 os.kill(self.child, signal.SIGKILL)
-            self.child = 0
+                time.sleep(_LOOK_S)
+            except ProcessLookupError:
+                self.child = 0
 
     def close(self) -> None:
         """End all of it."""
@@ -69,6 +74,8 @@ def _main(arguments: list[str]) -> None:
         child = os.fork()
         if child == 0:
             sys.stdin.close()
+            os.dup2(2, 1)  # what it says is no process id
+            sys.orig_argv = [sys.executable, "-m", "dfm_stage", "controller", *arguments]
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             os._exit(main(arguments))
         print(child, flush=True)

@@ -18,12 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import rclpy
-
 from benchmarks.nursery import Nursery
 from dfm_interfaces.msg import Command
 from dfm_stage.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.harness import HarnessError
+from dfm_stage.nodes.process import helper_node
 from dfm_stage.nodes.wire import codec
 
 NODES = ("sim_plant", "encoder_driver", "amplifier_driver", "trajectory_generator")
@@ -175,9 +174,7 @@ class ZeroCurrentRig:
 
     def open_publisher(self) -> None:
         """Be able to send a NaN; named like the controller, or it would be a second sender."""
-        self._sender = rclpy.create_node(
-            "controller", namespace="/stage/x", context=self.graph._context,
-            use_global_arguments=False, start_parameter_services=False, enable_rosout=False)
+        self._sender = helper_node("controller", "/stage/x", self.graph._context)
         self._publisher = self._sender.create_publisher(Command, "command", 10)
         self.graph.spin_until(lambda: self._publisher.get_subscription_count() > 0, PATIENCE_S,
                               "amplifier_driver")

@@ -84,8 +84,12 @@ class Shape:
         """The parameters at `factor` times the size."""
         if self.name in FIXED_SIZE:
             return dict(self.parameters)
-        sizes = SIZES.get(self.name, tuple(self.parameters)[:1])
-        return {n: v * factor if n in sizes else v for n, v in self.parameters.items()}
+        return {**self.parameters, **self.sizes(factor)}
+
+    def sizes(self, factor: float) -> Parameters:
+        """The parameters that make its size, at `factor` times it."""
+        names = SIZES.get(self.name, tuple(self.parameters)[:1])
+        return {n: v * factor for n, v in self.parameters.items() if n in names}
 
 
 def excluded(name: str, model: Model, runs: Sequence[Experiment]) -> str | None:

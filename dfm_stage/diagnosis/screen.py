@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.candidates import (
     FIXED_SIZE,
     ONE_SIDED,
     TWO_PHASED,
+    Parameters,
     Scales,
     Shape,
     shapes,
@@ -77,6 +78,7 @@ class Screen:
         self.residual = white - self.basis @ (self.basis.T @ white)
         self.edges = self._edges()
         self.plain = self._outputs(self.model)
+        self._strengths: list[tuple[Shape, float]] = []
 
     def _edges(self) -> list[tuple[int, int]]:
         found, at = [], 0
@@ -117,6 +119,25 @@ class Screen:
                 found.append(hit)
         return sorted(found, key=lambda h: -h.gain)[:keep]
 
+    def smallest(self, limit: float) -> dict[str, Parameters]:
+        """Size of each effect screened so far at which chi-square is expected to rise by `limit`.
+
+        To first order in the size, at the starting point that shows best; where the effect is
+        there, half of all records show it more clearly. Without those of no free size.
+        """
+        found: dict[str, Parameters] = {}
+        for shape, strength in sorted(self._strengths, key=lambda each: each[1]):
+            if strength > 0.0:
+                found[shape.name] = shape.sizes(math.sqrt(limit) / strength)
+        return found
+
+    def _strength(self, shape: Shape, projected: Array) -> float:
+        """Root of the rise of chi-square for the shape once, the mean over its phase."""
+        if shape.name == "cross_axis_coupling":
+            return float(np.linalg.norm(projected[:, 0]))
+        phases = 2.0 if shape.name in TWO_PHASED else 1.0
+        return float(np.linalg.norm(projected)) / math.sqrt(phases)
+
     def _shapes(self, name: str) -> list[Shape]:
         s = self.scales
         if name == "periodic_disturbance":
@@ -143,12 +164,12 @@ class Screen:
                     for p in periods]
         known = self.base.model.base.get("encoder_resolution", 0.0)
         step = lattice(self.runs[0].output)
+        if step is not None and step > 1.5 * known:  # read off the data, not to be estimated
+            return [Shape(name, {"step": step})] if step > self.scales.noise else []
         grid = np.arange(-20, 21) * STEP_GRID
         steps = [p for period in periods for p in
                  period * (1.0 + grid * period / self.scales.travel)]
         steps = sorted(steps, key=lambda p: -_staircase(positions[0], residuals[0], p))[:2]
-        if step is not None and step > 1.5 * known:
-            steps.append(step)
         least = max(self.scales.noise, 1.5 * known)
         return [Shape(name, {"step": float(p)}) for p in steps if p > least]
 
@@ -166,6 +187,7 @@ class Screen:
             d = projected[:, 0]
             gain = float(2.0 * d @ self.residual - d @ d)
             return Hit(shape.name, gain, dict(shape.parameters), projected, np.ones(1))
+        self._strengths.append((shape, self._strength(shape, projected)))
         multiples, gain = _best(projected, self.residual)
         if shape.name in ONE_SIDED and multiples[0] <= 0.0:
             return None

@@ -27,7 +27,7 @@ from rclpy.parameter import Parameter as RosParameter
 from dfm_interfaces.srv import Ready
 from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.base import StopRequest, make_executor, quiet_collector
+from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
 from dfm_stage.nodes.security import require_what_was_asked
 
 __all__ = ["HarnessError", "Launched", "NodeSet"]
@@ -114,9 +114,7 @@ class NodeSet:
         rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
         self._cleanup.callback(self._context.try_shutdown)
         self._executor = make_executor(self._context)
-        self._client_node = rclpy.create_node(
-            "harness", namespace="/stage", context=self._context, use_global_arguments=False,
-            start_parameter_services=False, enable_rosout=False)
+        self._client_node = helper_node("harness", "/stage", self._context)
         self._client_node.create_subscription(DiagnosticArray, "/diagnostics",
                                               self._on_diagnostics, 50)
         self._executor.add_node(self._client_node)

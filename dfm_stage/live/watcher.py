@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from dfm_interfaces.msg import AmplifierState
 from dfm_stage.live.trace import Trace
-from dfm_stage.nodes.base import make_executor
+from dfm_stage.nodes.process import helper_node, make_executor
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import LINKS
 
@@ -42,9 +42,7 @@ class Watcher:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[],
                    signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("view", namespace="/stage", context=self._context,
-                                       use_global_arguments=False, enable_rosout=False,
-                                       start_parameter_services=False)
+        self._node = helper_node("view", "/stage", self._context)
         self._executor = make_executor(self._context)
         self._executor.add_node(self._node)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)

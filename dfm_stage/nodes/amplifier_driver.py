@@ -24,9 +24,10 @@ from dfm_stage.drivers.device import (
 from dfm_stage.drivers.errors import DriverError
 from dfm_stage.drivers.interlock import Cause, Interlock
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.base import Publisher, run_node
+from dfm_stage.nodes.base import Publisher
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.wiring import LATCHED_QOS
 
 _NO_SAMPLE = 0

@@ -1,4 +1,4 @@
-"""What every loop node has in common: settings, links, readiness, diagnostics, a main().
+"""What every loop node has in common: settings, links, readiness, diagnostics.
 
 A node reports itself in three ways. `~/config` (latched) carries its parameters, its version and
 what it loaded, so that a bag is complete in itself. `/diagnostics` says once a second in words and
@@ -9,27 +9,15 @@ about, and in lockstep whether all it published has arrived there; the harness w
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
-import os
-import signal
-import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
 
 import dfm_stage
@@ -37,7 +25,6 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.discovery import keep_to_this_machine
 from dfm_stage.nodes.parameters import Setting, Settings
-from dfm_stage.nodes.security import require_what_was_asked
 from dfm_stage.nodes.watch import Input, Watch
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import (
@@ -52,7 +39,6 @@ from dfm_stage.nodes.wiring import (
 keep_to_this_machine()
 
 LOCKSTEP_PATIENCE_S = 5.0
-_EVENTS_PER_LOOK = 64
 COMMON = (
     Setting("lockstep", False, "wait for the sample's answer instead of the clock: "
             "deterministic, faster than real time"),
@@ -277,104 +263,3 @@ class LoopNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(Exception):
             self._diagnostics.publish(array)
-
-
-def make_executor(context: Any) -> Any:
-    """Return the executor: rclpy's EventsExecutor, or with DFM_EXECUTOR=default the default one.
-
-    The default one needs more than twice the processor; it is there for comparison and as a way
-    out should a later rclpy break the experimental one.
-    """
-    if os.environ.get("DFM_EXECUTOR", "events") == "default":
-        return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)
-
-
-def quiet_collector() -> None:
-    """Keep the garbage collector away from what is there at start."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 100)
-
-
-class StopRequest:
-    """SIGINT and SIGTERM as a flag instead of an exception.
-
-    An exception could be raised in the middle of anything, a C++ destructor or the closing of a
-    bag included; where it was, the process aborted. True once asked to stop. As a context manager
-    it puts the handlers back at the end; a process that is to end anyway calls `install`, so that
-    a second signal finds no moment to strike in.
-    """
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._before: dict[int, Any] = {}
-
-    def __bool__(self) -> bool:
-        return self.asked
-
-    def _ask(self, _number: int, _frame: Any) -> None:
-        self.asked = True
-
-    def install(self) -> None:
-        """Take the signals; only the main thread can."""
-        if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._ask)
-                            for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def __enter__(self) -> StopRequest:
-        self.install()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
-                 traceback: TracebackType | None) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-
-def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Run one node until it is interrupted; return the exit code.
-
-    A parameter or file that cannot be used is one line on stderr and exit code 2.
-    """
-    stop = StopRequest()
-    stop.install()
-    given = list(sys.argv[1:] if args is None else args)
-    try:
-        require_what_was_asked()
-        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-        foreign = remove_ros_args(["", *given])[1:]
-    except (RuntimeError, DfmError) as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        return 2
-    if foreign:
-        rclpy.try_shutdown()
-        print(f"error: unknown arguments {' '.join(foreign)}: write parameters as "
-              "--ros-args -p name:=value", file=sys.stderr)
-        return 2
-    node: Node | None = None
-    try:
-        node = make()
-        executor = make_executor(node.context)
-        executor.add_node(node)
-        quiet_collector()
-        while rclpy.ok():
-            # spin() of this executor forgets timers while no message comes
-            for _ in range(_EVENTS_PER_LOOK):
-                executor.spin_once(0.1)
-                if stop.asked:
-                    return 0
-    except ExternalShutdownException:
-        pass
-    except (DfmError, InvalidParameterTypeException) as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        return 2
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).partition(", at /")[0].split())

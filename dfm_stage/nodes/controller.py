@@ -30,8 +30,9 @@ from dfm_stage.control import (
 )
 from dfm_stage.control.gains import ANTI_WINDUP
 from dfm_stage.model import Model, load_model
-from dfm_stage.nodes.base import LoopNode, run_node
+from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.process import run_node
 
 
 class _AtZero(NamedTuple):

@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from dfm_interfaces.msg import Drive, PositionCounts
 from dfm_stage.drivers.clock_map import ClockMap, Unwrap
-from dfm_stage.nodes.base import make_executor
+from dfm_stage.nodes.process import helper_node, make_executor
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import PUBLISHER_QOS
 
@@ -44,9 +44,7 @@ class StageLink:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[],
                    signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(name, namespace=namespace, context=self._context,
-                                       use_global_arguments=False, enable_rosout=False,
-                                       start_parameter_services=False)
+        self._node = helper_node(name, namespace, self._context)
         self._executor = make_executor(self._context)
         self._executor.add_node(self._node)
         self._period_s = sample_period_s

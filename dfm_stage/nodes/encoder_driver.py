@@ -17,9 +17,9 @@ from dfm_interfaces.msg import Measurement
 from dfm_stage.drivers.device import EncoderDevice, EncoderSample, create_encoder, names
 from dfm_stage.drivers.encoder_reader import EncoderReader
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.base import run_node
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.wiring import LATCHED_QOS
 
 _JOINT_STATE_PERIOD_S = 0.05

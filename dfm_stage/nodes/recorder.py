@@ -32,8 +32,9 @@ from std_srvs.srv import Trigger
 
 import dfm_stage
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.base import LoopNode, run_node
+from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.wire import header_stamp_ns
 from dfm_stage.nodes.wiring import RECORDER_TAP
 from dfm_stage.recording import (

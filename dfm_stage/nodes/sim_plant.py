@@ -17,8 +17,9 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from dfm_stage.errors import DfmError
 from dfm_stage.model import CoupledPlant, Model, load_model, model_text
-from dfm_stage.nodes.base import LoopNode, Publisher, run_node
+from dfm_stage.nodes.base import LoopNode, Publisher
 from dfm_stage.nodes.parameters import Setting
+from dfm_stage.nodes.process import run_node
 
 _GIVE_UP_SAMPLES = 100
 

@@ -1,0 +1,153 @@
+"""The process of a node: its executor, its signals, its participant, and its end."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from dfm_stage.errors import DfmError
+from dfm_stage.nodes.discovery import keep_to_this_machine
+from dfm_stage.nodes.security import require_what_was_asked
+from dfm_stage.nodes.shared_memory import PortWatch, avoiding_dead_ports
+
+keep_to_this_machine()
+
+_PORT_LOOK_S = 1.0
+_EVENTS_PER_LOOK = 64
+
+
+def make_executor(context: Any) -> Any:
+    """Return the executor: rclpy's EventsExecutor, or with DFM_EXECUTOR=default the default one.
+
+    The default one needs more than twice the processor; it is there for comparison and as a way
+    out should a later rclpy break the experimental one.
+    """
+    if os.environ.get("DFM_EXECUTOR", "events") == "default":
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
+
+
+def helper_node(name: str, namespace: str, context: Any) -> Node:
+    """Make a node for a program beside the graph: no parameters, arguments or rosout."""
+    with avoiding_dead_ports():
+        return rclpy.create_node(name, namespace=namespace, context=context,
+                                 use_global_arguments=False, enable_rosout=False,
+                                 start_parameter_services=False)
+
+
+def quiet_collector() -> None:
+    """Keep the garbage collector away from what is there at start."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 100)
+
+
+class StopRequest:
+    """SIGINT and SIGTERM as a flag instead of an exception.
+
+    An exception could be raised in the middle of anything, a C++ destructor or the closing of a
+    bag included; where it was, the process aborted. True once asked to stop. As a context manager
+    it puts the handlers back at the end; a process that is to end anyway calls `install`, so that
+    a second signal finds no moment to strike in.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._before: dict[int, Any] = {}
+
+    def __bool__(self) -> bool:
+        return self.asked
+
+    def _ask(self, _number: int, _frame: Any) -> None:
+        self.asked = True
+
+    def install(self) -> None:
+        """Take the signals; only the main thread can."""
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._ask)
+                            for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def __enter__(self) -> StopRequest:
+        self.install()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
+                 traceback: TracebackType | None) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
+def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """Run one node until it is interrupted; return the exit code.
+
+    A parameter or file that cannot be used is one line on stderr and exit code 2. A node whose
+    port in shared memory is gone begins anew in the same process.
+    """
+    stop = StopRequest()
+    stop.install()
+    given = list(sys.argv[1:] if args is None else args)
+    try:
+        require_what_was_asked()
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        foreign = remove_ros_args(["", *given])[1:]
+    except (RuntimeError, DfmError) as error:
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    if foreign:
+        rclpy.try_shutdown()
+        print(f"error: unknown arguments {' '.join(foreign)}: write parameters as "
+              "--ros-args -p name:=value", file=sys.stderr)
+        return 2
+    node: Node | None = None
+    anew = False
+    try:
+        with avoiding_dead_ports():
+            node = make()
+        executor = make_executor(node.context)
+        executor.add_node(node)
+        quiet_collector()
+        ports, look = PortWatch(), time.monotonic()
+        while rclpy.ok():
+            # spin() of this executor forgets timers while no message comes
+            for _ in range(_EVENTS_PER_LOOK):
+                executor.spin_once(0.1)
+                if stop.asked:
+                    return 0
+            if time.monotonic() - look > _PORT_LOOK_S:
+                look = time.monotonic()
+                anew = ports.lost()
+                if anew:
+                    node.get_logger().error("its port in shared memory is gone (was another "
+                                            "process killed?): it hears nobody and begins anew")
+                    break
+    except ExternalShutdownException:
+        pass
+    except (DfmError, InvalidParameterTypeException) as error:
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        if anew:
+            os.execv(sys.executable, sys.orig_argv)  # noqa: S606 the command that started this
+        rclpy.try_shutdown()
+    return 0
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).partition(", at /")[0].split())

@@ -1,0 +1,128 @@
+"""What a killed process does to Fast DDS's ports in shared memory, and how our nodes live with it.
+
+Every Fast DDS participant reads two numbered ports in /dev/shm, and a new one takes the lowest
+free numbers: those of a killed participant. Until its lease ends (config/fastdds.xml) the others
+go on writing to it; finding nobody there they remove the port and make it anew with every message,
+and with it the mutex that should keep this apart from the opening of the port by the next
+participant. Now and then that one is left with a port that has no name any more: it looks alive
+and hears nobody (Fast DDS 2.14, SharedMemGlobal.hpp, `open_port_internal` and `~Port`). Hence a
+note in /dev/shm for every port of our nodes, locked while its process lives: a note without a lock
+is a killed node's, and its port is not taken for LEASE_S.
+
+Rarer, a process is killed while it holds the mutex of a neighbour's port; the others then give
+that port up as broken, and it is the neighbour who hears nobody. `PortWatch` tells.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import fcntl
+import os
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 where Fast DDS puts it
+LEASE_S = 6.0
+_NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
+_LOCK = re.compile(r"fastrtps_port(\d+)_el$")
+_own: dict[str, int] = {}
+
+
+@contextlib.contextmanager
+def avoiding_dead_ports() -> Iterator[None]:
+    """To be held while a participant (the first node of a context) is made."""
+    with contextlib.ExitStack() as held:
+        for note in SHARED_MEMORY.glob(f"{_NOTE}*"):
+            number = note.name.removeprefix(_NOTE)
+            if number not in _own and _killed_lately(note):
+                _hold(SHARED_MEMORY / f"fastrtps_port{number}_el", held)
+        yield
+    for number in _ports_read_here() - _own.keys():
+        _leave_note(number)
+
+
+def _killed_lately(note: Path) -> bool:
+    try:
+        descriptor = os.open(note, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not os.read(descriptor, 1):
+            os.write(descriptor, _SEEN_DEAD)  # the lease ends this long after, at the latest
+        if time.time() - os.fstat(descriptor).st_mtime < LEASE_S:
+            return True
+        note.unlink(missing_ok=True)
+    except OSError:
+        pass  # its process lives
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def _hold(lock: Path, held: contextlib.ExitStack) -> None:
+    """Take the lock of a port's reader until `held` is closed: Fast DDS goes to the next port."""
+    with contextlib.suppress(OSError):
+        is_new = not lock.exists()
+        descriptor = os.open(lock, os.O_RDONLY | os.O_CREAT, 0o666)
+        held.callback(os.close, descriptor)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if is_new:
+            held.callback(lock.unlink, missing_ok=True)
+
+
+def _ports_read_here() -> set[str]:
+    """Return the numbers of the ports whose lock this process has open."""
+    found = set()
+    with contextlib.suppress(OSError):
+        for descriptor in os.listdir("/proc/self/fd"):
+            with contextlib.suppress(OSError):
+                lock = _LOCK.search(os.readlink(f"/proc/self/fd/{descriptor}"))
+                if lock:
+                    found.add(lock[1])
+    return found
+
+
+def _leave_note(number: str) -> None:
+    with contextlib.suppress(OSError):
+        descriptor = os.open(SHARED_MEMORY / f"{_NOTE}{number}",
+                             os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _own[number] = descriptor
+
+
+class PortWatch:
+    """Tells whether the ports that this process reads are still the ones that others find."""
+
+    def __init__(self) -> None:
+        ports = [SHARED_MEMORY / f"fastrtps_port{number}" for number in _ports_read_here()]
+        self._files = {port: _inode(port) for port in ports}
+        self._missing = 0
+
+    def lost(self) -> bool:
+        """Look; True when a port was missing twice in a row and was not made anew from here."""
+        changed = [port for port, known in self._files.items() if _inode(port) != known]
+        if changed:
+            maps = Path("/proc/self/maps").read_text("utf-8", "replace")
+            for port in [each for each in changed if f" {each}\n" in maps]:
+                self._files[port] = _inode(port)
+                changed.remove(port)
+        self._missing = self._missing + 1 if changed else 0
+        return self._missing > 1
+
+
+def _inode(path: Path) -> int:
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return 0
+
+
+@atexit.register
+def _forget() -> None:
+    """A clean end: the port is free for anybody."""
+    for number in _own:
+        (SHARED_MEMORY / f"{_NOTE}{number}").unlink(missing_ok=True)

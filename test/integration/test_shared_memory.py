@@ -1,0 +1,100 @@
+"""Ports in shared memory after a process was killed: not taken too soon, and missed when lost."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dfm_stage.domain import PORT_BASE, claim_domain
+from dfm_stage.nodes.shared_memory import LEASE_S, SHARED_MEMORY
+
+SETTLED_S = 0.5
+
+
+@pytest.fixture
+def domain():
+    with claim_domain() as claimed:
+        yield claimed.number
+
+
+@contextlib.contextmanager
+def running_node(domain: int, end: int = signal.SIGKILL):
+    """Start a controller; yield its process id and the port it reads; end it."""
+    node = subprocess.Popen([sys.executable, "-m", "dfm_stage", "controller", "--ros-args", "-r",
+                             "__ns:=/stage/x"], env={**os.environ, "ROS_DOMAIN_ID": str(domain)})
+    left: set[Path] = set()
+    try:
+        while not own_ports(node.pid):
+            time.sleep(0.05)
+        time.sleep(SETTLED_S)  # while it starts it also looks into the ports of others
+        (port,) = own_ports(node.pid)
+        left = {path for path in mapped(node.pid) if "port" not in path.name}
+        yield node.pid, port
+    finally:
+        node.send_signal(end)
+        node.wait()
+        for path in left:  # what a killed one cannot tidy up
+            path.unlink(missing_ok=True)
+            path.with_name(f"{path.name}_el").unlink(missing_ok=True)
+
+
+def own_ports(pid: int) -> list[Path]:
+    """The ports of its domain that a process reads: it has them mapped and their locks open."""
+    locks = opened(pid)
+    numbers = {path: re.fullmatch(r"fastrtps_port(\d+)", path.name) for path in mapped(pid)}
+    # those with lower numbers do not depend on the domain
+    return [path for path, number in numbers.items() if number and int(number[1]) > PORT_BASE
+            and path.with_name(f"{path.name}_el") in locks]
+
+
+def mapped(pid: int) -> set[Path]:
+    maps = Path(f"/proc/{pid}/maps").read_text("utf-8")
+    return {SHARED_MEMORY / name for name in re.findall(r" /dev/shm/(fastrtps_\w+)$", maps,
+                                                        re.MULTILINE)}
+
+
+def opened(pid: int) -> set[Path]:
+    found = set()
+    for each in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            found.add(each.readlink())
+    return found
+
+
+def test_the_port_of_a_killed_node_is_left_alone(domain):
+    with running_node(domain) as (_, port):
+        pass
+    with running_node(domain) as (_, other):
+        assert other != port
+
+
+def test_after_its_lease_it_is_taken_again(domain):
+    with running_node(domain) as (_, port):
+        pass
+    note = SHARED_MEMORY / port.name.replace("fastrtps_port", "dfm_stage_port")
+    note.write_text("killed")
+    os.utime(note, (0, time.time() - LEASE_S - 1.0))
+    with running_node(domain) as (_, other):
+        assert other == port
+
+
+def test_the_port_of_a_node_that_ended_is_taken_again(domain):
+    with running_node(domain, signal.SIGINT) as (_, port):
+        pass
+    with running_node(domain, signal.SIGINT) as (_, other):
+        assert other == port
+
+
+def test_a_node_whose_port_was_taken_away_begins_anew(domain):
+    with running_node(domain, signal.SIGINT) as (pid, port):
+        port.unlink()
+        while not any(each.exists() for each in own_ports(pid)):  # the test's own time-out ends it
+            time.sleep(0.1)
