@@ -188,9 +188,13 @@ def _rejected(page: Page, found: Diagnosis) -> None:
                [[r.name, None if r.held_out_rms is None else Quantity(r.held_out_rms, unit),
                  r.reason] for r in found.rejected])
     if found.detection_limits:
-        smallest = next(iter(found.detection_limits.values()))
-        page.text(f"An effect that adds {format_quantity(smallest, unit)} RMS beyond what "
-                  "re-estimated parameters can follow would have been named.")
+        page.section("What would have shown",
+                     "Half of all records like these would have named an effect of this size; a "
+                     "smaller one may be there. Reckoned to first order, at the value of its "
+                     "other parameters that shows it best.")
+        page.table(("effect", "parameter", "size"),
+                   [[name, n, size] for name, sizes in sorted(found.detection_limits.items())
+                    for n, size in sizes.items()])
 
 
 def _next(page: Page, found: Diagnosis) -> None:

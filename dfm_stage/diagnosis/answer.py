@@ -113,7 +113,7 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
     base = values
     if shown is case.bare and names:
         base = _with_values(quantities(case.bare), case.bare.model)
-    limits = _limits(case) if verdict in ("none", "not_excited", "retune") else {}
+    quiet = verdict in ("none", "not_excited", "retune")
     after = case.after if shown is case.fit else case.retuned
     gap = Gap(case.runs[0].unit, case.floor, case.search.weights[0][0].source,
               (case.before_fit.rms, case.bare.rms, shown.rms),
@@ -125,7 +125,8 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
         verdict, _sentence(verdict, effects, gap, description), effects,
         {n: q for n, q in base.items() if "." not in n}, _rejected(case, effects),
         gap, description, _next(case, verdict, open_members),
-        tuple(warnings), _signed(model, effects, case), left, limits,
+        tuple(warnings), _signed(model, effects, case), left,
+        _limits(case) if quiet else {},
         _traces(case, shown))
 
 
@@ -321,13 +322,13 @@ def _retuned(case: Case) -> bool:
     return gain > RETUNED and case.before_fit.rms > 1.002 * case.bare.rms
 
 
-def _limits(case: Case) -> dict[str, float]:
-    """RMS (in the output's unit) that each effect would have needed to be named."""
+def _limits(case: Case) -> dict[str, dict[str, Quantity]]:
+    """Size that each effect would have needed to be named, with its unit."""
     found = {}
-    count = sum(parts[0].size for parts in case.fit.residuals)
-    for name in case.search.library:
-        if excluded(name, case.model, case.runs) is None:
-            found[name] = case.floor * math.sqrt(FIRST / max(count, 1))
+    for name, sizes in case.search.smallest.items():
+        model = case.model.with_effect(name, EFFECTS[name].defaults())
+        found[name] = {n: Quantity(v, model.parameter(f"{name}.{n}").unit)
+                       for n, v in sizes.items()}
     return found
 
 

@@ -85,7 +85,8 @@ class Trace:
 @dataclass(frozen=True)
 class Diagnosis:
     """What was found. `model` is the extended model, `next_experiment` a mapping that
-    `load_experiment` takes, or None."""
+    `load_experiment` takes, or None. `detection_limits` are, where nothing was found, the sizes at
+    which each effect would have been named in half of such records."""
 
     verdict: Verdict
     sentence: str
@@ -98,7 +99,7 @@ class Diagnosis:
     warnings: tuple[str, ...]
     model: Model
     findings: Mapping[str, Sequence[Finding]] = field(default_factory=dict)
-    detection_limits: Mapping[str, float] = field(default_factory=dict)
+    detection_limits: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     traces: tuple[Trace, ...] = ()
     seconds: float = 0.0
 
@@ -119,7 +120,8 @@ class Diagnosis:
             "next_experiment": None if self.next_experiment is None
             else dict(self.next_experiment),
             "warnings": list(self.warnings), "sentence": self.sentence,
-            "detection_limits": {n: _number(v) for n, v in self.detection_limits.items()},
+            "detection_limits": {name: {n: q.to_dict() for n, q in sizes.items()}
+                                 for name, sizes in self.detection_limits.items()},
         }
 
 

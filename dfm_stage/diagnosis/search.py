@@ -85,6 +85,8 @@ class Search:
     fits: dict[tuple[frozenset[str], int], Fit] = field(default_factory=dict)
     hits: dict[str, Hit] = field(default_factory=dict)
     screens: dict[frozenset[str], list[Hit]] = field(default_factory=dict)
+    smallest: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Size of each effect that would have been seen beyond the model as it is."""
     weights: Weights = ()
     stage: int = 0
     dither: float = 0.0
@@ -232,6 +234,8 @@ class Search:
         """Add what helps most, one effect or two at once; None where nothing helps enough."""
         limit = self._further(names, current) if names else FIRST
         screen, hits = self.screened(current, names)
+        if not names:
+            self.smallest = screen.smallest(FIRST)
         for hit in hits:
             if not names and hit.name not in self.hits:
                 self.hits[hit.name] = hit

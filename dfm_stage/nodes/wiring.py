@@ -3,10 +3,11 @@
 Loop topics are relative names inside the namespace of one axis (`/stage/x`). Publishers are
 reliable with a history of 2000 samples, so a recorder that is held up for two seconds at 1 kHz
 loses nothing; the nodes of the loop subscribe best effort with depth 1, because a late sample is
-of no use to them. The simulated scale is read through a deep, reliable subscription, as the
-buffer of a real counter would be, and the generator, which works one sample ahead, counts every
-measurement. In lockstep every sample counts: both sides are reliable and
-keep all, and a full history holds the publisher back instead of losing a sample.
+of no use to them, and to commands with depth 20, lest a good one hide a bad one. The simulated
+scale is read through a deep, reliable subscription, as the buffer of a real counter would be, and
+the generator, which works one sample ahead, counts every measurement. In lockstep every sample
+counts: both sides are reliable and keep all, and a full history holds the publisher back instead
+of losing a sample.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ class Link:
     publisher: str
     subscribers: tuple[str, ...]
     buffered: tuple[str, ...] = ()
+    depth: int = 1
 
 
 LINKS = {
@@ -53,7 +55,7 @@ LINKS = {
              ("controller", "trajectory_generator"), buffered=("trajectory_generator",)),
         Link("reference", Reference, "trajectory_generator", ("controller",)),
         Link("excitation", Excitation, "trajectory_generator", ("controller",)),
-        Link("command", Command, "controller", ("amplifier_driver",)),
+        Link("command", Command, "controller", ("amplifier_driver",), depth=20),
         Link("amplifier", AmplifierState, "amplifier_driver", ()),
         Link("plant", PlantState, "sim_plant", ()),
     )
@@ -61,7 +63,6 @@ LINKS = {
 
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 PUBLISHER_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-SUBSCRIBER_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                          durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -75,4 +76,6 @@ def subscriber_qos(link: Link, node_kind: str, lockstep: bool) -> QoSProfile:
     """Return the quality of service of a loop subscription."""
     if lockstep:
         return LOCKSTEP_QOS
-    return PUBLISHER_QOS if node_kind in link.buffered else SUBSCRIBER_QOS
+    if node_kind in link.buffered:
+        return PUBLISHER_QOS
+    return QoSProfile(depth=link.depth, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -10,7 +10,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from dfm_stage.cli import diagnose_batch
+from dfm_stage.cli import diagnose_batch, example
 from dfm_stage.diagnosis import batch
 from dfm_stage.diagnosis.batch import Job, Outcome, run_batch
 from dfm_stage.diagnosis.errors import DiagnosisError
@@ -89,3 +89,18 @@ def test_a_cluster_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(DiagnosisError, match=r"Dask is not installed here; pip install "):
         list(run_batch([Job("a", ())], 1, "tcp://h:1"))
+
+
+def test_two_runs_on_a_real_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+    assert example.main([str(tmp_path / "example")]) == 0
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1",
+                                  dashboard_address=None) as cluster:
+        assert diagnose_batch.main(
+            [str(tmp_path / "example" / "multisine.csv"), "gone.csv", "--model",
+             str(tmp_path / "example" / "model.yaml"), "--out", str(tmp_path / "out"),
+             "--cluster", cluster.scheduler_address]) == 1
+    found = {each["run"]: each["code"] for each in json.loads(
+        (tmp_path / "out" / "batch.json").read_text("utf-8"))}
+    assert sorted(found.values()) == [0, 2]
+    assert (tmp_path / "out" / "multisine" / "diagnosis.json").exists()

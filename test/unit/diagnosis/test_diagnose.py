@@ -41,6 +41,14 @@ def test_a_complete_model_lacks_nothing():
     assert found.gap.held_out[2] == pytest.approx(truth.NOISE, rel=0.05)
 
 
+@pytest.mark.parametrize(("times", "names"), [(2.0, ("cubic_stiffness",)), (0.5, ())])
+def test_an_effect_twice_the_detection_limit_is_named_and_one_of_half_is_not(times, names):
+    few = ["cubic_stiffness", "quadratic_damping"]
+    limit = _pair(library=few).detection_limits["cubic_stiffness"]["k3"]
+    assert limit.unit == "N/m^3"
+    assert _pair(lambda x, v: -times * limit.value * x**3, library=few).names == names
+
+
 def test_wrong_numbers_are_retuned():
     found = _pair(stiffness=4400.0, damping=3.5)
     assert found.verdict == "retune"
