@@ -53,6 +53,8 @@ in the steps of a periodic error, whose screened gain suffers from every error o
 ROUGH = 0.02
 """Fall in chi-square per sample that a further effect must bring beside a reading that counts in
 steps: what rounding leaves is not noise."""
+TOLD = 1e-3
+"""Fall in chi-square a step at which a fit whose values are told ends: 0.03 standard errors."""
 HELD = {"encoder_quantization": ("step",)}
 """Parameters found by search and held in fits: the criterion is not smooth in them."""
 LATER = {"presliding_friction": ("breakaway_ratio", "stribeck_velocity", "damping"),
@@ -315,6 +317,14 @@ class Search:
                 self.weigh_at_first(current)
                 current = self.refitted(names, current)
         return names, current
+
+    def polished(self, names: Names, current: Fit) -> Fit:
+        """The fit of `names` at the bottom of its valley, for the values that are told."""
+        if not names:
+            return current
+        found = self._fit(current.model, self.parameters(current.model), current, iterations=30,
+                          tolerance=TOLD, exact=True)
+        return self.keep(names, found) if found.chi2 < current.chi2 else current
 
     def reseated(self, names: Names, current: Fit) -> Fit | None:
         """A better fit of the same effects, each looked for anew beside the others; None if there

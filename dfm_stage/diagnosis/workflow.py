@@ -86,6 +86,7 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
     names, current, bare = search.settle(names, current)
     tell("comparing rivals")
     names, current, rivals = search.compare(names, current)
+    current = search.polished(names, current)
     tell("predicting held-out records")
     weights = weights_like(held, search.weights)
     if search.cut_short:
