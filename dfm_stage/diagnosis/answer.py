@@ -326,7 +326,7 @@ def _limits(case: Case) -> dict[str, dict[str, Quantity]]:
     """Size that each effect would have needed to be named, with its unit."""
     found = {}
     for name, sizes in case.search.smallest.items():
-        model = case.model.with_effect(name, EFFECTS[name].defaults())
+        model = case.model.with_effect(name, EFFECTS[name].defaults)
         found[name] = {n: Quantity(v, model.parameter(f"{name}.{n}").unit)
                        for n, v in sizes.items()}
     return found
