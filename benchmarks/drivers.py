@@ -59,6 +59,7 @@ def _zero_current(count: int) -> list[Figure]:
         for kind, key in FAILURES.items():
             times: list[float] = []
             rig.others.clear()
+            rig.deaf = 0
             while len(times) < count and len(rig.others) <= count:
                 taken = rig.measure(kind)
                 if not math.isnan(taken):
@@ -69,7 +70,8 @@ def _zero_current(count: int) -> list[Figure]:
                 p99 / STALE_MS, f"{HOW[kind]}, to zero current in the emulated drive at 115200 "
                 f"baud, separate processes; {len(times)} times, median {np.median(times):.1f}, "
                 f"worst {max(times):.1f}; {len(rig.others)} left out, in which the driver had "
-                "cut the output for another cause before", bar_kind="at most"))
+                f"cut the output for another cause before; {rig.deaf} times a controller that "
+                "had been started heard nobody and was started again", bar_kind="at most"))
     return out
 
 

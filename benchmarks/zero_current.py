@@ -33,6 +33,7 @@ MOVING = {
 LEAST_CURRENT_A = 0.05
 PATIENCE_S = 60.0
 GUARD_S = 4.0
+DEAF_S = 15.0
 
 
 class OutputFile:
@@ -93,6 +94,7 @@ class ZeroCurrentRig:
     _sender: Any = None
     reasons: list[str] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
+    deaf: int = 0
 
     def trial(self, kind: str) -> Trial:
         """Return the way to fail of this name."""
@@ -126,7 +128,7 @@ class ZeroCurrentRig:
     def _wait_for_current(self) -> None:
         """Arm, and wait for current; a machine that held the emulators up asks for it again."""
         begin = time.monotonic()
-        let_go_s = begin + GUARD_S
+        let_go_s, deaf_s = begin + GUARD_S, begin + DEAF_S
         while abs(self.output.current_a) <= LEAST_CURRENT_A or self.output.off:
             now = time.monotonic()
             if self.output.off:
@@ -141,6 +143,11 @@ class ZeroCurrentRig:
                 with contextlib.suppress(HarnessError):
                     self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
                     self.graph.trigger("trajectory_generator", "start")
+            if now > deaf_s:
+                # a started controller that hears nobody: see dfm_stage/nodes/shared_memory.py
+                self.deaf += 1
+                deaf_s = now + DEAF_S
+                self.nursery.start()
             self.graph.spin(0.005)
             if now > begin + PATIENCE_S:
                 raise HarnessError("no current in the coil: "
