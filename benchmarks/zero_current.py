@@ -36,6 +36,10 @@ GUARD_S = 4.0
 DEAF_S = 15.0
 
 
+class StandsStillError(HarnessError):
+    """The stage could not be brought to swing again after a failure."""
+
+
 class OutputFile:
     """The emulator's log of its output."""
 
@@ -150,8 +154,7 @@ class ZeroCurrentRig:
                 self.nursery.start()
             self.graph.spin(0.005)
             if now > begin + PATIENCE_S:
-                raise HarnessError("no current in the coil: "
-                                   f"{self.graph.trigger('amplifier_driver', 'arm')[1]}")
+                raise StandsStillError("no current in the coil")
 
     def _signal(self, number: int) -> int:
         now = time.monotonic_ns()

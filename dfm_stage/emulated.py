@@ -173,14 +173,11 @@ class EmulatedGraph(StageGraph):
 
     def _once(self, kind: Any, name: str, request: Any) -> Any:
         """As `call`, but never asking twice: a transition that was made is refused then."""
-        client = self._client_node.create_client(kind, name)
-        try:
-            self.spin_until(client.service_is_ready, SERVICE_S, f"service {name}")
-            future = client.call_async(request)
-            self.spin_until(future.done, SERVICE_S, f"an answer of {name}")
-            return future.result()
-        finally:
-            self._client_node.destroy_client(client)
+        client = self._client(kind, name)
+        self.spin_until(client.service_is_ready, SERVICE_S, f"service {name}")
+        future = client.call_async(request)
+        self.spin_until(future.done, SERVICE_S, f"an answer of {name}")
+        return future.result()
 
     def bring_to_life(self) -> None:
         """Configure and activate both drivers, take the rest position as zero, arm.

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.candidates import excluded
+from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, quantities, rms
 from dfm_stage.diagnosis.next_experiment import next_experiment
 from dfm_stage.diagnosis.remainder import Description, Finding, describe, findings
 from dfm_stage.diagnosis.result import Diagnosis, Gap, NamedEffect, Rejected, Trace, Verdict
-from dfm_stage.diagnosis.search import FIRST, Names, Rival, Search
+from dfm_stage.diagnosis.search import FIRST, Rival, Search
 from dfm_stage.diagnosis.spectra import STEP_GRID, lattice
 from dfm_stage.diagnosis.verification import SILENT, Prediction, joint, predict
 from dfm_stage.diagnosis.weighting import Weights

@@ -7,12 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from dfm_stage.diagnosis.answer import Case, answer
+from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.experiment import Experiment, experiment, split_by_time
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.result import Diagnosis
-from dfm_stage.diagnosis.search import Names, Search
+from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.system import PER_RUN
 from dfm_stage.diagnosis.verification import predict, spoiled, weights_like
 from dfm_stage.diagnosis.weighting import Weights
@@ -76,7 +77,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
 def _search(model: Model, runs: list[Experiment], held: list[Experiment],
             free: tuple[str, ...], library: tuple[str, ...], tell: Callable[[str], None],
             warnings: list[str], seed: int) -> Diagnosis:
-    search = Search(model, runs, free, library, tell)
+    search = Search(model, runs, free, library=library, step=tell)
     tell("measuring the gap")
     names, current = search.run()
     if not current.ok:

@@ -83,6 +83,7 @@ class NodeSet:
         self._context: Any = None
         self._executor: Any = None
         self._client_node: Any = None
+        self._clients: dict[str, Any] = {}
         self._closing = False
         self._cleanup = contextlib.ExitStack()
 
@@ -274,25 +275,30 @@ class NodeSet:
             If it does not answer in time.
         """
         deadline = time.monotonic() + timeout_s
-        clients: list[Any] = []
         asked: list[Any] = []
-        try:
-            while True:
-                # An answer is lost where the node has not met the client yet: ask again. Where a
-                # node of this name was killed a client may never meet the next: take a new one.
-                if len(asked) % _ASKED_BY_ONE == 0:
-                    clients.append(self._client_node.create_client(kind, name))
-                    self.spin_until(clients[-1].service_is_ready, timeout_s, f"service {name}")
-                asked.append(clients[-1].call_async(request))
-                self._spin_while_unanswered(asked, min(time.monotonic() + _ASK_AGAIN_S, deadline))
-                answered = [future.result() for future in asked if future.done()]
-                if answered:
-                    return answered[0]
-                if time.monotonic() >= deadline:
-                    raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
-        finally:
-            for client in clients:
-                self._client_node.destroy_client(client)
+        while True:
+            # An answer is lost where the node has not met the client yet: ask again. Where a node
+            # of this name was killed a client may never meet the next: take a new one.
+            client = self._client(kind, name, anew=bool(asked) and len(asked) % _ASKED_BY_ONE == 0)
+            self.spin_until(client.service_is_ready, timeout_s, f"service {name}")
+            asked.append(client.call_async(request))
+            self._spin_while_unanswered(asked, min(time.monotonic() + _ASK_AGAIN_S, deadline))
+            answered = [future.result() for future in asked if future.done()]
+            if answered:
+                return answered[0]
+            if time.monotonic() >= deadline:
+                raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
+
+    def _client(self, kind: Any, name: str, anew: bool = False) -> Any:
+        """Return the client of a service, which is kept until the end.
+
+        To destroy one is not harmless: Fast DDS 2.14 in the other process may lock up if it checks
+        a lease while it takes leave of the client (`check_remote_participant_liveliness` against
+        `removeWriterProxyData`), and then hears nobody any more.
+        """
+        if anew or name not in self._clients:
+            self._clients[name] = self._client_node.create_client(kind, name)
+        return self._clients[name]
 
     def _spin_while_unanswered(self, asked: Sequence[Any], until: float) -> None:
         self.spin_until(lambda: any(future.done() for future in asked)
@@ -339,6 +345,7 @@ class NodeSet:
         if context is None:
             return
         self._executor = self._client_node = None
+        self._clients.clear()
         gc.unfreeze()
         gc.collect()
         context.destroy()

@@ -46,6 +46,7 @@ class Watcher:
         self._executor = make_executor(self._context)
         self._executor.add_node(self._node)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self._clients: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._traces: dict[str, Trace] = {}
         self._rates: dict[str, tuple[float, int, float, float]] = {}
@@ -140,7 +141,9 @@ class Watcher:
                 service, answer = self._wishes.get_nowait()
             except Empty:
                 return
-            client = self._node.create_client(Trigger, service)
+            if service not in self._clients:  # kept, as by NodeSet
+                self._clients[service] = self._node.create_client(Trigger, service)
+            client = self._clients[service]
             deadline = time.monotonic() + ANSWER_S
             future = None
             while time.monotonic() < deadline and not self._ending.is_set():
@@ -151,5 +154,4 @@ class Watcher:
                     break
             said = future.result().message if future is not None and future.done() else (
                 f"no answer within {ANSWER_S:g} s")
-            self._node.destroy_client(client)
             answer(f"{service}: {said}")

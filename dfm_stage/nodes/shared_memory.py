@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 where Fast DDS puts it
-LEASE_S = 6.0
+LEASE_S = 11.0
 _NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
 _LOCK = re.compile(r"fastrtps_port(\d+)_el$")
 _own: dict[str, int] = {}
