@@ -54,6 +54,14 @@ def test_a_bad_parameter_reaches_the_caller():
         pass
 
 
+def test_the_client_of_a_service_is_kept():
+    with StageGraph(composed=True, lockstep=True) as graph:
+        graph.set_parameters("/stage/x/controller", {"kp": 1000.0})
+        clients = list(graph._client_node.clients)
+        graph.set_parameters("/stage/x/controller", {"kp": 2000.0})
+        assert list(graph._client_node.clients) == clients
+
+
 def test_unknown_experiment_and_axis():
     with StageGraph(composed=True, lockstep=True) as graph:
         with pytest.raises(DfmError, match="multisine"):
