@@ -50,7 +50,7 @@ def _killed_lately(note: Path) -> bool:
     except OSError:
         return False
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
         if not os.read(descriptor, 1):
             os.write(descriptor, _SEEN_DEAD)  # the lease ends this long after, at the latest
         if time.time() - os.fstat(descriptor).st_mtime < LEASE_S:
@@ -66,12 +66,9 @@ def _killed_lately(note: Path) -> bool:
 def _hold(lock: Path, held: contextlib.ExitStack) -> None:
     """Take the lock of a port's reader until `held` is closed: Fast DDS goes to the next port."""
     with contextlib.suppress(OSError):
-        is_new = not lock.exists()
         descriptor = os.open(lock, os.O_RDONLY | os.O_CREAT, 0o666)
         held.callback(os.close, descriptor)
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if is_new:
-            held.callback(lock.unlink, missing_ok=True)
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # others may start at once
 
 
 def _ports_read_here() -> set[str]:
@@ -90,7 +87,7 @@ def _leave_note(number: str) -> None:
     with contextlib.suppress(OSError):
         descriptor = os.open(SHARED_MEMORY / f"{_NOTE}{number}",
                              os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
         _own[number] = descriptor
 
 
