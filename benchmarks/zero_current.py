@@ -34,6 +34,7 @@ LEAST_CURRENT_A = 0.05
 PATIENCE_S = 60.0
 GUARD_S = 4.0
 DEAF_S = 15.0
+NAN_TIMES, NAN_PERIOD_S = 5, 0.001
 
 
 class StandsStillError(HarnessError):
@@ -174,9 +175,12 @@ class ZeroCurrentRig:
         self._signal(signal.SIGCONT)
 
     def _nan(self) -> int:
-        data = codec(Command, "x").encode(time.time_ns(), 0, 0, time.time_ns(), math.nan, False)
+        """As a controller gone bad, more than once: a good command may overwrite a single one."""
         now = time.monotonic_ns()
-        self._publisher.publish(data)
+        for _ in range(NAN_TIMES):
+            self._publisher.publish(codec(Command, "x").encode(
+                time.time_ns(), 0, 0, time.time_ns(), math.nan, False))
+            self.graph.spin(NAN_PERIOD_S)
         return now
 
     def _pull(self) -> int:

@@ -3,7 +3,7 @@
 Loop topics are relative names inside the namespace of one axis (`/stage/x`). Publishers are
 reliable with a history of 2000 samples, so a recorder that is held up for two seconds at 1 kHz
 loses nothing; the nodes of the loop subscribe best effort with depth 1, because a late sample is
-of no use to them, and to commands with depth 20, lest a good one hide a bad one. The simulated
+of no use to them (a queue of commands is delay, and with it the loop diverged). The simulated
 scale is read through a deep, reliable subscription, as the buffer of a real counter would be, and
 the generator, which works one sample ahead, counts every measurement. In lockstep every sample
 counts: both sides are reliable and keep all, and a full history holds the publisher back instead
@@ -42,7 +42,6 @@ class Link:
     publisher: str
     subscribers: tuple[str, ...]
     buffered: tuple[str, ...] = ()
-    depth: int = 1
 
 
 LINKS = {
@@ -55,7 +54,7 @@ LINKS = {
              ("controller", "trajectory_generator"), buffered=("trajectory_generator",)),
         Link("reference", Reference, "trajectory_generator", ("controller",)),
         Link("excitation", Excitation, "trajectory_generator", ("controller",)),
-        Link("command", Command, "controller", ("amplifier_driver",), depth=20),
+        Link("command", Command, "controller", ("amplifier_driver",)),
         Link("amplifier", AmplifierState, "amplifier_driver", ()),
         Link("plant", PlantState, "sim_plant", ()),
     )
@@ -63,6 +62,7 @@ LINKS = {
 
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 PUBLISHER_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+SUBSCRIBER_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                          durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -76,6 +76,4 @@ def subscriber_qos(link: Link, node_kind: str, lockstep: bool) -> QoSProfile:
     """Return the quality of service of a loop subscription."""
     if lockstep:
         return LOCKSTEP_QOS
-    if node_kind in link.buffered:
-        return PUBLISHER_QOS
-    return QoSProfile(depth=link.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+    return PUBLISHER_QOS if node_kind in link.buffered else SUBSCRIBER_QOS
