@@ -180,7 +180,7 @@ class ZeroCurrentRig:
         for _ in range(NAN_TIMES):
             self._publisher.publish(codec(Command, "x").encode(
                 time.time_ns(), 0, 0, time.time_ns(), math.nan, False))
-            self.graph.spin(NAN_PERIOD_S)
+            time.sleep(NAN_PERIOD_S)
         return now
 
     def _pull(self) -> int:
