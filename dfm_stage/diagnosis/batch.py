@@ -91,7 +91,7 @@ def _on_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
     except (OSError, ValueError, TypeError) as error:
         raise DiagnosisError(f"cluster {scheduler}: cannot be reached ({error}); start a Dask "
                              "scheduler there, or leave --cluster out") from None
+    completed: Any = distributed.as_completed
     with client:
-        for _, outcome in distributed.as_completed(client.map(work, jobs, pure=False),
-                                                   with_results=True):
+        for _, outcome in completed(client.map(work, jobs, pure=False), with_results=True):
             yield outcome

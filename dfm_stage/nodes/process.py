@@ -27,6 +27,8 @@ from dfm_stage.nodes.shared_memory import PortWatch, avoiding_dead_ports
 
 keep_to_this_machine()
 
+BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
+"""How often this process began anew, in its environment."""
 _PORT_LOOK_S = 1.0
 _EVENTS_PER_LOOK = 64
 
@@ -144,6 +146,7 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
         if node is not None:
             node.destroy_node()
         if anew:
+            os.environ[BEGUN_ANEW] = str(int(os.environ.get(BEGUN_ANEW, "0")) + 1)
             os.execv(sys.executable, sys.orig_argv)  # noqa: S606 the command that started this
         rclpy.try_shutdown()
     return 0

@@ -34,7 +34,7 @@ import dfm_stage
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
-from dfm_stage.nodes.process import run_node
+from dfm_stage.nodes.process import BEGUN_ANEW, run_node
 from dfm_stage.nodes.wire import header_stamp_ns
 from dfm_stage.nodes.wiring import RECORDER_TAP
 from dfm_stage.recording import (
@@ -70,6 +70,8 @@ class Recorder(LoopNode):
         self._wanted = _pattern("topics", self.settings["topics"])
         self._unwanted = _pattern("exclude", self.settings["exclude"])
         folder = self.settings["bag"] or f"bags/{datetime.now().astimezone():%Y%m%d_%H%M%S}"
+        if BEGUN_ANEW in os.environ and self.settings["bag"]:
+            folder = f"{folder}_{os.environ[BEGUN_ANEW]}"  # the first one was closed
         self._bag = BagWriter(folder, compression=self.settings["compression"])
         self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
                          json.dumps(versions(), sort_keys=True).encode())

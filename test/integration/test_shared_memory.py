@@ -17,6 +17,7 @@ from dfm_stage.domain import PORT_BASE, claim_domain
 from dfm_stage.nodes.shared_memory import LEASE_S, SHARED_MEMORY
 
 SETTLED_S = 0.5
+CONTROLLER = ("controller", "--ros-args", "-r", "__ns:=/stage/x")
 
 
 @pytest.fixture
@@ -26,10 +27,10 @@ def domain():
 
 
 @contextlib.contextmanager
-def running_node(domain: int, end: int = signal.SIGKILL):
-    """Start a controller; yield its process id and the port it reads; end it."""
-    node = subprocess.Popen([sys.executable, "-m", "dfm_stage", "controller", "--ros-args", "-r",
-                             "__ns:=/stage/x"], env={**os.environ, "ROS_DOMAIN_ID": str(domain)})
+def running_node(domain: int, end: int = signal.SIGKILL, *command: str):
+    """Start a node (a controller); yield its process id and the port it reads; end it."""
+    node = subprocess.Popen([sys.executable, "-m", "dfm_stage", *(command or CONTROLLER)],
+                            env={**os.environ, "ROS_DOMAIN_ID": str(domain)})
     left: set[Path] = set()
     try:
         while not own_ports(node.pid):
@@ -98,3 +99,14 @@ def test_a_node_whose_port_was_taken_away_begins_anew(domain):
         port.unlink()
         while not any(each.exists() for each in own_ports(pid)):  # the test's own time-out ends it
             time.sleep(0.1)
+
+
+def test_a_recorder_that_begins_anew_goes_on_in_another_folder(domain, tmp_path):
+    bag = tmp_path / "bag"
+    with running_node(domain, signal.SIGINT, "recorder", "--ros-args", "-p",
+                      f"bag:={bag}") as (_, port):
+        port.unlink()
+        while not (tmp_path / "bag_1").exists():
+            time.sleep(0.1)
+    assert (bag / "metadata.yaml").exists()
+    assert (tmp_path / "bag_1" / "metadata.yaml").exists()

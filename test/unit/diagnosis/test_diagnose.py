@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose
+from dfm_stage.diagnosis.verification import KnockOff
 from dfm_stage.model import EFFECTS, save_model
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -97,6 +98,23 @@ def test_a_constant_force_is_ambiguous_unless_the_zero_is_trusted():
     trusted = _pair(push, model=truth.believed(encoder_zero=0.0))
     assert trusted.names == ("force_offset",)
     assert trusted.effects[0].parameters["force"].value == pytest.approx(2e-3, rel=0.02)
+
+
+def test_a_drift_may_resemble_itself_shifted_and_a_vibration_may_not_resemble_its_neighbours():
+    # of a slow ramp most is still there when it is shifted
+    assert KnockOff(4.7e6, true=4.8e4, without=4.8e6, best=7.0e5).passed(per_run=True)
+    assert not KnockOff(4.7e6, true=8.0e5, without=4.8e6, best=7.0e5).passed(per_run=True)
+    assert not KnockOff(4.7e6, true=4.8e4, without=4.8e6, best=7.0e5,
+                        outstanding=3.0).passed(per_run=True)
+
+
+def test_a_drift_of_the_reading_is_named():
+    seconds = truth.PERIOD * np.arange(truth.SAMPLES)
+    records = [truth.record(feed, truth.move(feed) + rate * seconds, seed)
+               for feed, rate, seed in ((truth.multisine(1), 4e-7, 11), (truth.scan(), 3e-7, 12))]
+    found = diagnose(records[:1], truth.believed(), holdout=records[1:], library=QUICK)
+    assert found.names == ("thermal_drift",)
+    assert found.effects[0].parameters["rate"].value == pytest.approx(4e-7, rel=0.05)
 
 
 def test_a_record_at_rest_shows_nothing():
