@@ -193,7 +193,8 @@ def _rejected(page: Page, found: Diagnosis) -> None:
                      "smaller one may be there. Reckoned to first order, at the value of its "
                      "other parameters that shows it best.")
         page.table(("effect", "parameter", "size"),
-                   [[name, n, size] for name, sizes in sorted(found.detection_limits.items())
+                   [[name, n, Quantity(size.value, size.unit)]
+                    for name, sizes in sorted(found.detection_limits.items())
                     for n, size in sizes.items()])
 
 

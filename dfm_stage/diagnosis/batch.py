@@ -6,6 +6,7 @@ or grows takes nothing with it.
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -82,16 +83,16 @@ def run_batch(jobs: Sequence[Job], processes: int, scheduler: str = "") -> Itera
 
 def _on_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
     try:
-        import distributed
+        distributed: Any = importlib.import_module("distributed")
     except ImportError:
         raise DiagnosisError(f"cluster {scheduler}: Dask is not installed here; pip install "
                              "'dfm_stage[cluster]', or leave --cluster out") from None
     try:
-        client: Any = distributed.Client(scheduler, timeout=CONNECT_S)
+        client = distributed.Client(scheduler, timeout=CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
         raise DiagnosisError(f"cluster {scheduler}: cannot be reached ({error}); start a Dask "
                              "scheduler there, or leave --cluster out") from None
-    completed: Any = distributed.as_completed
     with client:
-        for _, outcome in completed(client.map(work, jobs, pure=False), with_results=True):
+        futures = client.map(work, jobs, pure=False)
+        for _, outcome in distributed.as_completed(futures, with_results=True):
             yield outcome

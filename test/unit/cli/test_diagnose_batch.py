@@ -103,4 +103,4 @@ def test_two_runs_on_a_real_cluster(tmp_path: Path, capsys: pytest.CaptureFixtur
     found = {each["run"]: each["code"] for each in json.loads(
         (tmp_path / "out" / "batch.json").read_text("utf-8"))}
     assert sorted(found.values()) == [0, 2]
-    assert (tmp_path / "out" / "multisine" / "diagnosis.json").exists()
+    assert (tmp_path / "out" / "multisine.csv" / "diagnosis.json").exists()
