@@ -29,6 +29,7 @@ from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
 from dfm_stage.nodes.security import require_what_was_asked
+from dfm_stage.nodes.shared_memory import take_back_notes
 
 __all__ = ["HarnessError", "Launched", "NodeSet"]
 
@@ -349,6 +350,7 @@ class NodeSet:
         gc.unfreeze()
         gc.collect()
         context.destroy()
+        take_back_notes()
 
     def _end_nodes(self) -> None:
         self.before_end()

@@ -40,8 +40,15 @@ def avoiding_dead_ports() -> Iterator[None]:
             if number not in _own and _killed_lately(note):
                 _hold(SHARED_MEMORY / f"fastrtps_port{number}_el", held)
         yield
+    take_back_notes()
     for number in _ports_read_here() - _own.keys():
         _leave_note(number)
+
+
+def take_back_notes() -> None:
+    """To be called when a participant of a process that goes on has ended."""
+    for number in _own.keys() - _ports_read_here():
+        _take_back(number)
 
 
 def _killed_lately(note: Path) -> bool:
@@ -85,10 +92,19 @@ def _ports_read_here() -> set[str]:
 
 def _leave_note(number: str) -> None:
     with contextlib.suppress(OSError):
-        descriptor = os.open(SHARED_MEMORY / f"{_NOTE}{number}",
-                             os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        descriptor = os.open(SHARED_MEMORY / f"{_NOTE}{number}", os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # of a process that lives and has given the port back
+            os.close(descriptor)
+            return
+        os.ftruncate(descriptor, 0)
         _own[number] = descriptor
+
+
+def _take_back(number: str) -> None:
+    (SHARED_MEMORY / f"{_NOTE}{number}").unlink(missing_ok=True)
+    os.close(_own.pop(number))
 
 
 class PortWatch:
@@ -120,6 +136,6 @@ def _inode(path: Path) -> int:
 
 @atexit.register
 def _forget() -> None:
-    """A clean end: the port is free for anybody."""
-    for number in _own:
-        (SHARED_MEMORY / f"{_NOTE}{number}").unlink(missing_ok=True)
+    """A clean end: the ports are free for anybody."""
+    for number in list(_own):
+        _take_back(number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import re
 import signal
@@ -110,3 +111,14 @@ def test_a_recorder_that_begins_anew_goes_on_in_another_folder(domain, tmp_path)
             time.sleep(0.1)
     assert (bag / "metadata.yaml").exists()
     assert (tmp_path / "bag_1" / "metadata.yaml").exists()
+
+
+def test_a_port_is_taken_though_a_process_that_gave_it_back_still_has_its_note(domain):
+    with running_node(domain, signal.SIGINT) as (_, port):
+        pass
+    note = SHARED_MEMORY / port.name.replace("fastrtps_port", "dfm_stage_port")
+    with note.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with running_node(domain, signal.SIGINT) as (_, other):
+            assert other == port
+    note.unlink()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dfm_stage.cli.diagnose_report import write_report
 from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose
 from dfm_stage.diagnosis.verification import KnockOff
 from dfm_stage.model import EFFECTS, save_model
@@ -35,9 +36,11 @@ def cubic() -> Diagnosis:
     return _pair(lambda x, v: -K3 * x**3)
 
 
-def test_a_complete_model_lacks_nothing():
+def test_a_complete_model_lacks_nothing(tmp_path):
     found = _pair()
     assert found.verdict == "none"
+    write_report(found, tmp_path / "report.html", ["run"], "believed")
+    assert "What would have shown" in (tmp_path / "report.html").read_text("utf-8")
     assert found.effects == ()
     assert found.gap.held_out[2] == pytest.approx(truth.NOISE, rel=0.05)
 
