@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from dfm_stage.domain import PORT_BASE, claim_domain
+from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE, claim_domain
 from dfm_stage.nodes.shared_memory import LEASE_S, SHARED_MEMORY
 
 SETTLED_S = 0.5
@@ -24,6 +24,10 @@ CONTROLLER = ("controller", "--ros-args", "-r", "__ns:=/stage/x")
 @pytest.fixture
 def domain():
     with claim_domain() as claimed:
+        first = PORT_BASE + DOMAIN_GAIN * claimed.number
+        for note in SHARED_MEMORY.glob("dfm_stage_port*"):  # of nodes that a test before killed
+            if 0 <= int(note.name.removeprefix("dfm_stage_port")) - first < DOMAIN_GAIN:
+                note.unlink(missing_ok=True)
         yield claimed.number
 
 
