@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 WORDS = {"none": "nothing missing", "retune": "retune", "named": "named",
          "ambiguous": "ambiguous", "unknown": "unknown", "not_excited": "not excited"}
 BINS = 40
+NO_GAP = 1.5
 
 
 def write_report(found: Diagnosis, path: Path, records: Sequence[str], model: str) -> None:
@@ -80,8 +81,11 @@ def _gaps(found: Diagnosis) -> Drawing:
         axis.set_xticks(range(3), words)
         axis.set_yscale("log")
         axis.margins(x=0.15, y=0.12)
+        shown = factor * np.append(values, gap.noise_floor)
+        if np.nanmax(shown) < NO_GAP * np.nanmin(shown):  # a permille is not to look like a gap
+            axis.set_ylim(np.nanmin(shown) / NO_GAP, np.nanmax(shown) * NO_GAP)
         axis.set_ylabel(f"RMS ({unit})")
-        axis.legend(loc="upper right")
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
     rows: list[list[Cell]] = [
         [label, *(Quantity(v, gap.unit) for v in row)]
         for label, row in (("fitted", gap.fit), ("held out", gap.held_out))]

@@ -193,6 +193,7 @@ class Fits:
 
 
 def first_weights(found: Fit) -> Weights:
+    """White noise, in the position or, for a stage without a spring, in the velocity."""
     weights = velocity_weights if found.system.springless else white_weights
     return weights(found.residuals)
 

@@ -126,9 +126,13 @@ class Screen:
         there, half of all records show it more clearly. Without those of no free size.
         """
         found: dict[str, Parameters] = {}
-        for shape, strength in sorted(self._strengths, key=lambda each: each[1]):
-            if strength > 0.0:
-                found[shape.name] = shape.sizes(math.sqrt(limit) / strength)
+        for shape, strength in self._strengths:
+            if strength <= 0.0:
+                continue
+            sizes = {n: abs(v) for n, v in shape.sizes(math.sqrt(limit) / strength).items() if v}
+            first = next(iter(sizes))
+            if sizes[first] < found.get(shape.name, {}).get(first, math.inf):
+                found[shape.name] = sizes
         return found
 
     def _strength(self, shape: Shape, projected: Array) -> float:

@@ -23,7 +23,6 @@ from std_msgs.msg import String
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.discovery import keep_to_this_machine
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.watch import Input, Watch
 from dfm_stage.nodes.wire import codec
@@ -35,8 +34,6 @@ from dfm_stage.nodes.wiring import (
     publisher_qos,
     subscriber_qos,
 )
-
-keep_to_this_machine()
 
 LOCKSTEP_PATIENCE_S = 5.0
 COMMON = (

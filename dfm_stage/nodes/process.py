@@ -21,11 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.discovery import keep_to_this_machine
 from dfm_stage.nodes.security import require_what_was_asked
 from dfm_stage.nodes.shared_memory import PortWatch, avoiding_dead_ports
-
-keep_to_this_machine()
 
 BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 """How often this process began anew, in its environment."""

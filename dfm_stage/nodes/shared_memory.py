@@ -53,7 +53,7 @@ def take_back_notes() -> None:
 
 def _killed_lately(note: Path) -> bool:
     try:
-        descriptor = os.open(note, os.O_RDWR)
+        descriptor = os.open(note, os.O_RDWR | os.O_NOFOLLOW)
     except OSError:
         return False
     try:
@@ -73,7 +73,7 @@ def _killed_lately(note: Path) -> bool:
 def _hold(lock: Path, held: contextlib.ExitStack) -> None:
     """Take the lock of a port's reader until `held` is closed: Fast DDS goes to the next port."""
     with contextlib.suppress(OSError):
-        descriptor = os.open(lock, os.O_RDONLY | os.O_CREAT, 0o666)
+        descriptor = os.open(lock, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         held.callback(os.close, descriptor)
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # others may start at once
 
@@ -92,7 +92,8 @@ def _ports_read_here() -> set[str]:
 
 def _leave_note(number: str) -> None:
     with contextlib.suppress(OSError):
-        descriptor = os.open(SHARED_MEMORY / f"{_NOTE}{number}", os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = os.open(SHARED_MEMORY / f"{_NOTE}{number}",
+                             os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:  # of a process that lives and has given the port back
@@ -117,7 +118,8 @@ class PortWatch:
 
     def lost(self) -> bool:
         """Look; True when a port was missing twice in a row and was not made anew from here."""
-        changed = [port for port, known in self._files.items() if _inode(port) != known]
+        changed = [port for port, known in self._files.items()
+                   if not known or _inode(port) != known]
         if changed:
             maps = Path("/proc/self/maps").read_text("utf-8", "replace")
             for port in [each for each in changed if f" {each}\n" in maps]:

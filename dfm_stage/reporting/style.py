@@ -62,6 +62,7 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .plot.wide { display: none; }
   .plot.narrow { display: block; }
   th, td { padding-right: .8rem; }
+  td:last-child:not(.number) { min-width: 11rem; }
   footer dl { grid-template-columns: 1fr; gap: 0; }
   footer dd { margin-bottom: .4rem; }
 }

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE, claim_domain
-from dfm_stage.nodes.shared_memory import LEASE_S, SHARED_MEMORY
+from dfm_stage.nodes import shared_memory
+from dfm_stage.nodes.shared_memory import LEASE_S, SHARED_MEMORY, PortWatch
 
 SETTLED_S = 0.5
 CONTROLLER = ("controller", "--ros-args", "-r", "__ns:=/stage/x")
@@ -104,6 +105,13 @@ def test_a_node_whose_port_was_taken_away_begins_anew(domain):
         port.unlink()
         while not any(each.exists() for each in own_ports(pid)):  # the test's own time-out ends it
             time.sleep(0.1)
+
+
+def test_a_port_that_went_before_anybody_looked_is_missed(tmp_path, monkeypatch):
+    monkeypatch.setattr(shared_memory, "SHARED_MEMORY", tmp_path)
+    with (tmp_path / "fastrtps_port65001_el").open("w"):
+        watch = PortWatch()
+        assert [watch.lost(), watch.lost()] == [False, True]
 
 
 def test_a_recorder_that_begins_anew_goes_on_in_another_folder(domain, tmp_path):
