@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 STAGES = 5
 
 
-def ages_ms(duration_s: float) -> NDArray[np.float64]:
-    """Run the pipeline; return the ages of the messages at the sink, ms."""
+def ages_ms(duration_s: float, priority: int = 0) -> NDArray[np.float64]:
+    """Run the pipeline, with SCHED_FIFO if there is a `priority`; return the ages of the
+    messages at the sink, ms."""
     from dfm_stage.domain import claim_domain
 
     with claim_domain() as domain:
         env = {**os.environ, "ROS_DOMAIN_ID": str(domain.number)}
         processes = [subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.pipeline", str(index), str(duration_s)], env=env,
-            stdout=subprocess.PIPE, text=True) for index in range(STAGES)]
+            [sys.executable, "-m", "benchmarks.pipeline", str(index), str(duration_s),
+             str(priority)], env=env, stdout=subprocess.PIPE, text=True)
+            for index in range(STAGES)]
         try:
             output = processes[-1].communicate(timeout=duration_s + 60.0)[0]
         finally:
@@ -31,13 +33,14 @@ def ages_ms(duration_s: float) -> NDArray[np.float64]:
     return np.array([float(line) for line in output.split()])
 
 
-def _stage(index: int, duration_s: float) -> None:
+def _stage(index: int, duration_s: float, priority: int) -> None:
     import rclpy
     from rclpy.clock import Clock, ClockType
     from rclpy.experimental import EventsExecutor
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
     from dfm_interfaces.msg import Measurement
+    from dfm_stage.nodes.scheduling import RealTime
 
     rclpy.init()
     node = rclpy.create_node(f"stage_{index}")
@@ -63,6 +66,7 @@ def _stage(index: int, duration_s: float) -> None:
         node.create_subscription(Measurement, f"link_{index - 1}", relay, qos)
     executor = EventsExecutor()
     executor.add_node(node)
+    RealTime().take(priority, time.monotonic())
     wanted = int(duration_s * 1000)
     deadline = time.monotonic() + duration_s + 30.0
     while time.monotonic() < deadline and (index < STAGES - 1 or len(ages) < wanted):
@@ -72,4 +76,4 @@ def _stage(index: int, duration_s: float) -> None:
 
 
 if __name__ == "__main__":
-    _stage(int(sys.argv[1]), float(sys.argv[2]))
+    _stage(int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -44,14 +43,11 @@ class AmplifierWorker:
         Shape the last count (SigmaDelta) instead of rounding.
     question_period_s : float
         One question to the drive each; it costs an exchange.
-    priority : int
-        SCHED_FIFO priority of the thread, so that a busy computer does not hold it up; 0 = none.
-        Where the system does not allow it, `priority_refused` says so.
     """
 
     def __init__(self, device: AmplifierDevice, interlock: Interlock,
                  listener: AmplifierListener, *, current_limit_a: float, shaped: bool = True,
-                 question_period_s: float = 0.02, retry_s: float = 1.0, priority: int = 0,
+                 question_period_s: float = 0.02, retry_s: float = 1.0,
                  clock: Callable[[], float] = time.monotonic) -> None:
         self._device = device
         self._interlock = interlock
@@ -60,7 +56,6 @@ class AmplifierWorker:
         self._quantiser = SigmaDelta(device.count_a, shaped)
         self._question_period_s = question_period_s
         self._retry_s = retry_s
-        self._priority = priority
         self._clock = clock
         self._wake = threading.Condition()
         self._target: tuple[float, Any] | None = None
@@ -71,7 +66,6 @@ class AmplifierWorker:
         self.outputs = 0
         self.reconnects = 0
         self.identity = ""
-        self.priority_refused = ""
         self._thread = threading.Thread(target=self._run, name="amplifier", daemon=True)
 
     @property
@@ -167,11 +161,6 @@ class AmplifierWorker:
         return f"cleared: {was or 'nothing latched'}; drive: {cleared}"
 
     def _run(self) -> None:
-        if self._priority:
-            try:
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self._priority))
-            except OSError as error:
-                self.priority_refused = str(error.strerror)
         next_question = self._clock() + self._question_period_s
         while True:
             try:

@@ -112,8 +112,11 @@ class NodeSet:
         self.folder = Path(self._cleanup.enter_context(
             tempfile.TemporaryDirectory(prefix="dfm_stage_")))
         require_what_was_asked()
+        # our participant leaves first: one that hears the others' endpoints go can lock up
+        self._cleanup.callback(self._end_processes)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
+        self._cleanup.callback(self._let_go)
         self._cleanup.callback(self._context.try_shutdown)
         self._executor = make_executor(self._context)
         self._client_node = helper_node("harness", "/stage", self._context)
@@ -121,7 +124,8 @@ class NodeSet:
                                               self._on_diagnostics, 50)
         self._executor.add_node(self._client_node)
         self._cleanup.callback(self._client_node.destroy_node)
-        self._cleanup.callback(self._end_nodes)
+        self._cleanup.callback(self._end_composed)
+        self._cleanup.callback(self.before_end)
         atexit.register(self.close)
 
     def launch(self, kind: str, namespace: str, parameters: Mapping[str, Any],
@@ -338,13 +342,10 @@ class NodeSet:
         with StopRequest():
             self._closing = True
             self._cleanup.close()
-            self._let_go()
 
     def _let_go(self) -> None:
         """Drop every handle: only then does the middleware end the participant's threads."""
         context, self._context = self._context, None
-        if context is None:
-            return
         self._executor = self._client_node = None
         self._clients.clear()
         gc.unfreeze()
@@ -352,12 +353,15 @@ class NodeSet:
         context.destroy()
         take_back_notes()
 
-    def _end_nodes(self) -> None:
-        self.before_end()
+    def _end_composed(self) -> None:
         for launched in self.launched:
             if launched.node is not None:
                 self._executor.remove_node(launched.node)
                 launched.node.destroy_node()
+                launched.node = None
+
+    def _end_processes(self) -> None:
+        for launched in self.launched:
             if launched.process is not None and launched.process.poll() is None:
                 launched.process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + 5.0

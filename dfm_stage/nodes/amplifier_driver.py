@@ -64,8 +64,6 @@ class AmplifierDriver(ManagedNode):
                 "A/s", 0.0, 1e6),
         Setting("reply_timeout_s", 0.01, "hardware: how long the drive may take to answer, three "
                 "times, besides the time on the wire", "s", 0.001, 1.0),
-        Setting("realtime_priority", 0, "hardware: SCHED_FIFO priority of the thread that talks "
-                "to the drive; 0 = none; the user needs the right to it (rtprio)", "", 0, 99),
         Setting("soft_start_s", 0.2, "hardware: commands grow to their full size over this time "
                 "after arming", "s", 0.001, 10.0),
         Setting("shape_last_count", True, "hardware: spread what a current step leaves over "
@@ -150,8 +148,7 @@ class AmplifierDriver(ManagedNode):
                 current_limit_a=_MEASURED_MARGIN * self._limit_a + _MEASURED_MARGIN_A,
                 shaped=self.settings["shape_last_count"],
                 question_period_s=self.settings["question_period_s"],
-                retry_s=self.settings["retry_s"],
-                priority=self.settings["realtime_priority"])
+                retry_s=self.settings["retry_s"])
             self._worker.start()
         elif self.settings["autoarm"]:
             self._interlock.arm()
@@ -370,9 +367,6 @@ class AmplifierDriver(ManagedNode):
         if worker is not None:
             out |= {"connected": worker.connected, "reconnect attempts": worker.reconnects,
                     "output rate": self.rate("outputs", worker.outputs)}
-            if worker.priority_refused:
-                self.warnings_active["priority"] = ("realtime_priority is refused: "
-                                                    f"{worker.priority_refused}")
             if not worker.connected:
                 self.warnings_active["link"] = "the drive does not answer"
             else:

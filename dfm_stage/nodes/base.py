@@ -24,6 +24,7 @@ import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.parameters import Setting, Settings
+from dfm_stage.nodes.scheduling import RealTime
 from dfm_stage.nodes.watch import Input, Watch
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import (
@@ -41,6 +42,10 @@ COMMON = (
             "deterministic, faster than real time"),
     Setting("wait_for_recorder", False, "hold the first sample until a recorder is subscribed"),
 )
+PRIORITY = Setting(
+    "realtime_priority", 20, "SCHED_FIFO priority of the node's process where the user has the "
+    "right to it (rtprio in limits.conf); 0 = none; not in a process that the node shares", "",
+    0, 99)
 
 
 class Publisher:
@@ -126,15 +131,19 @@ class LoopNode(Node):
 
     kind = ""
     settings_table: tuple[Setting, ...] = ()
+    in_the_loop = True
+    """Whether the loop waits for this node; it then runs before other work."""
 
     def __init__(self, *, context: Any = None, cli_args: list[str] | None = None) -> None:
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
                          cli_args=cli_args, use_global_arguments=cli_args is None)
-        self.settings = Settings(self, (*COMMON, *self.settings_table), self.check_settings,
+        common = (*COMMON, PRIORITY) if self.in_the_loop else COMMON
+        self.settings = Settings(self, (*common, *self.settings_table), self.check_settings,
                                  self.settings_applied)
         self.lockstep: bool = self.settings["lockstep"]
         self.axis = self.get_namespace().rpartition("/")[2]
         self.counters: dict[str, int] = {}
+        self.realtime = RealTime()
         self.warnings_active: dict[str, str] = {}
         self.errors_active: dict[str, str] = {}
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -170,6 +179,11 @@ class LoopNode(Node):
     def not_ready(self) -> str | None:
         """Return why the node cannot work yet, apart from its links, or None."""
         return None
+
+    def take_process(self) -> None:
+        """Give this node's process its priority; to be called where it has one to itself."""
+        if self.in_the_loop:
+            self.realtime.take(self.settings[PRIORITY.name], time.monotonic())
 
     # Tools for the nodes
 
@@ -238,6 +252,10 @@ class LoopNode(Node):
     def _every_second(self) -> None:
         if not self.lockstep:
             self._watch.look(time.monotonic())
+        if self.realtime.look(time.monotonic()):
+            self.warnings_active["scheduling"] = (
+                "too few processors for all real-time nodes: this one runs at normal priority")
+            self.get_logger().warning(f"scheduling: {self.realtime.words}")
         waiting = self.waiting_for() if self.lockstep else None
         if waiting is None:
             self._waiting_since = None
@@ -248,7 +266,7 @@ class LoopNode(Node):
             if "waiting" not in self.warnings_active:
                 self.get_logger().warning(f"lockstep: waiting for {waiting[0]}")
             self.warnings_active["waiting"] = f"waiting for {waiting[0]}"
-        values = {**self.counters, **self.report()}
+        values = {**self.counters, **self.report(), "scheduling": self.realtime.words}
         level = (DiagnosticStatus.ERROR if self.errors_active
                  else DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK)
         words = [*self.errors_active.values(), *self.warnings_active.values()]

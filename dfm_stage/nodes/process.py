@@ -21,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from dfm_stage.errors import DfmError
+from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.security import require_what_was_asked
 from dfm_stage.nodes.shared_memory import PortWatch, avoiding_dead_ports
 
@@ -91,7 +92,7 @@ class StopRequest:
             signal.signal(number, handler)
 
 
-def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) -> int:
     """Run one node until it is interrupted; return the exit code.
 
     A parameter or file that cannot be used is one line on stderr and exit code 2. A node whose
@@ -112,7 +113,7 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
         print(f"error: unknown arguments {' '.join(foreign)}: write parameters as "
               "--ros-args -p name:=value", file=sys.stderr)
         return 2
-    node: Node | None = None
+    node: LoopNode | None = None
     anew = False
     try:
         with avoiding_dead_ports():
@@ -120,6 +121,8 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
         executor = make_executor(node.context)
         executor.add_node(node)
         quiet_collector()
+        if not isinstance(executor, SingleThreadedExecutor):  # that keeps the processors full
+            node.take_process()
         ports, look = PortWatch(), time.monotonic()
         while rclpy.ok():
             # spin() of this executor forgets timers while no message comes
@@ -142,9 +145,10 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
     finally:
         if node is not None:
             node.destroy_node()
-        if anew:
-            os.environ[BEGUN_ANEW] = str(int(os.environ.get(BEGUN_ANEW, "0")) + 1)
-            os.execv(sys.executable, sys.orig_argv)  # noqa: S606 the command that started this
+            if anew:
+                node.realtime.give_back()
+                os.environ[BEGUN_ANEW] = str(int(os.environ.get(BEGUN_ANEW, "0")) + 1)
+                os.execv(sys.executable, sys.orig_argv)  # noqa: S606 what started this
         rclpy.try_shutdown()
     return 0
 

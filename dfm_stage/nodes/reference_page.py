@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from dfm_stage.commands import NODES, TOOLS
-from dfm_stage.nodes.base import COMMON, LoopNode
+from dfm_stage.nodes.base import COMMON, PRIORITY, LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.wiring import LINKS
 
@@ -117,7 +117,8 @@ def node_class(name: str) -> type[LoopNode]:
 
 
 def _parameters() -> str:
-    text = [PARAMETERS, "### Every node\n", _settings(COMMON)]
+    text = [PARAMETERS, "### Every node\n", _settings(COMMON),
+            "### Every node but the recorder\n", _settings([PRIORITY])]
     for name in NODES:
         text += [f"### {name}\n", _settings(node_class(name).settings_table)]
     return "\n".join(text)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from types import SimpleNamespace
 
@@ -219,22 +218,6 @@ def test_a_refused_arm_leaves_it_off(rig):
     assert not stage.interlock.armed
     stage.worker.clear()
     stage.run()
-
-
-@pytest.mark.parametrize("allowed", [True, False])
-def test_a_priority_is_asked_for_and_a_refusal_is_told(rig, monkeypatch, allowed):
-    asked = []
-
-    def schedule(thread, policy, parameter):
-        asked.append((thread, policy, parameter.sched_priority))
-        if not allowed:
-            raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(os, "sched_setscheduler", schedule)
-    stage = rig(priority=40)
-    stage.run()
-    assert asked == [(0, os.SCHED_FIFO, 40)]
-    assert stage.worker.priority_refused == ("" if allowed else "Operation not permitted")
 
 
 # Encoder
