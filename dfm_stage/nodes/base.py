@@ -253,9 +253,11 @@ class LoopNode(Node):
         if not self.lockstep:
             self._watch.look(time.monotonic())
         if self.realtime.look(time.monotonic()):
-            self.warnings_active["scheduling"] = (
-                "too few processors for all real-time nodes: this one runs at normal priority")
-            self.get_logger().warning(f"scheduling: {self.realtime.words}")
+            self.get_logger().info(f"scheduling: {self.realtime.words}")
+            self.warnings_active.pop("scheduling", None)
+            if not self.realtime.held:
+                self.warnings_active["scheduling"] = (
+                    "too few processors for all real-time nodes: this one runs at normal priority")
         waiting = self.waiting_for() if self.lockstep else None
         if waiting is None:
             self._waiting_since = None

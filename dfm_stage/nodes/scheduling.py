@@ -8,26 +8,30 @@ from pathlib import Path
 
 _SELF = Path("/proc/self")
 _CROWDED = 0.05
-_CROWDED_LOOKS = 3
+_CROWDED_LOOKS = 5
+_PAUSE_S = 20.0
 
 
 class RealTime:
     """SCHED_FIFO for all threads of this process, as long as the processors are enough for it.
 
     Work at the same or a higher priority is all that such a process waits for. Where it waits for
-    more than 5 % of the time (`look`, three times in a row), the real-time nodes together are too
+    more than 5 % of the time (`look`, five times in a row), the real-time nodes together are too
     much for this machine and everything else on it, the recorder first, gets nothing: then the
-    process returns to the normal policy. On two idle cores one axis waits for 0 to 1 % and two
-    axes in processes for 4 to 13 %, which left the recorder 4 % of a core.
+    process returns to the normal policy, for 20 s the first time and twice as long each further
+    time. On two idle cores one axis waits for 0 to 2 % and two axes in processes for 4 to 13 %,
+    which left the recorder 4 % of a core.
 
-    `words` is what the process runs under now, for diagnostics.
+    `words` is what the process runs under now, for diagnostics; `held` whether that is SCHED_FIFO.
     """
 
     def __init__(self) -> None:
         self.words = "normal"
         self.held = False
+        self._priority = 0
         self._waited_s, self._looked_s = 0.0, 0.0
         self._crowded = 0
+        self._pause_s, self._again_s = _PAUSE_S, 0.0
 
     def take(self, priority: int, now_s: float) -> None:
         """Take SCHED_FIFO where it may be had.
@@ -50,11 +54,16 @@ class RealTime:
                               "limits.conf)")
             else:
                 self.words, self.held = f"SCHED_FIFO {priority}", True
+                self._priority, self._crowded = priority, 0
                 self._waited_s, self._looked_s = _waited_s(), now_s
 
     def look(self, now_s: float) -> bool:
-        """To be called once a second; True when the priority was given back."""
-        if not self.held or now_s <= self._looked_s:
+        """To be called once a second; True when `held` has changed."""
+        if not self.held:
+            if self._priority and now_s >= self._again_s:
+                self.take(self._priority, now_s)
+            return self.held
+        if now_s <= self._looked_s:
             return False
         waited_s = _waited_s()
         share = (waited_s - self._waited_s) / (now_s - self._looked_s)
@@ -63,8 +72,10 @@ class RealTime:
         if self._crowded < _CROWDED_LOOKS:
             return False
         self.give_back()
-        self.words = (f"normal (SCHED_FIFO given back: it waited {share:.0%} of the time for "
-                      "other real-time work)")
+        self.words = (f"normal (SCHED_FIFO given back for {self._pause_s:g} s: it waited "
+                      f"{share:.0%} of the time for other real-time work)")
+        self._again_s = now_s + self._pause_s
+        self._pause_s *= 2.0
         return True
 
     def give_back(self) -> None:

@@ -102,7 +102,7 @@ def test_threads_that_run_already_get_it_too(scheduler):
 
 
 @pytest.mark.parametrize(("waits", "given_back"), [
-    ([0.01] * 9, False), ([0.3, 0.3, 0.0] * 3, False), ([0.0, 0.1, 0.1, 0.1], True)])
+    ([0.01] * 9, False), ([0.3, 0.3, 0.0] * 3, False), ([0.0] + [0.1] * 5, True)])
 def test_it_is_given_back_where_the_processors_are_too_few(scheduler, waits, given_back):
     asked, waited = scheduler
     realtime = RealTime()
@@ -116,3 +116,15 @@ def test_it_is_given_back_where_the_processors_are_too_few(scheduler, waits, giv
     assert (asked[-1][1] == os.SCHED_OTHER) == given_back
     if given_back:
         assert "waited 10% of the time" in realtime.words
+
+
+def test_it_is_taken_again_after_a_while_which_doubles(scheduler):
+    _, waited = scheduler
+    realtime = RealTime()
+    realtime.take(20, 0.0)
+    changes = []
+    for second in range(1, 100):
+        waited[0] += 0.1
+        if realtime.look(float(second)):
+            changes.append((second, realtime.held))
+    assert changes == [(5, False), (25, True), (30, False), (70, True), (75, False)]
