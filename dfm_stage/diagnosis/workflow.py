@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,7 +11,7 @@ from dfm_stage.diagnosis.answer import Case, answer
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.experiment import Experiment, experiment, split_by_time
-from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.fit import Fit, quantities
 from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.result import Diagnosis
 from dfm_stage.diagnosis.search import Search
@@ -95,6 +96,7 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
                         "beyond its limit; diagnose shorter records or fewer effects (--without)")
     names, current, dropped, silent = _held_out(search, names, current, held, weights, seed)
     names, current = _unlocked(search, names, current, dropped)
+    names, current = _bounded(search, names, current, dropped)
     rivals = {n: r for n, r in rivals.items() if n in names}
     case = Case(model=model, runs=runs, held=held, search=search, names=names, fit=current,
                 bare=bare, rivals=rivals, held_weights=weights,
@@ -122,6 +124,23 @@ def _unlocked(search: Search, names: Names, current: Fit,
     dropped[name] = "stands at a line of the input, as the model's own error does"
     rest = tuple(n for n in names if n != name)
     return rest, search.fitted(rest, current)
+
+
+def _bounded(search: Search, names: Names, current: Fit,
+             dropped: dict[str, str]) -> tuple[Names, Fit]:
+    """Drop effects of which a parameter has no interval: the fit ran to the edge of what the
+    effect can be, and stands for something else there."""
+    while True:
+        values = quantities(current)
+        for name in reversed(names):
+            own = [q for address, q in values.items() if address.startswith(f"{name}.")]
+            if any(q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own):
+                dropped[name] = "its parameters run to the edge of their range"
+                names = tuple(n for n in names if n != name)
+                current = search.fitted(names, current)
+                break
+        else:
+            return names, current
 
 
 def _held_out(search: Search, names: Names, current: Fit, held: Sequence[Experiment],
