@@ -43,7 +43,7 @@ COMMON = (
     Setting("wait_for_recorder", False, "hold the first sample until a recorder is subscribed"),
 )
 PRIORITY = Setting(
-    "realtime_priority", 20, "SCHED_FIFO priority of the node's process where the user has the "
+    "realtime_priority", 20, "SCHED_RR priority of the node's process where the user has the "
     "right to it (rtprio in limits.conf); 0 = none; not in a process that the node shares", "",
     0, 99)
 

@@ -7,13 +7,19 @@ import os
 from pathlib import Path
 
 _SELF = Path("/proc/self")
+_SENDER = "dds.asyn"
+"""Fast DDS's thread for what did not go out at once: it tries the lock of a writer again and again
+without a pause, and at real-time priority kept the processor from whoever held it."""
 _CROWDED = 0.05
 _CROWDED_LOOKS = 5
 _PAUSE_S = 20.0
 
 
 class RealTime:
-    """SCHED_FIFO for all threads of this process, as long as the processors are enough for it.
+    """SCHED_RR for the threads of this process, as long as the processors are enough for it.
+
+    Not SCHED_FIFO: threads of one priority take turns, so that none can wait for ever for a lock
+    whose holder has no processor.
 
     Work at the same or a higher priority is all that such a process waits for. Where it waits for
     more than 5 % of the time (`look`, five times in a row), the real-time nodes together are too
@@ -22,7 +28,7 @@ class RealTime:
     time. On two idle cores one axis waits for 0 to 2 % and two axes in processes for 4 to 13 %,
     which left the recorder 4 % of a core.
 
-    `words` is what the process runs under now, for diagnostics; `held` whether that is SCHED_FIFO.
+    `words` is what the process runs under now, for diagnostics; `held` whether that is SCHED_RR.
     """
 
     def __init__(self) -> None:
@@ -34,26 +40,26 @@ class RealTime:
         self._pause_s, self._again_s = _PAUSE_S, 0.0
 
     def take(self, priority: int, now_s: float) -> None:
-        """Take SCHED_FIFO where it may be had.
+        """Take SCHED_RR where it may be had.
 
         A process that was given another policy from outside (chrt, systemd) keeps it. Threads
         that start later inherit it. Without the right to it (`rtprio` in limits.conf) all stays
         as it is.
         """
         if not hasattr(os, "sched_setscheduler"):
-            self.words = "normal (this system has no SCHED_FIFO)"
+            self.words = "normal (this system has no SCHED_RR)"
         elif os.sched_getscheduler(0) != os.SCHED_OTHER:
             self.words = "as set from outside"
         elif priority == 0:
             self.words = "normal (realtime_priority is 0)"
         else:
             try:
-                _schedule(os.SCHED_FIFO, priority)
+                _schedule(os.SCHED_RR, priority)
             except OSError as error:
-                self.words = (f"normal (SCHED_FIFO {priority}: {error.strerror}; see rtprio in "
+                self.words = (f"normal (SCHED_RR {priority}: {error.strerror}; see rtprio in "
                               "limits.conf)")
             else:
-                self.words, self.held = f"SCHED_FIFO {priority}", True
+                self.words, self.held = f"SCHED_RR {priority}", True
                 self._priority, self._crowded = priority, 0
                 self._waited_s, self._looked_s = _waited_s(), now_s
 
@@ -72,7 +78,7 @@ class RealTime:
         if self._crowded < _CROWDED_LOOKS:
             return False
         self.give_back()
-        self.words = (f"normal (SCHED_FIFO given back for {self._pause_s:g} s: it waited "
+        self.words = (f"normal (SCHED_RR given back for {self._pause_s:g} s: it waited "
                       f"{share:.0%} of the time for other real-time work)")
         self._again_s = now_s + self._pause_s
         self._pause_s *= 2.0
@@ -87,9 +93,10 @@ class RealTime:
 
 
 def _schedule(policy: int, priority: int) -> None:
-    for thread in [int(each.name) for each in (_SELF / "task").iterdir()]:
-        with contextlib.suppress(ProcessLookupError):  # it has ended
-            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+    for thread in (_SELF / "task").iterdir():
+        with contextlib.suppress(ProcessLookupError, FileNotFoundError):  # it has ended
+            if not (thread / "comm").read_text("ascii").startswith(_SENDER):
+                os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
 
 
 def _waited_s() -> float:

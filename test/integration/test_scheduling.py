@@ -19,12 +19,12 @@ LOOP = {"sim_plant", "encoder_driver", "controller", "amplifier_driver", "trajec
 
 
 def allowed() -> bool:
-    code = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))"
+    code = "import os; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(20))"
     return subprocess.run([sys.executable, "-c", code], stderr=subprocess.DEVNULL,
                           check=False).returncode == 0
 
 
-needs_the_right = pytest.mark.skipif(not allowed(), reason="this user has no right to SCHED_FIFO")
+needs_the_right = pytest.mark.skipif(not allowed(), reason="this user has no right to SCHED_RR")
 
 
 def policies(pid: int) -> set[tuple[int, int]]:
@@ -32,6 +32,8 @@ def policies(pid: int) -> set[tuple[int, int]]:
     found = set()
     for thread in Path(f"/proc/{pid}/task").iterdir():
         with contextlib.suppress(OSError):
+            if (thread / "comm").read_text("ascii").startswith("dds.asyn"):
+                continue  # Fast DDS's sender spins on locks
             number = int(thread.name)
             found.add((os.sched_getscheduler(number), os.sched_getparam(number).sched_priority))
     return found
@@ -42,7 +44,7 @@ def policies(pid: int) -> set[tuple[int, int]]:
 def test_the_loop_runs_before_other_work_and_the_recorder_does_not(lockstep, tmp_path):
     with StageGraph(bag=tmp_path / "bag", lockstep=lockstep) as graph:
         for each in graph.launched:
-            expected = (os.SCHED_FIFO, 20) if each.kind in LOOP else (os.SCHED_OTHER, 0)
+            expected = (os.SCHED_RR, 20) if each.kind in LOOP else (os.SCHED_OTHER, 0)
             assert policies(each.process.pid) == {expected}, each.kind
 
 
@@ -78,7 +80,7 @@ def test_a_refusal_changes_nothing_and_says_what_is_missing(monkeypatch, schedul
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     realtime = RealTime()
     realtime.take(20, 0.0)
-    assert realtime.words == ("normal (SCHED_FIFO 20: Operation not permitted; see rtprio in "
+    assert realtime.words == ("normal (SCHED_RR 20: Operation not permitted; see rtprio in "
                               "limits.conf)")
     assert not realtime.look(1.0)
 
@@ -98,7 +100,7 @@ def test_threads_that_run_already_get_it_too(scheduler):
     RealTime().take(20, 0.0)
     done.set()
     thread.join()
-    assert (thread.native_id, os.SCHED_FIFO, 20) in scheduler[0]
+    assert (thread.native_id, os.SCHED_RR, 20) in scheduler[0]
 
 
 @pytest.mark.parametrize(("waits", "given_back"), [

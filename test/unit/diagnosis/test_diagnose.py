@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from dfm_stage.cli.diagnose_report import write_report
-from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose
+from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose, workflow
 from dfm_stage.diagnosis.verification import KnockOff
+from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import EFFECTS, save_model
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -83,6 +84,22 @@ def test_left_out_of_the_library_it_becomes_unknown():
     assert found.verdict == "unknown"
     assert found.description is not None
     assert found.description.parity == "odd"
+
+
+def test_what_only_stands_in_at_the_edge_of_its_range_is_not_named(monkeypatch):
+    intervals = {"both": {"creep.gain": (0.1, 0.2), "second_mode.damping_ratio": (-np.inf, np.inf),
+                          "stiffness": None}, "creep": {"creep.gain": (0.1, 0.3)}}
+    monkeypatch.setattr(workflow, "quantities", lambda fit: {
+        name: Quantity(1.0, "", ci95) for name, ci95 in intervals[fit].items()})
+
+    class OneFit:
+        def fitted(self, names, _):
+            return names[0]
+
+    dropped: dict[str, str] = {}
+    left = workflow._bounded(OneFit(), ("creep", "second_mode"), "both", dropped)
+    assert left == (("creep",), "creep")
+    assert "edge of their range" in dropped["second_mode"]
 
 
 def test_drag_is_not_taken_for_friction():
