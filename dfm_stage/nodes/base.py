@@ -12,6 +12,7 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -43,9 +44,9 @@ COMMON = (
     Setting("wait_for_recorder", False, "hold the first sample until a recorder is subscribed"),
 )
 PRIORITY = Setting(
-    "realtime_priority", 20, "SCHED_RR priority of the node's process where the user has the "
-    "right to it (rtprio in limits.conf); 0 = none; not in a process that the node shares", "",
-    0, 99)
+    "realtime_priority", 20, "SCHED_RR priority of the node's process (recorder: 10) where the "
+    "user has the right to it (rtprio in limits.conf); 0 = none; not in a process that the node "
+    "shares", "", 0, 99)
 
 
 class Publisher:
@@ -131,14 +132,13 @@ class LoopNode(Node):
 
     kind = ""
     settings_table: tuple[Setting, ...] = ()
-    in_the_loop = True
-    """Whether the loop waits for this node; it then runs before other work."""
+    priority = PRIORITY.default
 
     def __init__(self, *, context: Any = None, cli_args: list[str] | None = None) -> None:
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
                          cli_args=cli_args, use_global_arguments=cli_args is None)
-        common = (*COMMON, PRIORITY) if self.in_the_loop else COMMON
-        self.settings = Settings(self, (*common, *self.settings_table), self.check_settings,
+        own = (replace(PRIORITY, default=self.priority), *self.settings_table)
+        self.settings = Settings(self, (*COMMON, *own), self.check_settings,
                                  self.settings_applied)
         self.lockstep: bool = self.settings["lockstep"]
         self.axis = self.get_namespace().rpartition("/")[2]
@@ -182,8 +182,7 @@ class LoopNode(Node):
 
     def take_process(self) -> None:
         """Give this node's process its priority; to be called where it has one to itself."""
-        if self.in_the_loop:
-            self.realtime.take(self.settings[PRIORITY.name], time.monotonic())
+        self.realtime.take(self.settings[PRIORITY.name], time.monotonic())
 
     # Tools for the nodes
 

@@ -58,7 +58,7 @@ class Recorder(LoopNode):
     """Records until it is stopped; `~/stop` closes the bag and answers when it is complete."""
 
     kind = "recorder"
-    in_the_loop = False
+    priority = 10
     settings_table = (
         Setting("bag", "", "folder of the new bag; empty: bags/<date and time>"),
         Setting("topics", ".*", "regular expression of the full topic names to record"),

@@ -117,8 +117,7 @@ def node_class(name: str) -> type[LoopNode]:
 
 
 def _parameters() -> str:
-    text = [PARAMETERS, "### Every node\n", _settings(COMMON),
-            "### Every node but the recorder\n", _settings([PRIORITY])]
+    text = [PARAMETERS, "### Every node\n", _settings((*COMMON, PRIORITY))]
     for name in NODES:
         text += [f"### {name}\n", _settings(node_class(name).settings_table)]
     return "\n".join(text)

@@ -41,11 +41,11 @@ def policies(pid: int) -> set[tuple[int, int]]:
 
 @needs_the_right
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_the_loop_runs_before_other_work_and_the_recorder_does_not(lockstep, tmp_path):
+def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, tmp_path):
     with StageGraph(bag=tmp_path / "bag", lockstep=lockstep) as graph:
         for each in graph.launched:
-            expected = (os.SCHED_RR, 20) if each.kind in LOOP else (os.SCHED_OTHER, 0)
-            assert policies(each.process.pid) == {expected}, each.kind
+            priority = 20 if each.kind in LOOP else 10
+            assert policies(each.process.pid) == {(os.SCHED_RR, priority)}, each.kind
 
 
 @needs_the_right
