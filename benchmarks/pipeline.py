@@ -14,7 +14,7 @@ STAGES = 5
 
 
 def ages_ms(duration_s: float, priority: int = 0) -> NDArray[np.float64]:
-    """Run the pipeline, with SCHED_FIFO if there is a `priority`; return the ages of the
+    """Run the pipeline, with SCHED_RR if there is a `priority`; return the ages of the
     messages at the sink, ms."""
     from dfm_stage.domain import claim_domain
 

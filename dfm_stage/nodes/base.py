@@ -133,6 +133,7 @@ class LoopNode(Node):
     kind = ""
     settings_table: tuple[Setting, ...] = ()
     priority = PRIORITY.default
+    """A node below the loop waits for it as a matter of course, and is not judged by that."""
 
     def __init__(self, *, context: Any = None, cli_args: list[str] | None = None) -> None:
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
@@ -251,7 +252,7 @@ class LoopNode(Node):
     def _every_second(self) -> None:
         if not self.lockstep:
             self._watch.look(time.monotonic())
-        if self.realtime.look(time.monotonic()):
+        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic()):
             self.get_logger().info(f"scheduling: {self.realtime.words}")
             self.warnings_active.pop("scheduling", None)
             if not self.realtime.held:

@@ -96,7 +96,8 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
     """Run one node until it is interrupted; return the exit code.
 
     A parameter or file that cannot be used is one line on stderr and exit code 2. A node whose
-    port in shared memory is gone begins anew in the same process.
+    port in shared memory is gone begins anew in the same process. The process runs at the node's
+    real-time priority.
     """
     stop = StopRequest()
     stop.install()

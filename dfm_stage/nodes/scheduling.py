@@ -25,8 +25,8 @@ class RealTime:
     more than 5 % of the time (`look`, five times in a row), the real-time nodes together are too
     much for this machine and everything else on it, the recorder first, gets nothing: then the
     process returns to the normal policy, for 20 s the first time and twice as long each further
-    time. On two idle cores one axis waits for 0 to 2 % and two axes in processes for 4 to 13 %,
-    which left the recorder 4 % of a core.
+    time. On two idle cores, at SCHED_FIFO, one axis waited for 0 to 2 % and two axes in processes
+    for 4 to 13 %, which left a recorder at normal priority 4 % of a core.
 
     `words` is what the process runs under now, for diagnostics; `held` whether that is SCHED_RR.
     """
@@ -95,7 +95,7 @@ class RealTime:
 def _schedule(policy: int, priority: int) -> None:
     for thread in (_SELF / "task").iterdir():
         with contextlib.suppress(ProcessLookupError, FileNotFoundError):  # it has ended
-            if not (thread / "comm").read_text("ascii").startswith(_SENDER):
+            if not (thread / "comm").read_text("ascii", "replace").startswith(_SENDER):
                 os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
 
 

@@ -27,13 +27,14 @@ def allowed() -> bool:
 needs_the_right = pytest.mark.skipif(not allowed(), reason="this user has no right to SCHED_RR")
 
 
-def policies(pid: int) -> set[tuple[int, int]]:
-    """Policy and priority of every thread, as the kernel tells."""
+def policies(pid: int, senders: bool = False) -> set[tuple[int, int]]:
+    """Policy and priority of every thread, as the kernel tells: those of Fast DDS's senders, which
+    spin on locks, or of all others."""
     found = set()
     for thread in Path(f"/proc/{pid}/task").iterdir():
         with contextlib.suppress(OSError):
-            if (thread / "comm").read_text("ascii").startswith("dds.asyn"):
-                continue  # Fast DDS's sender spins on locks
+            if (thread / "comm").read_text("ascii").startswith("dds.asyn") != senders:
+                continue
             number = int(thread.name)
             found.add((os.sched_getscheduler(number), os.sched_getparam(number).sched_priority))
     return found
@@ -46,6 +47,7 @@ def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, t
         for each in graph.launched:
             priority = 20 if each.kind in LOOP else 10
             assert policies(each.process.pid) == {(os.SCHED_RR, priority)}, each.kind
+            assert policies(each.process.pid, senders=True) == {(os.SCHED_OTHER, 0)}, each.kind
 
 
 @needs_the_right
@@ -55,7 +57,7 @@ def test_it_is_left_out_when_asked_to():
         assert policies(plant.process.pid) == {(os.SCHED_OTHER, 0)}
 
 
-def test_a_process_that_the_nodes_share_keeps_its_own(tmp_path):
+def test_a_process_that_the_nodes_share_keeps_its_own():
     before = os.sched_getscheduler(0)
     with StageGraph(composed=True):
         assert os.sched_getscheduler(0) == before
