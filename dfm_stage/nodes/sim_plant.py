@@ -9,6 +9,7 @@ one acts a sample later and is counted.
 from __future__ import annotations
 
 import math
+import struct
 import time
 from typing import Any
 
@@ -20,8 +21,10 @@ from dfm_stage.model import CoupledPlant, Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
+from dfm_stage.nodes.wire import ENCAPSULATION, NS
 
 _GIVE_UP_SAMPLES = 100
+_CLOCK = struct.Struct("<4siI")
 
 
 class _Stage(CoupledPlant):
@@ -137,11 +140,7 @@ class SimPlant(LoopNode):
         if any(axis.answered != self.seq for axis in self._axes):
             return
         self._advance()
-        stamp_ns = self.seq * self._period_ns
-        clock = ClockMessage()
-        clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
-        self._clock_out.publish(clock)
-        self._publish_samples(stamp_ns)
+        self._publish_samples(self.seq * self._period_ns)
 
     # Real time
 
@@ -194,11 +193,14 @@ class SimPlant(LoopNode):
         self.counters["samples"] = self.seq
         for stage in self._stages:
             stage.sample()
-        for axis in self._axes:
-            sample = axis.plant.sample()
+        samples = [axis.plant.sample() for axis in self._axes]
+        for axis, sample in zip(self._axes, samples, strict=True):
             axis.counts.send(stamp_ns, self.seq, sample.counts, axis.plant.count_size_m)
             if axis.current is not None:
                 axis.current.send(stamp_ns, self.seq, sample.current)
+        if self.lockstep and self.seq:  # after what the loop waits for
+            self._clock_out.handle.publish_raw(_CLOCK.pack(ENCAPSULATION, *divmod(stamp_ns, NS)))
+        for axis, sample in zip(self._axes, samples, strict=True):
             axis.truth.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
                             sample.current, sample.force_n)
 
