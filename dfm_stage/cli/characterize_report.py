@@ -43,7 +43,7 @@ def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Mod
         _plot(page, kind, record, result)
         for warning in record.warnings:
             page.note(warning)
-    page.provenance({"Records": ", ".join(r.provenance.source for r, _ in found.values()),
+    page.provenance({"Records": ", ".join(r.provenance.words for r, _ in found.values()),
                      "Model": model.name if model else "that of the bag"})
     page.write(path)
 

@@ -124,7 +124,8 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         if not options.no_report:
             from dfm_stage.cli.diagnose_report import write_report
 
-            write_report(found, out / "report.html", [*fitted, *held], options.model)
+            sources = [each.provenance.words for each in (*records, *holdout)]
+            write_report(found, out / "report.html", sources, options.model)
     if options.json:
         print(text, end="")
     else:

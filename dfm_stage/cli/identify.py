@@ -26,6 +26,7 @@ from dfm_stage.errors import DfmError
 if TYPE_CHECKING:
     from dfm_stage.identification import Identification, Source
     from dfm_stage.model import Model
+    from dfm_stage.recording import Record
 
 EPILOG = """\
 examples:
@@ -87,19 +88,22 @@ def _identify(options: argparse.Namespace) -> int:
         from dfm_stage.model import load_model, save_model
 
         model = load_model(options.model).axis(options.axis) if options.model else None
-        sources = [_source(path, options) for path in paths]
-        holdout = [_source(path, options) for path in options.holdout]
+        names = [*paths, *options.holdout]
+        records = [read_with(options, path, options.axis) for path in names]
+        sources = [_source(path, record, options)
+                   for path, record in zip(names, records, strict=True)]
         free = _free(options, model)
-        found = identify(sources, model=model, free=free, fixed=fixed, holdout=holdout,
-                         noise=options.noise, step=step)
+        found = identify(sources[:len(paths)], model=model, free=free, fixed=fixed,
+                         holdout=sources[len(paths):], noise=options.noise, step=step)
         step("report")
-        result = _result(found, [*paths, *options.holdout])
+        result = _result(found, names)
         write_output(out / "identify.json", json.dumps(result, indent=1, allow_nan=False) + "\n")
         save_model(_signed(found, paths), out / "model.yaml")
         if not options.no_report:
             from dfm_stage.cli.identify_report import write_report
 
-            write_report(found, out / "report.html", [*paths, *options.holdout])
+            write_report(found, out / "report.html",
+                         [record.provenance.words for record in records])
     if options.json:
         print(json.dumps(result, indent=1, allow_nan=False))
     else:
@@ -110,10 +114,9 @@ def _identify(options: argparse.Namespace) -> int:
     return 0
 
 
-def _source(path: str, options: argparse.Namespace) -> Source:
+def _source(path: str, record: Record, options: argparse.Namespace) -> Source:
     from dfm_stage.identification import Source
 
-    record = read_with(options, path, options.axis)
     skip = round(options.skip / record.sample_period)
     if len(record) < FEWEST_SAMPLES:
         raise DfmError(f"{path}: {len(record)} samples are too few to identify from: record "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
@@ -29,6 +30,8 @@ BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 """How often this process began anew, in its environment."""
 _PORT_LOOK_S = 1.0
 _EVENTS_PER_LOOK = 64
+_STANDARD = 2
+"""The last of the three standard descriptors."""
 
 
 def make_executor(context: Any) -> Any:
@@ -148,10 +151,20 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
             node.destroy_node()
             if anew:
                 node.realtime.give_back()
-                os.environ[BEGUN_ANEW] = str(int(os.environ.get(BEGUN_ANEW, "0")) + 1)
-                os.execv(sys.executable, sys.orig_argv)  # noqa: S606 what started this
+                _begin_anew()
         rclpy.try_shutdown()
     return 0
+
+
+def _begin_anew() -> None:
+    """Start this process over. Fast DDS opens its locks for children, too: kept, the lost port
+    would be taken for one of the new beginning, and be lost again."""
+    os.environ[BEGUN_ANEW] = str(int(os.environ.get(BEGUN_ANEW, "0")) + 1)
+    for name in os.listdir("/proc/self/fd"):
+        if int(name) > _STANDARD:
+            with contextlib.suppress(OSError):
+                os.set_inheritable(int(name), False)
+    os.execv(sys.executable, sys.orig_argv)  # noqa: S606 what started this
 
 
 def _one_line(error: BaseException) -> str:

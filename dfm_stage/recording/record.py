@@ -78,6 +78,12 @@ class Provenance:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def words(self) -> str:
+        """The source and the first digits of its fingerprint, for the foot of a report."""
+        how, _, digits = self.fingerprint.partition(":")
+        return f"{self.source} ({how} {digits[:12]})" if digits else self.source
+
 
 @dataclass(frozen=True)
 class Record:

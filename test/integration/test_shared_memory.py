@@ -62,6 +62,12 @@ def own_ports(pid: int) -> list[Path]:
             and path.with_name(f"{path.name}_el") in locks]
 
 
+def locked_ports(pid: int) -> list[Path]:
+    """The ports of whose locks a process has one open."""
+    return [path.with_name(path.name.removesuffix("_el")) for path in opened(pid)
+            if re.fullmatch(r"fastrtps_port\d+_el", path.name)]
+
+
 def mapped(pid: int) -> set[Path]:
     maps = Path(f"/proc/{pid}/maps").read_text("utf-8")
     return {SHARED_MEMORY / name for name in re.findall(r" /dev/shm/(fastrtps_\w+)$", maps,
@@ -117,10 +123,15 @@ def test_a_port_that_went_before_anybody_looked_is_missed(tmp_path, monkeypatch)
 def test_a_recorder_that_begins_anew_goes_on_in_another_folder(domain, tmp_path):
     bag = tmp_path / "bag"
     with running_node(domain, signal.SIGINT, "recorder", "--ros-args", "-p",
-                      f"bag:={bag}") as (_, port):
+                      f"bag:={bag}") as (pid, port):
         port.unlink()
         while not (tmp_path / "bag_1").exists():
             time.sleep(0.1)
+        deadline = time.monotonic() + 5.0  # while it starts it keeps the lost port locked
+        while not (kept := all(each.exists() for each in locked_ports(pid))) \
+                and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert kept  # or it begins anew, again and again
     assert (bag / "metadata.yaml").exists()
     assert (tmp_path / "bag_1" / "metadata.yaml").exists()
 

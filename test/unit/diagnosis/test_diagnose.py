@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
 from pathlib import Path
@@ -234,6 +235,8 @@ def test_the_command_writes_all_files(tmp_path, capsys):
     assert "cubic_stiffness" in (out / "model.yaml").read_text()
     page = (out / "report.html").read_text()
     assert "cubic stiffness" in page
+    digits = hashlib.sha256((tmp_path / "run.csv").read_bytes()).hexdigest()[:12]
+    assert f"run.csv (sha256 {digits})" in page
     assert "http" not in page.split("</style>", 1)[1].replace("http://www.w3.org", "")
     assert "named" in capsys.readouterr().out
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 
 import numpy as np
@@ -46,6 +47,8 @@ def test_writes_figures_model_and_page(record, tmp_path, capsys):
     assert page.startswith("<!DOCTYPE html>")
     assert page.count("<figure") >= 3
     assert "3.90" in page
+    digits = hashlib.sha256((tmp_path / "shake.csv").read_bytes()).hexdigest()[:12]
+    assert f"shake.csv (sha256 {digits})" in page
     assert "natural frequency" in printed
     assert "paper" in printed
     assert max(len(line) for line in printed.splitlines()) < 140
