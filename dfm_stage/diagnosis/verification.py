@@ -75,11 +75,11 @@ class KnockOff:
 
     def passed(self, per_run: bool) -> bool | None:
         """Whether the effect does better than its knock-offs; None where it does nothing here."""
+        if not per_run and self.contribution < SILENT:
+            return None
         if per_run or math.isinf(self.best):
             gain = self.without - self.true
             return gain > max(CONFIRMED, self.outstanding * (self.without - self.best))
-        if self.contribution < SILENT:
-            return None
         return self.true < self.best
 
 

@@ -92,6 +92,7 @@ def test_a_constant_force_is_named_where_the_zero_is_trusted():
 def test_a_constant_is_judged_by_what_it_lowers():
     assert KnockOff(1e4, 100.0, 1e4, np.inf).passed(per_run=False)
     assert not KnockOff(1e4, 100.0, 110.0, np.inf).passed(per_run=False)
+    assert KnockOff(0.0, 100.0, 100.0, np.inf).passed(per_run=False) is None  # not exercised
 
 
 def test_the_step_of_a_reading_that_is_rounded_once_more():
