@@ -26,6 +26,7 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.scheduling import RealTime
+from dfm_stage.nodes.shared_memory import neighbour_killed
 from dfm_stage.nodes.watch import Input, Watch
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import (
@@ -252,12 +253,13 @@ class LoopNode(Node):
     def _every_second(self) -> None:
         if not self.lockstep:
             self._watch.look(time.monotonic())
-        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic()):
+        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic(),
+                                                                    neighbour_killed()):
             self.get_logger().info(f"scheduling: {self.realtime.words}")
             self.warnings_active.pop("scheduling", None)
             if not self.realtime.held:
                 self.warnings_active["scheduling"] = (
-                    "too few processors for all real-time nodes: this one runs at normal priority")
+                    f"no real-time priority: {self.realtime.words}")
         waiting = self.waiting_for() if self.lockstep else None
         if waiting is None:
             self._waiting_since = None

@@ -24,6 +24,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE
+
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 where Fast DDS puts it
 LEASE_S = 11.0
 _NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
@@ -43,6 +45,20 @@ def avoiding_dead_ports() -> Iterator[None]:
     take_back_notes()
     for number in _ports_read_here() - _own.keys():
         _leave_note(number)
+
+
+def neighbour_killed() -> bool:
+    """Whether a node of a domain that this process is in was killed within its lease."""
+    domains = {_domain(number) for number in _own} - {None}
+    return any(_killed_lately(note) for note in SHARED_MEMORY.glob(f"{_NOTE}*")
+                if (number := note.name.removeprefix(_NOTE)) not in _own
+                and _domain(number) in domains)
+
+
+def _domain(number: str) -> int | None:
+    """The domain of a port; None of the lower ports, which all domains share."""
+    above = int(number) - PORT_BASE
+    return above // DOMAIN_GAIN if above >= 0 else None
 
 
 def take_back_notes() -> None:

@@ -16,7 +16,12 @@ import pytest
 
 from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE, claim_domain
 from dfm_stage.nodes import shared_memory
-from dfm_stage.nodes.shared_memory import LEASE_S, SHARED_MEMORY, PortWatch
+from dfm_stage.nodes.shared_memory import (
+    LEASE_S,
+    SHARED_MEMORY,
+    PortWatch,
+    neighbour_killed,
+)
 
 SETTLED_S = 0.5
 CONTROLLER = ("controller", "--ros-args", "-r", "__ns:=/stage/x")
@@ -87,6 +92,16 @@ def test_the_port_of_a_killed_node_is_left_alone(domain):
         pass
     with running_node(domain) as (_, other):
         assert other != port
+
+
+def test_the_others_know_that_a_neighbour_was_killed(domain, monkeypatch):
+    with running_node(domain) as (_, port):
+        own = int(port.name.removeprefix("fastrtps_port")) + 2
+        monkeypatch.setattr(shared_memory, "_own", {"7001": 0, str(own): 0})
+        assert not neighbour_killed()
+    assert neighbour_killed()
+    monkeypatch.setattr(shared_memory, "_own", {"7001": 0, str(own + DOMAIN_GAIN): 0})
+    assert not neighbour_killed()  # that is another domain
 
 
 def test_after_its_lease_it_is_taken_again(domain):
