@@ -21,7 +21,7 @@ from dfm_stage.harness.node_set import HarnessError, NodeSet
 from dfm_stage.model import load_model
 from dfm_stage.nodes.share import find_experiment
 from dfm_stage.nodes.wire import codec
-from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, PUBLISHER_QOS
+from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, LOSSY_QOS, PUBLISHER_QOS
 from dfm_stage.trajectory import Experiment, load_experiment
 
 if TYPE_CHECKING:
@@ -277,16 +277,19 @@ class StageGraph(NodeSet):
         values = {name: value for name, value in values.items() if name not in FIXED}
         self.set_parameters(f"/stage/{axis}/controller", {**values, "mode": experiment.mode})
 
-    def listen(self, axis: str, topic: str) -> list[Any]:
+    def listen(self, axis: str, topic: str, lossy: bool = False) -> list[Any]:
         """Return a list that every message of a loop topic is put into from now on, decoded.
 
-        `topic` is a name in `dfm_stage.nodes.wiring.LINKS`, such as `measurement`.
+        `topic` is a name in `dfm_stage.nodes.wiring.LINKS`, such as `measurement`. With `lossy`
+        it listens best effort: where this process is too slow it misses messages, instead of
+        having the node send them again.
         """
         link, heard = LINKS[topic], []
+        qos = LOCKSTEP_QOS if self.lockstep else LOSSY_QOS if lossy else PUBLISHER_QOS
         decode = codec(link.type).decode
         subscription = self._client_node.create_subscription(
             link.type, f"/stage/{axis}/{topic}", lambda data: heard.append(decode(data)),
-            LOCKSTEP_QOS if self.lockstep else PUBLISHER_QOS, raw=True)
+            qos, raw=True)
         self.spin_until(lambda: subscription.get_publisher_count() > 0,
                         self._start_timeout_s, f"a publisher of {topic}")
         return heard

@@ -253,8 +253,9 @@ class LoopNode(Node):
     def _every_second(self) -> None:
         if not self.lockstep:
             self._watch.look(time.monotonic())
-        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic(),
-                                                                    neighbour_killed()):
+        broken = ("a topic of the loop is silent" if self._watch.silent else
+                  "a killed node is still written to" if neighbour_killed() else "")
+        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic(), broken):
             self.get_logger().info(f"scheduling: {self.realtime.words}")
             self.warnings_active.pop("scheduling", None)
             if not self.realtime.held:

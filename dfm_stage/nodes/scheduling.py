@@ -29,8 +29,9 @@ class RealTime:
     for 4 to 13 %, which left a recorder at normal priority 4 % of a core.
 
     For as long as a killed neighbour is still written to, which costs each message a multiple of
-    its time (`shared_memory`), the process returns to the normal policy as well: two cores were
-    full with it, and the node started in place of the killed one came to nothing.
+    its time (`shared_memory`), or a topic of the loop is silent, the process returns to the normal
+    policy as well: two cores were full, and the node started in place of the lost one came to
+    nothing.
 
     `words` is what the process runs under now, for diagnostics; `held` whether that is SCHED_RR.
     """
@@ -67,13 +68,13 @@ class RealTime:
                 self._priority, self._crowded = priority, 0
                 self._waited_s, self._looked_s = _waited_s(), now_s
 
-    def look(self, now_s: float, killed: bool = False) -> bool:
-        """To be called once a second, with whether a neighbour was killed lately; True when
-        `held` has changed."""
-        if killed and self._priority:
+    def look(self, now_s: float, broken: str = "") -> bool:
+        """To be called once a second, with what is `broken` in the loop; True when `held` has
+        changed."""
+        if broken and self._priority:
             changed = self.held
             self.give_back()
-            self.words = "normal (a killed node is still written to)"
+            self.words = f"normal ({broken})"
             self._again_s = max(self._again_s, now_s)
             return changed
         if not self.held:

@@ -39,6 +39,7 @@ from dfm_stage.trajectory import (
 
 RECORDER_SILENT_S = 2.5
 _BACKWARDS = 0x80000000
+_STOPPED = "stopped"
 
 
 @dataclass
@@ -226,6 +227,7 @@ class TrajectoryGenerator(LoopNode):
         goal.execute(execute)
 
     def _begin(self) -> None:
+        self.warnings_active.pop("run", None)
         self.publish_config()
         if self.lockstep and self._pending is not None:
             pending, self._pending = self._pending, None
@@ -251,7 +253,7 @@ class TrajectoryGenerator(LoopNode):
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self._run is not None
         response.message = "stopped" if self._run else "nothing is running"
-        self._end("abort", "stopped")
+        self._end("abort", _STOPPED)
         return response
 
     def _end(self, how: str, message: str = "") -> None:
@@ -261,6 +263,8 @@ class TrajectoryGenerator(LoopNode):
         self.count("experiments")
         if how == "abort":
             self.get_logger().warning(f"{run.name} is over: {message}")
+            if message != _STOPPED:
+                self.warnings_active["run"] = f"{run.name} is over: {message}"
         if run.goal is not None:
             self._conclude(run.goal, how, message, run)
 

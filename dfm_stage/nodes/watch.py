@@ -26,7 +26,7 @@ class Input:
 
 
 class Watch:
-    """Puts words into `warnings` and takes them out again.
+    """Puts words into `warnings` and takes them out again; `silent` is whether a topic stopped.
 
     `count` and `log` are called when something begins; times are on one steady clock, s.
     """
@@ -38,6 +38,7 @@ class Watch:
         self._count = count
         self._log = log
         self._last_look = now
+        self.silent = False
 
     def look(self, now: float) -> None:
         """Look once, a second after the last time."""
@@ -47,11 +48,13 @@ class Watch:
             self._warnings["held up"] = f"this process stood still for {late:.1f} s"
         else:
             self._warnings.pop("held up", None)
+        self.silent = False
         for each in self.inputs:
             key, silent = f"silent {each.name}", each.silent_s(now)
             if silent < SILENT_S:
                 self._warnings.pop(key, None)
                 continue
+            self.silent = True
             if key not in self._warnings:
                 self._count("inputs_lost")
                 self._log(f"nothing more on {each.name} from {each.publisher}")

@@ -134,12 +134,12 @@ def test_it_is_taken_again_after_a_while_which_doubles(scheduler):
     assert changes == [(5, False), (25, True), (30, False), (70, True), (75, False)]
 
 
-def test_it_is_given_back_while_a_killed_node_is_written_to(scheduler):
+def test_it_is_given_back_while_the_loop_is_broken(scheduler):
     asked, _ = scheduler
     realtime = RealTime()
     realtime.take(20, 0.0)
-    seen = [(realtime.look(float(second), killed), realtime.held) for second, killed in
-            enumerate([False, True, True, False, False], start=1)]
+    seen = [(realtime.look(float(second), broken), realtime.held) for second, broken in
+            enumerate(["", "killed", "killed", "", ""], start=1)]
     assert seen == [(False, True), (True, False), (False, False), (True, True), (False, True)]
     assert asked[-1][1:] == (os.SCHED_RR, 20)
 
@@ -147,5 +147,5 @@ def test_it_is_given_back_while_a_killed_node_is_written_to(scheduler):
 def test_one_that_never_was_real_time_stays_so(scheduler):
     realtime = RealTime()
     realtime.take(0, 0.0)
-    assert [realtime.look(1.0, killed=True), realtime.look(2.0)] == [False, False]
+    assert [realtime.look(1.0, "killed"), realtime.look(2.0)] == [False, False]
     assert scheduler[0] == []

@@ -29,6 +29,9 @@ def test_measurements_that_start_anew_end_the_run(make):
     node._on_measurement(measurement(0))
     assert node._run is None
     assert (node.counters["source_restarts"], node._hold) == (1, held)
+    assert "started anew" in node.warnings_active["run"]  # said until the next run
+    node._on_start(None, SimpleNamespace(success=False, message=""))
+    assert "run" not in node.warnings_active
 
 
 def test_numbers_that_wrap_around_are_no_restart(make):
@@ -60,6 +63,7 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
         words = list(node.warnings_active.values())
         assert any(text.startswith("nothing on sim/position_counts from sim_plant")
                    for text in words) == silent, second
+        assert node._watch.silent == silent
     assert node.counters["inputs_lost"] == 1
 
 
