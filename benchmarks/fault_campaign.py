@@ -202,6 +202,8 @@ class Campaign:
             outcome.explained = self._explained(fault)
         outcome.safe &= self._becomes_safe(fault, start)
         outcome.words = "; ".join(dict.fromkeys(text for _, text in self._said))
+        if not outcome.safe:
+            outcome.words = f"{self._seen(start)}; {outcome.words}"
         repaired = time.monotonic()
         if fault.kind == "kill":
             self._start_again(fault)
@@ -257,6 +259,12 @@ class Campaign:
         if self._age_s("plant") < RECENT_S:
             return bool(self._heard["plant"][-1].current == 0.0)
         return not self._heard["amplifier"] or self._heard["amplifier"][-1].voltage == 0.0
+
+    def _seen(self, start: dict[str, int]) -> str:
+        """What the witness has of the stage."""
+        travelled = [abs(each.position) for each in self._heard["plant"][start["plant"]:]]
+        ages = ", ".join(f"{topic} {self._age_s(topic):.2f}" for topic in WITNESSED)
+        return f"travelled {max(travelled, default=0.0) * 1e3:.2f} mm, last heard (s ago) {ages}"
 
     def _explained(self, fault: Fault) -> bool:
         """Whether a node has said what it misses, or why the output is at zero."""
