@@ -48,6 +48,9 @@ def running_node(domain: int, end: int = signal.SIGKILL, *command: str):
             time.sleep(0.05)
         time.sleep(SETTLED_S)  # while it starts it also looks into the ports of others
         (port,) = own_ports(node.pid)
+        note = port.with_name(port.name.replace("fastrtps_port", "dfm_stage_port"))
+        while not note.exists():
+            time.sleep(0.05)
         left = {path for path in mapped(node.pid) if "port" not in path.name}
         yield node.pid, port
     finally:
