@@ -282,7 +282,7 @@ class StageGraph(NodeSet):
 
         `topic` is a name in `dfm_stage.nodes.wiring.LINKS`, such as `measurement`. With `lossy`
         it listens best effort: where this process is too slow it misses messages, instead of
-        having the node send them again.
+        having the node send them again; not in lockstep, where every sample counts.
         """
         link, heard = LINKS[topic], []
         qos = LOCKSTEP_QOS if self.lockstep else LOSSY_QOS if lossy else PUBLISHER_QOS

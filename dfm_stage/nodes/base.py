@@ -250,12 +250,16 @@ class LoopNode(Node):
 
     _waiting_since: tuple[tuple[str, int], float] | None = None
 
+    def _broken(self) -> str:
+        if self._watch.silent:
+            return "a topic of the loop is silent"
+        return "a killed node is still written to" if neighbour_killed() else ""
+
     def _every_second(self) -> None:
         if not self.lockstep:
             self._watch.look(time.monotonic())
-        broken = ("a topic of the loop is silent" if self._watch.silent else
-                  "a killed node is still written to" if neighbour_killed() else "")
-        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic(), broken):
+        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic(),
+                                                                    self._broken()):
             self.get_logger().info(f"scheduling: {self.realtime.words}")
             self.warnings_active.pop("scheduling", None)
             if not self.realtime.held:

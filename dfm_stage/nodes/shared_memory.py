@@ -51,8 +51,8 @@ def neighbour_killed() -> bool:
     """Whether a node of a domain that this process is in was killed within its lease."""
     domains = {_domain(number) for number in _own} - {None}
     return any(_killed_lately(note) for note in SHARED_MEMORY.glob(f"{_NOTE}*")
-                if (number := note.name.removeprefix(_NOTE)) not in _own
-                and _domain(number) in domains)
+               if (number := note.name.removeprefix(_NOTE)) not in _own
+               and _domain(number) in domains)
 
 
 def _domain(number: str) -> int | None:

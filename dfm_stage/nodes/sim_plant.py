@@ -9,7 +9,6 @@ one acts a sample later and is counted.
 from __future__ import annotations
 
 import math
-import struct
 import time
 from typing import Any
 
@@ -21,10 +20,9 @@ from dfm_stage.model import CoupledPlant, Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wire import ENCAPSULATION, NS
+from dfm_stage.nodes.wire import encode_clock
 
 _GIVE_UP_SAMPLES = 100
-_CLOCK = struct.Struct("<4siI")
 
 
 class _Stage(CoupledPlant):
@@ -199,7 +197,7 @@ class SimPlant(LoopNode):
             if axis.current is not None:
                 axis.current.send(stamp_ns, self.seq, sample.current)
         if self.lockstep and self.seq:  # after what the loop waits for
-            self._clock_out.handle.publish_raw(_CLOCK.pack(ENCAPSULATION, *divmod(stamp_ns, NS)))
+            self._clock_out.handle.publish_raw(encode_clock(stamp_ns))
         for axis, sample in zip(self._axes, samples, strict=True):
             axis.truth.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
                             sample.current, sample.force_n)

@@ -42,6 +42,11 @@ _STAMP = struct.Struct("<iI")
 _HEADER = struct.Struct("<iII")
 
 
+def encode_clock(stamp_ns: int) -> bytes:
+    """Return a serialised rosgraph_msgs/Clock."""
+    return ENCAPSULATION + _STAMP.pack(*divmod(stamp_ns, NS))
+
+
 class Codec:
     """Packs and unpacks one message type.
 

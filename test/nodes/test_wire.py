@@ -10,10 +10,11 @@ from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header, String
 
 from dfm_interfaces.msg import PlantState
-from dfm_stage.nodes.wire import Codec, WireError, codec, header_stamp_ns
+from dfm_stage.nodes.wire import Codec, WireError, codec, encode_clock, header_stamp_ns
 from dfm_stage.nodes.wiring import LINKS
 
 VALUES = {
@@ -36,6 +37,11 @@ def _message(kind, frame, stamp_ns, values):
 
 def _time(nanoseconds):
     return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+@given(stamp_ns=VALUES["builtin_interfaces/Time"])
+def test_the_clock_is_that_of_rclpy(stamp_ns):
+    assert encode_clock(stamp_ns) == serialize_message(Clock(clock=_time(stamp_ns)))
 
 
 @pytest.mark.parametrize("kind", sorted({link.type for link in LINKS.values()}, key=str))
