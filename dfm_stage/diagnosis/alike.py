@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dfm_stage.model import EFFECTS, Model
 
 
-def counts_in(model: Model, period: float) -> bool:
+def counts_in(step: float | None, period: float) -> bool:
     """Whether a periodic error is but a harmonic of the steps in which the reading counts."""
-    use = model.effect("encoder_quantization")
-    return use is not None and _harmonic(use.parameters["step"], period)
+    return step is not None and _harmonic(step, period)
 
 
 def same_steps(model: Model, parameters: Mapping[str, float]) -> bool:

@@ -28,6 +28,8 @@ EACH = 1000.0
 """Work of a single fit at most."""
 TOLD = 1e-3
 """Fall in chi-square a step at which a fit whose values are told ends: 0.03 standard errors."""
+SEATING = 8
+"""Steps of a fit of all else around new effects."""
 HELD = {"encoder_quantization": ("step",)}
 """Parameters found by search and held in fits: the criterion is not smooth in them."""
 LATER = {"presliding_friction": ("breakaway_ratio", "stribeck_velocity", "damping"),
@@ -110,9 +112,13 @@ class Fits:
             return self.fits[key]
         found = self._from(start.model, names, start, hits, worth)
         expected = start.chi2 - 0.5 * sum(h.gain for h in hits[:1])
-        if hits and not found.chi2 < expected and self.spent < BUDGET:
-            base = {n: v for n, v in self.model.base.items() if n in self.free}
-            again = self._from(start.model.with_parameters(base), names, start, hits, worth)
+        if start.system.springless:  # its base bends far to stand in for what is missing
+            expected = -math.inf
+        given = {n: v for n, v in self.model.base.items() if n in self.free}
+        for model, seated in ((start.model, True), (start.model.with_parameters(given), False)):
+            if not hits or found.chi2 < expected or self.spent >= BUDGET:
+                break
+            again = self._from(model, names, start, hits, worth, seated)
             found = min(found, again, key=lambda f: f.chi2)
         return self.keep(names, found)
 
@@ -121,7 +127,9 @@ class Fits:
         return self.fitted(names, start)
 
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
-              worth: float) -> Fit:
+              worth: float, seated: bool = False) -> Fit:
+        """`seated`: fit all else around the new effects first, and only then them, too. Begun
+        together, a large effect may be traded away for what it displaces."""
         for use in model.effects:
             if use.name not in names and self.model.effect(use.name) is None:
                 model = model.without_effect(use.name)
@@ -136,6 +144,11 @@ class Fits:
         if hits and slow and self.spent > BUDGET:
             self.cut_short = True
             return replace(start, chi2=math.inf)
+        if seated:
+            new = {hit.name for hit in hits}
+            around = tuple(n for n in free if n.partition(".")[0] not in new)
+            start = self._fit(model, around, start, iterations=SEATING, tolerance=1.0)
+            model = start.model
         found = self._fit(model, early, start, iterations=12 if later else 25,
                           tolerance=1.0 if later else 0.03)
         if any(h.name == "encoder_quantization" for h in hits) and "noise" not in self.model.base:

@@ -26,13 +26,18 @@ from dfm_stage.diagnosis.candidates import (
 )
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, weighted_sensitivities
-from dfm_stage.diagnosis.spectra import STEP_GRID, frequency_peaks, lattice, position_peaks
+from dfm_stage.diagnosis.spectra import STEP_GRID, frequency_peaks, position_peaks, read_off
 from dfm_stage.diagnosis.system import PER_RUN, System
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.model import Model
 
 Array = NDArray[np.float64]
 
+SMALL_SHARE, HALF = 1e-4, 0.5
+"""Share of a second mode that is small; share from which a search for it begins at most: beyond
+it the response is not nearly linear in it."""
+SHARP_MODES = (0.003, 0.01)
+"""Damping ratios of modes looked for at the residual's own frequencies."""
 LEAST_TRAVEL = 10.0
 """Motion over noise below which errors of the scale cannot be seen."""
 
@@ -64,7 +69,9 @@ class Screen:
         self.base, self.runs, self.weights, self.dither = base, tuple(runs), weights, dither
         self.scales = Scales.of(base.model, runs, weights[0][0].rms)
         light = base.system.use_light(base.x)
-        self.model = base.system.light.model if light else base.model
+        self.model = base.model
+        for costly in base.system.costly if light else ():
+            self.model = self.model.without_effect(costly)
         if linear is not None and not light and base.system.cost > 1.0:
             self.model = linear
         if base.system.pushed:
@@ -79,6 +86,7 @@ class Screen:
         self.edges = self._edges()
         self.plain = self._outputs(self.model)
         self._strengths: list[tuple[Shape, float]] = []
+        self._peaks: list[float] | None = None
 
     def _edges(self) -> list[tuple[int, int]]:
         found, at = [], 0
@@ -145,15 +153,24 @@ class Screen:
     def _shapes(self, name: str) -> list[Shape]:
         s = self.scales
         if name == "periodic_disturbance":
-            first = [self.residual[a:a + run.input.size - run.skip - ws[0].polynomial.size + 1]
-                     for (a, _), run, ws in zip(self.edges, self.runs, self.weights, strict=True)]
-            peaks = frequency_peaks(first, self.runs[0].sample_period,
-                                    lowest_hz=2.0 / s.duration)
             return [Shape(name, {"amplitude": 1e-3 * s.force, "frequency": f, "phase": 0.0})
-                    for f in peaks]
+                    for f in self._frequencies()]
+        if name == "second_mode":  # the grid is coarser than a sharp resonance
+            sharp = [Shape(name, {"share": SMALL_SHARE, "frequency": f, "damping_ratio": zeta})
+                     for f in self._frequencies() for zeta in SHARP_MODES]
+            return [*shapes(name, self.base.model, self.runs, s), *sharp]
         if name in ("encoder_periodic_error", "encoder_quantization"):
             return self._scale_errors(name)
         return shapes(name, self.base.model, self.runs, s)
+
+    def _frequencies(self) -> list[float]:
+        """Frequencies (Hz) at which the residual of the output stands out."""
+        if self._peaks is None:
+            first = [self.residual[a:a + run.input.size - run.skip - ws[0].polynomial.size + 1]
+                     for (a, _), run, ws in zip(self.edges, self.runs, self.weights, strict=True)]
+            self._peaks = frequency_peaks(first, self.runs[0].sample_period,
+                                          lowest_hz=2.0 / self.scales.duration)
+        return self._peaks
 
     def _scale_errors(self, name: str) -> list[Shape]:
         positions, residuals = [], []
@@ -167,8 +184,8 @@ class Screen:
             return [Shape(name, {"amplitude": 0.1 * self.scales.noise, "period": p, "phase": 0.0})
                     for p in periods]
         known = self.base.model.base.get("encoder_resolution", 0.0)
-        step = lattice(self.runs[0].output)
-        if step is not None and step > 1.5 * known:  # read off the data, not to be estimated
+        step = read_off(self.runs[0].output, known)
+        if step is not None:
             return [Shape(name, {"step": step})] if step > self.scales.noise else []
         grid = np.arange(-20, 21) * STEP_GRID
         steps = [p for period in periods for p in
@@ -206,6 +223,9 @@ class Screen:
         if shape.name == "cross_axis_coupling" and multiples.size == 2:
             return {"ratio": shape.parameters["ratio"] * float(multiples[0]),
                     "stiffness": self._coupling() * float(multiples[1])}
+        if shape.name == "second_mode":
+            most = HALF / shape.parameters["share"]
+            return shape.scaled(float(np.clip(multiples[0], -most, most)))
         return shape.scaled(float(multiples[0]))
 
     def _coupling(self) -> float:
@@ -219,11 +239,15 @@ class Screen:
         elif shape.name == "cross_axis_coupling":
             variants.append({"ratio": 0.0, "stiffness": self._coupling()})
         columns = []
+        model, plain = self.model, self.plain
+        if shape.name == "encoder_quantization":  # at the motion itself, to a part of a step
+            model = self.base.model
+            plain = self._outputs(model)
         for parameters in variants:
-            shifted = self._outputs(self.model.with_effect(shape.name, parameters))
-            if shifted is None or self.plain is None:
+            shifted = self._outputs(model.with_effect(shape.name, parameters))
+            if shifted is None or plain is None:
                 return None
-            columns.append(shifted - self.plain)
+            columns.append(shifted - plain)
         if shape.name not in PER_RUN or len(self.runs) == 1:
             return np.asarray(np.array(columns).T)
         split = []

@@ -14,7 +14,9 @@ from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.effect_fits import LATER, Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
+from dfm_stage.diagnosis.spectra import read_off
 from dfm_stage.diagnosis.weighting import weights_of
+from dfm_stage.model import Model
 
 Array = NDArray[np.float64]
 
@@ -57,19 +59,32 @@ class Search(Fits):
     screens: dict[frozenset[str], list[Hit]] = field(default_factory=dict)
     smallest: dict[str, dict[str, float]] = field(default_factory=dict)
     """Size of each effect that would have been seen beyond the model as it is."""
+    barred: set[str] = field(default_factory=set)
+    """Effects that were found and not borne out: not looked for again."""
 
     def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         """Hits of every effect that is allowed and not in `current` yet, best first."""
         alike = self.fitted((), current).model if names else None
         screen = Screen(current, self.runs, self.weights, self.dither, alike)
         found: list[Hit] = []
+        step = self._step_of(current.model)
         for name in self.library:
-            if name in names or excluded(name, self.model, self.runs) is not None:
+            if name in (*names, *self.barred) or excluded(name, self.model, self.runs):
                 continue
             found += [h for h in screen.hits(name) if h.name != "encoder_periodic_error"
-                      or not counts_in(current.model, h.parameters["period"])]
+                      or not counts_in(step, h.parameters["period"])]
         found.sort(key=lambda h: -h.gain)
         return screen, found
+
+    def _step_of(self, model: Model) -> float | None:
+        """The step in which the reading is known to count: the model's, or read off the data
+        where that effect may be named."""
+        use = model.effect("encoder_quantization")
+        if use is not None:
+            return use.parameters["step"]
+        if "encoder_quantization" not in self.library or "encoder_quantization" in self.barred:
+            return None
+        return read_off(self.runs[0].output, model.base.get("encoder_resolution", 0.0))
 
     def extend(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
         """Add what helps most, one effect or two at once; None where nothing helps enough."""
@@ -127,8 +142,14 @@ class Search(Fits):
 
     def run(self) -> tuple[Names, Fit]:
         """Add effects until nothing helps; return them in the order they came, and the fit."""
-        names: Names = ()
-        current = self.begin()
+        return self._grown((), self.begin())
+
+    def second(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
+        """Go on from `names` without the barred effects; None where nothing helps."""
+        found = self.extend(names, current)
+        return None if found is None else self._grown(*self.pruned(*found))
+
+    def _grown(self, names: Names, current: Fit) -> tuple[Names, Fit]:
         while current.ok and len(names) < MOST:
             self.step("screening every effect")
             found = self.extend(names, current)
@@ -218,7 +239,8 @@ class Search(Fits):
         best = self.screens[frozenset(rest)]
         own = max((h.gain for h in best if h.name == name), default=loss)
         found: list[Rival] = []
-        for hit in sorted(best, key=lambda h: -h.gain):
+        for hit in sorted((h for h in best if h.name not in self.barred),
+                          key=lambda h: -h.gain):
             least = RELATED if shares_class(hit.name, name) else STRANGER
             if hit.name == "encoder_quantization" and same_steps(current.model,
                                                                  hit.parameters):

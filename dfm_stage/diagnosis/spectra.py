@@ -66,17 +66,30 @@ def denoised(signal: Array) -> Array:
 
 
 def lattice(values: Array) -> float | None:
-    """The step of which all `values` (N,) are multiples apart, None where there is none."""
+    """The step of which all `values` (N,) are multiples apart, None where there is none.
+
+    Values may be rounded further, to something finer: the step is made out from small gaps first,
+    so that the larger ones are counted in steps without a slip.
+    """
     levels = np.unique(values)
     if levels.size < 3 or levels.size > values.size // 2:
         return None
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-6 * float(np.max(gaps))]
-    step = float(np.min(gaps))
-    counts = np.rint(gaps / step)
-    step = float(np.sum(gaps) / np.sum(counts))
+    step = reach = float(np.min(gaps))
+    while reach < float(np.max(gaps)):
+        reach *= 3.0
+        near = gaps[gaps <= reach]
+        step = float(np.sum(near) / np.sum(np.rint(near / step)))
     miss = np.abs(gaps / step - np.rint(gaps / step))
     return step if float(np.mean(miss)) < 0.1 else None
+
+
+def read_off(values: Array, resolution: float) -> float | None:
+    """The step in which a reading (N,) counts, where it is coarser than the encoder's resolution:
+    read off the data, not to be estimated."""
+    step = lattice(values)
+    return step if step is not None and step > 1.5 * resolution else None
 
 
 def _peaks(power: Array, apart: int, count: int) -> list[int]:

@@ -55,6 +55,8 @@ OUTSTANDING = 3.0
 """How much more than at neighbouring frequencies a vibration must take: what a model leaves of a
 resonance stands at every line of the input."""
 NEIGHBOURS = (-2, -1, 1, 2)
+ITSELF = 0.9
+"""Correlation with its shifted self above which a contribution is no other than that."""
 CONFIRMED = 15.0
 """Fall in held-out chi-square that an effect free in each run must bring."""
 
@@ -62,7 +64,8 @@ CONFIRMED = 15.0
 @dataclass(frozen=True)
 class KnockOff:
     """Chi-square on held-out runs: of the effect's contribution, with it, without it, and of the
-    best of its knock-offs, from which it must stand out by the factor `outstanding`."""
+    best of its knock-offs, from which it must stand out by the factor `outstanding`. Where it has
+    none of its own, `best` is infinite and it must lower chi-square by itself."""
 
     contribution: float
     true: float
@@ -72,12 +75,12 @@ class KnockOff:
 
     def passed(self, per_run: bool) -> bool | None:
         """Whether the effect does better than its knock-offs; None where it does nothing here."""
-        if per_run:
+        if not per_run and self.contribution < SILENT:
+            return None
+        if per_run or math.isinf(self.best):
             gain = self.without - self.true
             return gain > max(CONFIRMED, self.outstanding * (self.without - self.best))
-        if self.contribution < SILENT:
-            return None
-        return self.true < self.best
+        return self.true < min(self.best, self.without)
 
 
 def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weights,
@@ -86,7 +89,8 @@ def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weight
 
     Each has the contribution's size and spectrum and, moved by a quarter to three quarters of the
     records, nothing to do with their motion. Of a vibration, whose phase is free in each record,
-    the knock-offs are vibrations of neighbouring frequencies.
+    the knock-offs are vibrations of neighbouring frequencies. A constant has none: shifted, it is
+    itself.
     """
     rng = np.random.default_rng(seed)
     found = fit(model, runs, (), weights, dither=dither, iterations=10)
@@ -101,9 +105,12 @@ def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weight
             outstanding=OUTSTANDING)
     contribution = bare.white - found.white
     quarter = contribution.size // 4
-    shifts = rng.integers(quarter, 3 * quarter, KNOCK_OFFS)
-    return KnockOff(float(contribution @ contribution), found.chi2, bare.chi2, min(
-        float(np.sum((bare.white - np.roll(contribution, int(k))) ** 2)) for k in shifts))
+    power = float(contribution @ contribution)
+    shifted = [np.roll(contribution, int(k))
+               for k in rng.integers(quarter, 3 * quarter, KNOCK_OFFS)]
+    others = [s for s in shifted if s @ contribution < ITSELF * power]
+    return KnockOff(power, found.chi2, bare.chi2, min(
+        (float(np.sum((bare.white - s) ** 2)) for s in others), default=math.inf))
 
 
 def _neighbours(model: Model, runs: Sequence[Experiment]) -> list[float]:

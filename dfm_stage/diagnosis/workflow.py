@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.system import PER_RUN
 from dfm_stage.diagnosis.verification import predict, spoiled, weights_like
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.model_fit import default_free
+from dfm_stage.identification.periods import find_period
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
 
@@ -85,18 +86,28 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
         raise DiagnosisError(f"model {model.name}: cannot be simulated on {runs[0].name}: the "
                              "motion escapes or the parameters leave their limits; correct the "
                              "model")
-    names, current, bare = search.settle(names, current)
-    tell("comparing rivals")
-    names, current, rivals = search.compare(names, current)
-    current = search.polished(names, current)
-    tell("predicting held-out records")
-    weights = weights_like(held, search.weights)
+    dropped: dict[str, str] = {}
+    while True:
+        names, current, bare = search.settle(names, current)
+        tell("comparing rivals")
+        names, current, rivals = search.compare(names, current)
+        current = search.polished(names, current)
+        tell("predicting held-out records")
+        weights = weights_like(held, search.weights)
+        names, current, silent = _held_out(search, names, current, held, weights, seed, dropped)
+        names, current = _unlocked(search, names, current, dropped)
+        names, current = _bounded(search, names, current, dropped)
+        if search.barred == set(dropped):
+            break
+        search.barred = set(dropped)
+        tell("screening what is left")
+        second = search.second(names, current)
+        if second is None:
+            break
+        names, current = second
     if search.cut_short:
         warnings.append("candidates that are slow to simulate were not all tried: the work grew "
                         "beyond its limit; diagnose shorter records or fewer effects (--without)")
-    names, current, dropped, silent = _held_out(search, names, current, held, weights, seed)
-    names, current = _unlocked(search, names, current, dropped)
-    names, current = _bounded(search, names, current, dropped)
     rivals = {n: r for n, r in rivals.items() if n in names}
     case = Case(model=model, runs=runs, held=held, search=search, names=names, fit=current,
                 bare=bare, rivals=rivals, held_weights=weights,
@@ -113,9 +124,12 @@ def _unlocked(search: Search, names: Names, current: Fit,
     no more than the model's own error there."""
     name = "periodic_disturbance"
     run = search.runs[0]
-    if name not in names or len(names) == 1 or run.periodicity is None:
+    if name not in names or len(names) == 1:
         return names, current
-    period = run.periodicity.period * run.sample_period
+    repeated = run.periodicity or find_period(run.input)  # a measured input repeats but for noise
+    if repeated is None:
+        return names, current
+    period = repeated.period * run.sample_period
     lines = current.model.parameters()[f"{name}.frequency"] * period
     nearest = 0.5 * period / (run.input.size * run.sample_period)
     left = findings(run, current.residuals[0][0], None)
@@ -144,26 +158,27 @@ def _bounded(search: Search, names: Names, current: Fit,
 
 
 def _held_out(search: Search, names: Names, current: Fit, held: Sequence[Experiment],
-              weights: Weights, seed: int
-              ) -> tuple[Names, Fit, dict[str, str], tuple[str, ...]]:
+              weights: Weights, seed: int, dropped: dict[str, str]
+              ) -> tuple[Names, Fit, tuple[str, ...]]:
     """Drop effects that do no better on held-out runs than their knock-offs.
 
-    Returns what is left with its fit, why the others were dropped, and the effects that held-out
-    runs do not exercise.
+    Returns what is left with its fit, and the effects that held-out runs do not exercise; of
+    those found in place of dropped ones there are none: fitted records alone were wrong before.
     """
-    dropped: dict[str, str] = {}
     while True:
         silent = []
         for name in names:
             seen = spoiled(current.model, name, held, weights, search.dither, seed)
             passed = seen.passed(name in PER_RUN)
-            if passed is None:
+            if passed is None and not search.barred:
                 silent.append(name)
             elif not passed:
-                dropped[name] = ("does no better on held-out data than shifted in time"
-                                 if name not in PER_RUN else "is not in the held-out data")
+                dropped[name] = (
+                    "found second, and the held-out records do not exercise it"
+                    if passed is None else "is not in the held-out data"
+                    if name in PER_RUN else "does no better on held-out data than shifted in time")
                 names = tuple(n for n in names if n != name)
                 current = search.fitted(names, current)
                 break
         else:
-            return names, current, dropped, tuple(silent)
+            return names, current, tuple(silent)
