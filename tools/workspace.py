@@ -137,13 +137,18 @@ def make_startable(scripts: Path, python: Path) -> None:
             script.chmod(0o755)
 
 
+FOREIGN = ("PYTHONHOME", "PYTHONPLATLIBDIR", "PYTHONDONTWRITEBYTECODE", "COLCON_PREFIX_PATH")
+
+
 def variables(host: Host, folder: Path, environ: Mapping[str, str]) -> dict[str, str]:
     """The environment in which the built packages run; nothing of another environment leaks in."""
     env, install = folder / "env", folder / "install"
     site = f"lib/python{host.version}/site-packages"
     out = dict(environ)
-    for name in ("PYTHONHOME", "PYTHONPLATLIBDIR", "COLCON_PREFIX_PATH"):
+    for name in FOREIGN:
         out.pop(name, None)
+    # compiled once, not by every node; in our own folder, so that the checkout stays clean
+    out["PYTHONPYCACHEPREFIX"] = str(folder / "bytecode")
     ours = [str(install / STAGE), str(install / INTERFACES)]
     python_path = [
         str(folder / "build" / STAGE),

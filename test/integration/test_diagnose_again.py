@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 
 from dfm_stage.cli import diagnose
 from dfm_stage.model import Simulator, load_model, save_model
@@ -12,6 +13,7 @@ from dfm_stage.model import Simulator, load_model, save_model
 K3 = 2e5
 
 
+@pytest.mark.slow
 def test_what_was_ambiguous_is_named_after_the_next_experiment(tmp_path, capfd):
     """Slowly moved, a stiffening spring and a coil whose force falls off look alike."""
     believed = load_model("paper_stage")

@@ -26,6 +26,7 @@ SCAN = {"name": "scan", "mode": "pid", "duration_s": 4.0, "axes": {"x": {"refere
 ATTEMPTS = 4
 
 
+@pytest.mark.slow
 def test_a_whole_scan_through_both_emulators(tmp_path):
     for attempt in range(ATTEMPTS):
         bag = tmp_path / f"bag{attempt}"

@@ -51,6 +51,7 @@ def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, t
 
 
 @needs_the_right
+@pytest.mark.slow
 def test_it_is_left_out_when_asked_to():
     with StageGraph(parameters={"sim_plant": {"realtime_priority": 0}}) as graph:
         plant = next(each for each in graph.launched if each.kind == "sim_plant")

@@ -97,6 +97,7 @@ def test_the_port_of_a_killed_node_is_left_alone(domain):
         assert other != port
 
 
+@pytest.mark.slow
 def test_the_others_know_that_a_neighbour_was_killed(domain, monkeypatch):
     with running_node(domain) as (_, port):
         own = int(port.name.removeprefix("fastrtps_port")) + 2
@@ -107,6 +108,7 @@ def test_the_others_know_that_a_neighbour_was_killed(domain, monkeypatch):
     assert not neighbour_killed()  # that is another domain
 
 
+@pytest.mark.slow
 def test_after_its_lease_it_is_taken_again(domain):
     with running_node(domain) as (_, port):
         pass
@@ -117,6 +119,7 @@ def test_after_its_lease_it_is_taken_again(domain):
         assert other == port
 
 
+@pytest.mark.slow
 def test_the_port_of_a_node_that_ended_is_taken_again(domain):
     with running_node(domain, signal.SIGINT) as (_, port):
         pass
@@ -138,6 +141,7 @@ def test_a_port_that_went_before_anybody_looked_is_missed(tmp_path, monkeypatch)
         assert [watch.lost(), watch.lost()] == [False, True]
 
 
+@pytest.mark.slow
 def test_a_recorder_that_begins_anew_goes_on_in_another_folder(domain, tmp_path):
     bag = tmp_path / "bag"
     with running_node(domain, signal.SIGINT, "recorder", "--ros-args", "-p",
@@ -154,6 +158,7 @@ def test_a_recorder_that_begins_anew_goes_on_in_another_folder(domain, tmp_path)
     assert (tmp_path / "bag_1" / "metadata.yaml").exists()
 
 
+@pytest.mark.slow
 def test_a_port_is_taken_though_a_process_that_gave_it_back_still_has_its_note(domain):
     with running_node(domain, signal.SIGINT) as (_, port):
         pass

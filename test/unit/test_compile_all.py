@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 USE = """
 import numpy as np
@@ -54,6 +56,7 @@ for function in (record.run, record.peek, setup.prepare, setup.reset, setup.rest
 """
 
 
+@pytest.mark.slow
 def test_a_second_process_and_a_copy_compile_nothing(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "dfm_stage", tmp_path / "dfm_stage",
                     ignore=shutil.ignore_patterns("__pycache__"))

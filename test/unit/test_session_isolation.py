@@ -50,6 +50,7 @@ def runs(pid: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 def test_a_process_left_behind_fails_the_test_and_is_ended(tmp_path: Path) -> None:
     session = run_session(tmp_path, LEAKING)
     assert "3 passed, 2 errors" in session.stdout

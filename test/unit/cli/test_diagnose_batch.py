@@ -91,6 +91,7 @@ def test_a_cluster_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch) -> No
         list(run_batch([Job("a", ())], 1, "tcp://h:1"))
 
 
+@pytest.mark.slow
 def test_two_runs_on_a_real_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     distributed = pytest.importorskip("distributed", reason="Dask is not installed")
     assert example.main([str(tmp_path / "example")]) == 0

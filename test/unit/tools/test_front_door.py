@@ -286,6 +286,15 @@ class TestVariables:
         default = workspace.variables(BARE, tmp_path, {})
         assert default["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
 
+    def test_modules_are_compiled_once_and_not_in_the_checkout(self, tmp_path: Path) -> None:
+        """A shell that writes no bytecode had every node compile all that it imports."""
+        chosen = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+        (tmp_path / "some.py").write_text("")
+        subprocess.run([sys.executable, "-c", "import some"], check=True, cwd=tmp_path,
+                       env=workspace.variables(BARE, tmp_path / "own", chosen))
+        assert [path.name.partition(".")[0] for path in (tmp_path / "own").rglob("some*.pyc")]
+        assert not list(tmp_path.glob("__pycache__"))
+
     def test_twice_is_once(self, tmp_path: Path) -> None:
         once = workspace.variables(BARE, tmp_path, FOREIGN)
         assert workspace.variables(BARE, tmp_path, once) == once
