@@ -62,6 +62,7 @@ window.onload = () => {
 };</script></body>"""
 DOMAIN = pytest.StashKey[Domain]()
 FOLDER = pytest.StashKey[Path]()
+MACHINE = pytest.StashKey["Machine"]()
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("repeatable")
@@ -102,7 +103,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("slow") and not os.environ.get("DFM_SLOW"):
             item.add_marker(skip)
-        if item.get_closest_marker("real_time"):
+        if needs_machine(item):
             item.add_marker(pytest.mark.flaky(reruns=2))
 
 
@@ -147,21 +148,56 @@ def opens_well(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Non
     return judge
 
 
+class Machine:
+    """Which test processes may run: one alone, or all that need not be alone."""
+
+    def __init__(self, folder: Path) -> None:
+        self.turn, self.machine = (folder / "turn").open("a"), (folder / "machine").open("a")
+        self.alone = False
+
+    def take(self, alone: bool) -> None:
+        """Wait until a test may run."""
+        if self.alone:
+            if not alone:
+                self.give_back()
+                self.take(alone)
+            return
+        # whoever waits for the machine keeps the turn, so that it comes soon
+        fcntl.flock(self.turn, fcntl.LOCK_EX)
+        fcntl.flock(self.machine, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        fcntl.flock(self.turn, fcntl.LOCK_UN)
+        self.alone = alone
+
+    def give_back(self) -> None:
+        """Let others run."""
+        fcntl.flock(self.machine, fcntl.LOCK_UN)
+        self.alone = False
+
+
 @pytest.fixture(autouse=True)
 def machine_to_itself(request: pytest.FixtureRequest,
-                      tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+                      tmp_path_factory: pytest.TempPathFactory) -> None:
     """Run a test marked real_time while the other test processes pause."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        yield
-        return
-    folder = tmp_path_factory.getbasetemp().parent
-    alone = request.node.get_closest_marker("real_time") is not None
-    with (folder / "turn").open("a") as turn, (folder / "machine").open("a") as machine:
-        # whoever waits for the machine keeps the turn, so that it comes soon
-        fcntl.flock(turn, fcntl.LOCK_EX)
-        fcntl.flock(machine, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
-        fcntl.flock(turn, fcntl.LOCK_UN)
-        yield
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        stash = request.config.stash
+        if MACHINE not in stash:
+            stash[MACHINE] = Machine(tmp_path_factory.getbasetemp().parent)
+        stash[MACHINE].take(needs_machine(request.node))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item,
+                            nextitem: pytest.Item | None) -> Iterator[None]:
+    """Tests that need the machine run in a row: each would wait for the others' tests anew."""
+    done = yield
+    if MACHINE in item.config.stash and (nextitem is None or not needs_machine(nextitem)):
+        item.config.stash[MACHINE].give_back()
+    return done
+
+
+def needs_machine(item: pytest.Item) -> bool:
+    """Whether a test runs against the clock."""
+    return item.get_closest_marker("real_time") is not None
 
 
 @pytest.fixture(autouse=True)
