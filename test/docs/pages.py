@@ -7,7 +7,7 @@ What the first line of a block says decides what is done with it:
 - ```` ```console ````: lines after `$ ` are run there, the other lines are what must come out
   (`...` stands for anything);
 - ```` ```yaml ````: loaded as the model or experiment that it is;
-- a second word `slow`: only where DFM_SLOW is set, as `.ci/run` does;
+- a second word `slow`: its page runs only where DFM_SLOW is set, as `.ci/run` does;
 - a second word `file`: a file of the package, named in a comment; the page's Python then runs in a
   copy of the package that has it;
 - a second word `fragment`: a part that does not stand alone; it has to compile.

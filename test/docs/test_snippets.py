@@ -30,10 +30,11 @@ WITH_SLOW = [page for page in RUNNABLE if "slow" in {block.mark for block in blo
 COMMAND = re.compile(r"(?:\$ )?\./run +(\S+)(.*)")
 
 
-@pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [page for page in RUNNABLE if page not in WITH_SLOW],
+                         ids=lambda page: page.name)
 def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    run_page(page, tmp_path, slow=False)
+    run_page(page, tmp_path)
 
 
 @pytest.mark.real_time
@@ -42,10 +43,10 @@ def test_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_the_page_runs_with_what_is_slow(page: Path, tmp_path: Path,
                                          monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    run_page(page, tmp_path, slow=True)
+    run_page(page, tmp_path)
 
 
-def run_page(page: Path, tmp_path: Path, *, slow: bool) -> None:
+def run_page(page: Path, tmp_path: Path) -> None:
     """Run the blocks of a page in `tmp_path`, which is the current folder."""
     run = tmp_path / "run"
     run.write_text(RUN.format(python=sys.executable))
@@ -65,7 +66,7 @@ def run_page(page: Path, tmp_path: Path, *, slow: bool) -> None:
             assert path, f"{block}: no line that names the file"
             assert not (ROOT / path[1]).exists()
             Path(path[1]).write_text(block.code, encoding="utf-8")
-        elif block.language in runs and (slow or block.mark != "slow"):
+        elif block.language in runs:
             if block.before:
                 exec(compile(block.before, f"before {block}", "exec"), namespace)  # noqa: S102
             runs[block.language](block, namespace)

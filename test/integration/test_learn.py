@@ -24,6 +24,7 @@ def files(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_error_of_a_wrong_model_is_learnt_away_and_replayed(files, capfd, opens_well):
     out = files / "learned"
     assert learn.main([str(files / "short.yaml"), "--model", str(files / "m.yaml"), "--plant",

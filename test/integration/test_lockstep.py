@@ -74,6 +74,7 @@ def test_two_axes_on_one_plant(tmp_path):
             assert len(bag[f"/stage/{axis}/{topic}"]) in (1000, 1001), (axis, topic)
 
 
+@pytest.mark.slow
 def test_what_a_stuck_loop_waits_for_is_named(tmp_path):
     kinds = ("sim_plant", "encoder_driver", "controller", "trajectory_generator")
     with (StageGraph(lockstep=True, composed=True, nodes=kinds) as graph,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 
 from dfm_stage.cli import paper
 from dfm_stage.cli.paper import GraphStage
@@ -16,6 +17,7 @@ from dfm_stage.paper.stage import DirectStage
 from dfm_stage.trajectory import load_experiment
 
 
+@pytest.mark.slow
 def test_quick(tmp_path, capsys):
     out = tmp_path / "out"
     assert paper.main(["--quick", "--out", str(out)]) == 0

@@ -96,6 +96,7 @@ def test_killed_it_loses_at_most_the_last_second(tmp_path):
                for text in read_record(bag).warnings), read_record(bag).warnings
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_said_and_stops_nothing_else(tmp_path):
     bag = tmp_path / "bag"
     with StageGraph(composed=True) as graph:

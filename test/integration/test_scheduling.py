@@ -41,7 +41,7 @@ def policies(pid: int, senders: bool = False) -> set[tuple[int, int]]:
 
 
 @needs_the_right
-@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize("lockstep", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, tmp_path):
     with StageGraph(bag=tmp_path / "bag", lockstep=lockstep) as graph:
         for each in graph.launched:

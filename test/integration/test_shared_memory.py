@@ -127,6 +127,7 @@ def test_the_port_of_a_node_that_ended_is_taken_again(domain):
         assert other == port
 
 
+@pytest.mark.slow
 def test_a_node_whose_port_was_taken_away_begins_anew(domain):
     with running_node(domain, signal.SIGINT) as (pid, port):
         port.unlink()

@@ -69,7 +69,8 @@ def test_both_axes_are_tuned_and_scan_as_predicted(tmp_path, capfd):
 
 
 @pytest.mark.parametrize(("extra", "below"), [
-    ([], 2e-6), (["--feedforward", "inverse"], 1e-7), (["--method", "lqr"], 3e-7)])
+    ([], 2e-6), pytest.param(["--feedforward", "inverse"], 1e-7, marks=pytest.mark.slow),
+    pytest.param(["--method", "lqr"], 3e-7, marks=pytest.mark.slow)])
 def test_predicted_and_achieved_error_agree_on_the_graph(tmp_path, capfd, extra, below):
     assert tune.main(["--model", "raster_bench", "--verify", "scan", "--json",
                       "--out", str(tmp_path / "p.yaml"), *extra]) == 0
