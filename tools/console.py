@@ -71,14 +71,25 @@ class Steps:
         The child keeps the set-up lock open, so a second set-up waits for it even when this
         process was killed. It gets a session of its own: all of it is ended when we are.
         """
-        child, before = self._start(command, env, cwd)
+        self.call_all([command], env, what, cwd)
+
+    def call_all(
+        self,
+        commands: Sequence[Sequence[str | os.PathLike[str]]],
+        env: Mapping[str, str],
+        what: str,
+        cwd: Path | None = None,
+    ) -> None:
+        """Run commands beside each other, each as `call` does, and wait for all of them."""
+        started = [self._start(command, env, cwd) for command in commands]
         try:
-            code = child.wait()
+            codes = [child.wait() for child, _ in started]
         except BaseException:
-            _end_session(child)
+            for child, _ in started:
+                _end_session(child)
             raise
-        if code != 0:
-            raise SetupError(self._reason(what, before), exit_code=1)
+        if any(codes):
+            raise SetupError(self._reason(what, started[0][1]), exit_code=1)
 
     @contextlib.contextmanager
     def beside(

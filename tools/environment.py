@@ -14,6 +14,7 @@ from console import SetupError, Steps, read_stamp, remove_tree, write_stamp, wri
 from host import DISTRIBUTION, PRIVATE_MARK, Host
 
 REVISION = 1  # raise it when what this module does to an environment changes
+PARTS = 2
 SOURCE_ONLY = "empy"  # no wheel exists; built with the pinned setuptools
 PIP_SETTINGS_OF_OTHERS = (
     "PIP_TARGET",
@@ -76,8 +77,6 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
     ]
     if host.ros_prefix:
         lines = [line for line in lines if not _keeps_installed_numpy(line, python, outside)]
-    wanted = folder / "requirements.txt"
-    write_whole(wanted, "\n".join(lines) + "\n")
     pip: list[str | os.PathLike[str]] = [
         python,
         "-m",
@@ -97,7 +96,9 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
     sources = ["--no-binary", SOURCE_ONLY, "--no-build-isolation", "--use-pep517"]
     with steps.step(f"{len(lines)} pinned packages"):
         steps.call([*pip, builder], outside, "pip install setuptools")
-        steps.call([*pip, *sources, "--requirement", wanted], outside, "pip install")
+        # unpacking keeps one processor busy; with --no-deps the parts do not need each other
+        parts = [[line for line in lines[part::PARTS] if line != builder] for part in range(PARTS)]
+        steps.call_all([[*pip, *sources, *part] for part in parts], outside, "pip install")
     if not host.ros_prefix:
         repair_exports(env, host.version)
         write_setup_files(env)

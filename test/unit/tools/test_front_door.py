@@ -315,6 +315,15 @@ class TestConsole:
         assert str(tmp_path / "step.log") in message
         assert "\n" not in message
 
+    def test_of_steps_beside_each_other_any_may_fail(self, tmp_path: Path) -> None:
+        commands = [["sh", "-c", "echo done >first"], ["sh", "-c", "echo ERROR: no; exit 3"]]
+        with console.locked(tmp_path / "lock") as lock_fd:
+            steps = console.Steps(lock_fd)
+            steps.log_to(tmp_path / "step.log")
+            with pytest.raises(console.SetupError, match="ERROR: no"):
+                steps.call_all(commands, os.environ, "the steps", tmp_path)
+        assert (tmp_path / "first").read_text() == "done\n"
+
     def test_a_missing_network_is_said(self, tmp_path: Path) -> None:
         assert "network" in self.failing(tmp_path, "Temporary failure in name resolution")
 
