@@ -156,8 +156,9 @@ def late_splits(model: Model, free: Sequence[str]) -> list[Parameters]:
     if whole <= 0.0:
         return []
     rest = 0.1 / (len(unit) - 1)
-    return [{n: (0.9 if n == most else rest) * whole * u for n, u in unit.items()}
-            for most in unit]
+    limits = {n: model.parameter(n) for n in unit}
+    return [{n: min(max((0.9 if n == most else rest) * whole * u, limits[n].low), limits[n].high)
+             for n, u in unit.items()} for most in unit]
 
 
 SMALL = 1e-3

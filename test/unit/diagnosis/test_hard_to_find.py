@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import chirp, cont2discrete, dlsim
 
 from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis.candidates import late_splits
 from dfm_stage.diagnosis.experiment import experiment
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.screen import Screen
@@ -118,3 +119,13 @@ def test_the_screen_starts_from_the_fitted_motion():
     assert screen.plain is not None
     moved = run.output[run.skip:] - found.residuals[0][0]
     np.testing.assert_allclose(screen.plain, rough[0][0].apply(moved), rtol=1e-6, atol=1e-9)
+
+
+def test_lateness_of_next_to_nothing_is_shared_out_within_limits():
+    model = truth.believed(delay=1e-10).with_effect("amplifier_bandwidth",
+                                                    {"time_constant": 1e-9})
+    names = ("delay", "amplifier_bandwidth.time_constant")
+    splits = late_splits(model, names)
+    assert len(splits) == 2
+    for values in splits:
+        assert model.with_parameters(values).parameters().items() >= values.items()
