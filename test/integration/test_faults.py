@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import signal
+
+import numpy as np
 import pytest
 
 from benchmarks.fault_campaign import KINDS, NODES, Campaign, Fault, draw
 from dfm_stage.harness import HarnessError, StageGraph
+from dfm_stage.recording import read_bag
 
 FAULTS = (Fault("/stage/x/controller", "kill"), Fault("/stage/x/encoder_driver", "pause", 0.7))
 
@@ -38,3 +42,22 @@ def test_a_node_is_not_restarted_while_it_runs():
         with StageGraph(nodes=("sim_plant",), composed=composed) as graph, pytest.raises(
                 HarnessError, match=words):
             graph.restart_node("/stage/sim_plant")
+
+
+@pytest.mark.real_time
+@pytest.mark.slow
+def test_a_recorder_that_stands_still_holds_nobody_up(tmp_path):
+    """Taken for dead after a second, its ports were made anew: the whole graph stood still 2 s."""
+    with StageGraph(bag=tmp_path / "bag") as graph:
+        plant = graph.listen("x", "plant", lossy=True)
+        graph.spin_until(lambda: len(plant) > 500, 10.0, "the plant")
+        for _ in range(3):
+            graph.signal_node("/stage/recorder", signal.SIGSTOP)
+            graph.spin(1.9)
+            graph.signal_node("/stage/recorder", signal.SIGCONT)
+            graph.spin(2.0)
+        graph.stop_recording()
+    stamps = np.array([each.stamp_ns for each in plant])
+    assert np.max(np.diff(stamps)) < 0.5e9
+    there = read_bag(tmp_path / "bag")["/stage/x/plant"]["header.stamp"]
+    assert not set(stamps[:-2000].tolist()) - set(there.tolist())
