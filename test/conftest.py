@@ -156,11 +156,8 @@ class Machine:
         self.alone = False
 
     def take(self, alone: bool) -> None:
-        """Wait until a test may run."""
+        """Wait until a test may run; whoever has the machine alone keeps it."""
         if self.alone:
-            if not alone:
-                self.give_back()
-                self.take(alone)
             return
         # whoever waits for the machine keeps the turn, so that it comes soon
         fcntl.flock(self.turn, fcntl.LOCK_EX)
@@ -190,8 +187,10 @@ def pytest_runtest_protocol(item: pytest.Item,
                             nextitem: pytest.Item | None) -> Iterator[None]:
     """Tests that need the machine run in a row: each would wait for the others' tests anew."""
     done = yield
-    if MACHINE in item.config.stash and (nextitem is None or not needs_machine(nextitem)):
-        item.config.stash[MACHINE].give_back()
+    machine = item.config.stash.get(MACHINE, None)
+    if machine is not None and not (machine.alone and nextitem is not None
+                                    and needs_machine(nextitem)):
+        machine.give_back()
     return done
 
 
