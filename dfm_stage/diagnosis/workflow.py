@@ -176,7 +176,7 @@ def _held_out(search: Search, names: Names, current: Fit, held: Sequence[Experim
                 dropped[name] = (
                     "found second, and the held-out records do not exercise it"
                     if passed is None else "is not in the held-out data"
-                    if name in PER_RUN else "lowers the held-out error no more than shifted in time")
+                    if name in PER_RUN else "lowers the held-out error no more than when shifted")
                 names = tuple(n for n in names if n != name)
                 current = search.fitted(names, current)
                 break
