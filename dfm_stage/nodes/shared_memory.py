@@ -5,9 +5,10 @@ free numbers: those of a killed participant. Until its lease ends (config/fastdd
 go on writing to it; where its reader stood still for longer than healthy_check_timeout_ms of our
 profiles they remove the port and make it anew, and with it the mutex that should keep this apart
 from the opening of the port by the next participant. Now and then that one is left with a port
-that has no name any more: it looks alive and hears nobody (Fast DDS 2.14, SharedMemGlobal.hpp, `open_port_internal` and `~Port`). Hence a
-note in /dev/shm for every port of our nodes, locked while its process lives: a note without a lock
-is a killed node's, and its port is not taken for LEASE_S.
+that has no name any more: it looks alive and hears nobody (Fast DDS 2.14, SharedMemGlobal.hpp,
+`open_port_internal` and `~Port`). Hence a note in /dev/shm for every port of our nodes, locked
+while its process lives: a note without a lock is a killed node's, and its port is not taken for
+LEASE_S.
 
 Rarer, a process is killed while it holds the mutex of a neighbour's port; the others then give
 that port up as broken, and it is the neighbour who hears nobody. `PortWatch` tells.
