@@ -23,6 +23,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from benchmarks.fault_sight import RECENT_S, TRAVEL_M, WITNESSED, Sight, heard, recorded
 from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.harness.stage_graph import AXIS_NODES
 from dfm_stage.recording import read_bag
@@ -30,17 +31,14 @@ from dfm_stage.recording import read_bag
 KINDS = ("kill", "pause", "restart")
 NODES = ("/stage/sim_plant", "/stage/recorder", *(f"/stage/x/{name}" for name in AXIS_NODES))
 RECORDER = "/stage/recorder"
-WITNESSED = ("measurement", "reference", "command", "amplifier", "plant")
 PAUSES_S = (0.05, 2.0)
 LOOKED_AT_S = 1.0
-SETTLING_S = 2.0
 SAFE_WITHIN_S = 3.0
 EXPLAINED_WITHIN_S = 8.0
 RECOVERED_WITHIN_S = 30.0
-RECENT_S = 0.3
 RECORDER_MAY_LOSE_S = 1.0
 DIES_LATE_S = 0.5
-TRAVEL_M = 7.7e-3
+DEAF_S, DEAF_AT_MOST = 5.0, 10
 GENERATOR = {"reference.kind": "raster", "reference.line_length_m": 1e-3, "duration_s": 4.0,
              "repeat": True}
 # Soft enough for what a busy machine adds to the loop's delay, and with little output; the
@@ -61,7 +59,11 @@ class Fault:
 
 @dataclass
 class Outcome:
-    """How one fault ended; `explained` is None where there was nothing to explain."""
+    """How one fault ended; `explained` is None where there was nothing to explain.
+
+    `by_bag`: the witness was behind and had not seen that all was safe, or at work; the bag shows
+    it, at that very time.
+    """
 
     fault: Fault
     safe: bool = False
@@ -71,16 +73,33 @@ class Outcome:
     safe_s: float = 0.0
     took_s: float = 0.0
     words: str = ""
+    by_bag: bool = False
+
+
+@dataclass
+class _Struck:
+    """When a fault began, was looked at and was done with, and when the witness saw no safety."""
+
+    outcome: Outcome
+    begin_ns: int
+    looked_ns: int = 0
+    end_ns: int = 0
+    doubts_ns: list[int] = field(default_factory=list)
 
 
 @dataclass
 class Tally:
-    """What became of all faults, and of the messages."""
+    """What became of all faults, and of the messages.
+
+    `deaf`: how often a fault cut off the witness itself, in whose process the operator sits. The
+    bag shows that the graph went on, the fault is repeated on another.
+    """
 
     outcomes: list[Outcome] = field(default_factory=list)
     witnessed: int = 0
     lost: int = 0
     lost_while_paused: int = 0
+    deaf: int = 0
     lost_words: list[str] = field(default_factory=list)
 
 
@@ -107,7 +126,10 @@ class Campaign:
         self._heard: dict[str, list[Any]] = {}
         self._said: list[tuple[float, str]] = []
         self._paused: list[tuple[int, int]] = []
+        self._killed: list[tuple[str, int]] = []
+        self._struck: list[_Struck] = []
         self._began_ns = 0
+        self._plant_ended_ns = 0
 
     def run(self, faults: Sequence[Fault]) -> Tally:
         """Suffer all of them; a graph that does not come back is replaced and counted."""
@@ -126,11 +148,17 @@ class Campaign:
                         self._suffer(outcome)
                     except HarnessError as error:
                         outcome.words += f"; {error}"
+                    if not outcome.recovered:
                         break
                 ended_ns = time.time_ns()
                 with contextlib.suppress(HarnessError):
                     self._graph.spin(2.0)
             self._check_segment(ended_ns)
+            if (outcome.safe and not outcome.recovered and self._was_deaf()
+                    and self.tally.deaf < DEAF_AT_MOST):
+                self.tally.deaf += 1
+                self.tally.outcomes.remove(outcome)
+                left.insert(0, outcome.fault)
         return self.tally
 
     # The graph and its witness
@@ -149,34 +177,74 @@ class Campaign:
                 self._said.append((time.monotonic(), f"{status.name}: {status.message}"))
 
     def _begin_segment(self) -> None:
-        for heard in self._heard.values():
-            heard.clear()
+        for messages in self._heard.values():
+            messages.clear()
         self._paused.clear()
+        self._killed.clear()
+        self._struck.clear()
         self._began_ns = time.time_ns()
 
     def _check_segment(self, until_ns: int, why: str = "the end") -> None:
-        """Hold what the witness heard against the bag of this start of the recorder."""
-        bag = read_bag(self._graph.bag)  # type: ignore[arg-type]
-        for topic, heard in self._heard.items():
+        """Hold what the witness heard against the bag of this start of the recorder.
+
+        A recorder that began anew went on in a folder beside.
+        """
+        path = self._graph.bag
+        assert path is not None
+        bags = [read_bag(each) for each in (path, *sorted(path.parent.glob(f"{path.name}_*")))]
+        for bag in bags:
+            self._judge_again(bag)
+        self._plant_ended_ns = int(bags[-1]["/stage/x/plant"]["header.stamp"][-1]) if (
+            "/stage/x/plant" in bags[-1]) else 0
+        for topic, messages in self._heard.items():
             name = f"/stage/x/{topic}"
             there: set[tuple[int, int]] = set()
-            if name in bag:
-                there = set(zip(bag[name]["header.stamp"].tolist(), bag[name]["seq"].tolist(),
-                                strict=True))
-            mine = {(each.stamp_ns, each.seq) for each in heard
+            for bag in bags:
+                if name in bag:
+                    there |= set(zip(bag[name]["header.stamp"].tolist(),
+                                     bag[name]["seq"].tolist(), strict=True))
+            mine = {(each.stamp_ns, each.seq) for each in messages
                     if self._began_ns < each.stamp_ns < until_ns}
-            missing = sorted(mine - there)
-            held_up = sum(any(start <= stamp <= end for start, end in self._paused)
-                          for stamp, _ in missing)
+            lost = sorted(mine - there)
+            paused = [each for each in lost
+                      if any(start <= each[0] <= end for start, end in self._paused)]
+            lost = [each for each in lost if each not in paused]
             self.tally.witnessed += len(mine)
-            self.tally.lost_while_paused += held_up
-            self.tally.lost += len(missing) - held_up
-            if len(missing) > held_up:
-                at = np.array([(stamp - until_ns) * 1e-9 for stamp, _ in missing])
+            self.tally.lost_while_paused += len(paused)
+            self.tally.lost += len(lost)
+            if lost:
+                at = np.array([(stamp - until_ns) * 1e-9 for stamp, _ in lost])
                 bag_s = (until_ns - self._began_ns) * 1e-9
                 self.tally.lost_words.append(
-                    f"{topic}: {len(missing) - held_up} of {len(mine)}, {-at[0]:.3f} to "
-                    f"{-at[-1]:.3f} s before {why}, of {bag_s:.1f} s in {bag.path.name}")
+                    f"{topic}: {len(lost)} of {len(mine)}, {-at[0]:.3f} to "
+                    f"{-at[-1]:.3f} s before {why}, of {bag_s:.1f} s in {path.name}"
+                    + (f", begun anew {len(bags) - 1} times" if bags[1:] else "") + "; kills "
+                    + ", ".join(f"{node} {(until_ns - then) * 1e-9:.3f}"
+                                for node, then in self._killed))
+
+    def _was_deaf(self) -> bool:
+        """Whether the bag has much of what the witness, and so the operator, did not hear."""
+        last = max((each[-1].stamp_ns for each in self._heard.values() if each), default=0)
+        return self._plant_ended_ns - last > DEAF_S * 1e9
+
+    def _judge_again(self, bag: Any) -> None:
+        """Judge by the bag: whether the travel was passed, and what a witness behind did not see.
+
+        It is believed where it has the plant at the very time of the witness's doubt.
+        """
+        for struck in self._struck:
+            outcome, node = struck.outcome, struck.outcome.fault.node
+            at_last = recorded(bag, struck.begin_ns, struck.end_ns)
+            doubts = [recorded(bag, struck.begin_ns, at) for at in struck.doubts_ns]
+            if at_last.travelled > TRAVEL_M:
+                outcome.safe = False
+                outcome.words = f"in the bag {at_last}; {outcome.words}"
+            elif not outcome.safe and all(each.ages["plant"] < RECENT_S and each.safe_after(node)
+                                          for each in doubts):
+                outcome.safe = outcome.by_bag = True
+            if outcome.explained is False and outcome.fault.kind != "kill" and (
+                    recorded(bag, struck.begin_ns, struck.looked_ns).works):
+                outcome.explained, outcome.cut, outcome.by_bag = None, False, True
 
     # One fault
 
@@ -184,7 +252,8 @@ class Campaign:
         fault, graph = outcome.fault, self._graph
         self._said.clear()
         begin_ns, begin = time.time_ns(), time.monotonic()
-        start = {topic: len(heard) for topic, heard in self._heard.items()}
+        since = len(self._heard["plant"])
+        struck = _Struck(outcome, begin_ns)
         self._strike(fault)
         if fault.kind != "pause" and fault.node == RECORDER:
             lost_s = RECORDER_MAY_LOSE_S if fault.kind == "kill" else 0.0
@@ -192,18 +261,21 @@ class Campaign:
             self._check_segment(begin_ns - int(lost_s * 1e9), f"{fault.kind} - {lost_s:g} s")
         if fault.kind == "restart":
             self._start_again(fault)
-        outcome.safe = self._becomes_safe(fault, start)
+        outcome.safe = self._becomes_safe(struck, since)
         outcome.safe_s = time.monotonic() - begin
         graph.spin(max(0.0, begin + LOOKED_AT_S - time.monotonic()))
-        outcome.cut = not self._works()
+        struck.looked_ns = time.time_ns()
+        outcome.cut = not self._sight().works
         if fault.kind == "kill" or outcome.cut:
             with contextlib.suppress(HarnessError):
                 graph.spin_until(lambda: self._explained(fault), EXPLAINED_WITHIN_S, "words")
             outcome.explained = self._explained(fault)
-        outcome.safe &= self._becomes_safe(fault, start)
-        outcome.words = "; ".join(dict.fromkeys(text for _, text in self._said))
-        if not outcome.safe:
-            outcome.words = f"{self._seen(start)}; {outcome.words}"
+        outcome.safe &= self._becomes_safe(struck, since)
+        outcome.words = self._words(begin)
+        if not outcome.safe or outcome.explained is False:
+            outcome.words = f"{self._sight(since)}; {outcome.words}"
+        struck.end_ns = time.time_ns()
+        self._struck.append(struck)
         repaired = time.monotonic()
         if fault.kind == "kill":
             self._start_again(fault)
@@ -222,49 +294,40 @@ class Campaign:
             if node == RECORDER:
                 self._paused.append((begin_ns, time.time_ns()))
             return
+        if fault.kind == "kill":
+            self._killed.append((node, time.time_ns()))
         graph.signal_node(node, signal.SIGKILL if fault.kind == "kill" else signal.SIGINT)
 
     def _start_again(self, fault: Fault) -> None:
         bag = {"bag": str(self._new_bag())} if fault.node == RECORDER else None
         self._graph.restart_node(fault.node, bag)
         if bag is not None:
-            self._graph.spin(SETTLING_S)  # a killed recorder still looks matched for a while
             self._begin_segment()
 
     # How it is
 
-    def _age_s(self, topic: str) -> float:
-        heard = self._heard[topic]
-        return (time.time_ns() - heard[-1].stamp_ns) * 1e-9 if heard else float("inf")
+    def _sight(self, since: int | None = None) -> Sight:
+        """What the witness has; the travel only `since` a message of plant, as this is polled."""
+        plant = len(self._heard["plant"]) if since is None else since
+        return heard(self._heard, plant, time.time_ns())
 
-    def _works(self) -> bool:
-        """Return whether commands are given and obeyed, and references come."""
-        return (all(self._age_s(topic) < RECENT_S for topic in WITNESSED)
-                and self._heard["amplifier"][-1].enabled)
-
-    def _becomes_safe(self, fault: Fault, start: dict[str, int]) -> bool:
+    def _becomes_safe(self, struck: _Struck, since: int) -> bool:
+        node = struck.outcome.fault.node
         with contextlib.suppress(HarnessError):
-            self._graph.spin_until(lambda: self._is_safe(fault, start), SAFE_WITHIN_S, "safety")
-        return self._is_safe(fault, start)
+            self._graph.spin_until(lambda: self._sight(since).safe_after(node), SAFE_WITHIN_S,
+                                   "safety")
+        safe = self._sight(since).safe_after(node)
+        if not safe:
+            struck.doubts_ns.append(time.time_ns())
+        return safe
 
-    def _is_safe(self, fault: Fault, start: dict[str, int]) -> bool:
-        """Whether the loop works, or the output is at zero; and the travel was never passed."""
-        travelled = [abs(each.position) for each in self._heard["plant"][start["plant"]:]]
-        if max(travelled, default=0.0) > TRAVEL_M:
-            return False
-        if fault.node == RECORDER or self._works():
-            return True
-        if fault.node.endswith("trajectory_generator"):
-            return self._age_s("command") < RECENT_S
-        if self._age_s("plant") < RECENT_S:
-            return bool(self._heard["plant"][-1].current == 0.0)
-        return not self._heard["amplifier"] or self._heard["amplifier"][-1].voltage == 0.0
-
-    def _seen(self, start: dict[str, int]) -> str:
-        """What the witness has of the stage."""
-        travelled = [abs(each.position) for each in self._heard["plant"][start["plant"]:]]
-        ages = ", ".join(f"{topic} {self._age_s(topic):.2f}" for topic in WITNESSED)
-        return f"travelled {max(travelled, default=0.0) * 1e3:.2f} mm, last heard (s ago) {ages}"
+    def _words(self, begin: float) -> str:
+        """What diagnostics said, each with the seconds after the fault it was first and last."""
+        when: dict[str, list[float]] = {}
+        for at, text in self._said:
+            when.setdefault(text, []).append(at - begin)
+        return "; ".join(f"{text} ({at[0]:.1f} to {at[-1]:.1f} s, {len(at)} times)"
+                         for text, at in when.items())
 
     def _explained(self, fault: Fault) -> bool:
         """Whether a node has said what it misses, or why the output is at zero."""
@@ -281,7 +344,7 @@ class Campaign:
                     graph.call(Trigger, f"/stage/x/{service}", Trigger.Request())
                 graph.set_parameters("/stage/x/controller", {"mode": "pid"})
             graph.spin(RECENT_S)
-            if self._works():
+            if self._sight().works:
                 return True
         return False
 

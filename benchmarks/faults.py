@@ -39,14 +39,15 @@ def figures(quick: bool = False, cases: int | None = None, seed: int = SEED) -> 
     safe = [each.safe_s for each in outcomes if each.safe] or [np.nan]
     cut = sum(each.cut for each in outcomes)
     how = (f"of {len(outcomes)} faults (SIGKILL, SIGSTOP for 0.05 to 2 s, restart; each node in "
-           f"turn, seed {seed}) during a raster at 1 kHz in six processes")
+           f"turn, seed {seed}) during a raster at 1 kHz in six processes; {cut} of them stopped "
+           f"the loop; repeated, as the witness itself heard nothing any more: {tally.deaf}")
     return [
-        Figure("faults.count", float(len(outcomes)), "faults", None,
-               how=f"{how}; {cut} of them stopped the loop"),
+        Figure("faults.count", float(len(outcomes)), "faults", None, how=how),
         Figure("faults.unsafe", float(len(unsafe)), "faults", 0.0, bar_kind="at most",
                how="the output was neither at zero nor under control 3 s later, or the travel "
                f"was passed; median {np.median(safe):.2f} s until it was, worst "
-               f"{np.max(safe):.2f}"),
+               f"{np.max(safe):.2f}; seen in the bag alone, the witness being behind: "
+               f"{sum(each.by_bag for each in outcomes)}"),
         Figure("faults.unexplained", float(len(silent)), "faults", 0.0, bar_kind="at most",
                how="a node was gone or the output cut, and diagnostics did not say why"),
         Figure("faults.not_recovered", float(len(gone)), "faults", 0.0, bar_kind="at most",

@@ -14,7 +14,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from benchmarks.fault_campaign import CONTROLLER, TRAVEL_M
+from benchmarks.fault_campaign import CONTROLLER
+from benchmarks.fault_sight import TRAVEL_M
 from benchmarks.figure import Figure
 from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.model import load_model, save_model

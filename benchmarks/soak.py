@@ -7,17 +7,19 @@ import time
 from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 
 from benchmarks.fault_campaign import CONTROLLER, GENERATOR
+from benchmarks.fault_sight import WITNESSED
 from benchmarks.figure import Figure
+from benchmarks.load import PLANT
 from dfm_stage.harness import StageGraph
 from dfm_stage.recording import Topic, read_bag
 
 MINUTES, QUICK_S = 10, 30.0
 LOOK_S = 2.0
 WARM_SHARE = 0.3
-TOPICS = ("measurement", "reference", "command", "amplifier", "plant")
 GROWTH_MIB = 8.0
 
 
@@ -26,19 +28,26 @@ def figures(quick: bool = False, cases: int | None = None) -> list[Figure]:
     duration_s = 60.0 * cases if cases else QUICK_S if quick else 60.0 * MINUTES
     with tempfile.TemporaryDirectory(prefix="dfm_soak_") as folder:
         bag = Path(folder) / "bag"
-        memory = _run(bag, duration_s)
+        memory, said = _run(bag, duration_s)
         topics = {name: read_bag(bag, [f"/stage/x/{name}"])[f"/stage/x/{name}"]
-                  for name in TOPICS}
+                  for name in WITNESSED}
     how = f"raster at 1 kHz in six processes, recorded, {duration_s / 60.0:g} minutes"
-    return [*_memory(memory, how), *_latency(topics, how), _lost(topics, how)]
+    return [*_memory(memory, how), *_latency(topics, how), *_lost(topics, said, how)]
 
 
-def _run(bag: Path, duration_s: float) -> dict[str, list[tuple[float, float]]]:
-    """Return (time s, resident MiB) of every node, every few seconds."""
+def _run(bag: Path, duration_s: float) -> tuple[dict[str, list[tuple[float, float]]], int]:
+    """Return (time s, resident MiB) of every node, and how many deadlines the plant missed."""
     memory: dict[str, list[tuple[float, float]]] = {}
+    said = [0]
+
+    def on_diagnostics(array: DiagnosticArray) -> None:
+        said.extend(int(value.value) for status in array.status if status.name == PLANT
+                    for value in status.values if value.key == "deadlines_missed")
+
     with StageGraph(bag=bag, parameters={
             "trajectory_generator": {**GENERATOR, "autostart": True},
             "controller": CONTROLLER}) as graph:
+        graph.watch_diagnostics(on_diagnostics)
         begin = time.monotonic()
         while (now := time.monotonic() - begin) < duration_s:
             for each in graph.launched:
@@ -47,7 +56,7 @@ def _run(bag: Path, duration_s: float) -> dict[str, list[tuple[float, float]]]:
                     (now, _resident_mib(each.process.pid)))
             graph.spin(LOOK_S)
         graph.stop_recording()
-    return memory
+    return memory, said[-1]
 
 
 def _resident_mib(pid: int) -> float:
@@ -92,8 +101,19 @@ def _latency(topics: dict[str, Topic], how: str) -> list[Figure]:
     return out
 
 
-def _lost(topics: dict[str, Topic], how: str) -> Figure:
-    lost = sum(int(np.sum(np.diff(np.sort(topic["seq"]).astype(np.int64)) - 1))
-               for topic in topics.values())
-    return Figure("soak.messages_lost", float(lost), "messages", 0.0, bar_kind="at most",
-                  how=f"gaps in the numbers of {len(topics)} topics; {how}")
+def _lost(topics: dict[str, Topic], said: int, how: str) -> list[Figure]:
+    """Tell samples that the plant left out, as it woke up too late, from lost messages."""
+    missing = {}
+    for name, topic in topics.items():
+        numbers = topic["seq"].astype(np.int64)
+        missing[name] = set(range(numbers.min(), numbers.max() + 1)) - set(numbers.tolist())
+    never = set.intersection(*missing.values())
+    left_out = len(never) if len(never) <= said else 0
+    lost = sum(map(len, missing.values())) - left_out * len(missing)
+    return [
+        Figure("soak.messages_lost", float(lost), "messages", 0.0, bar_kind="at most",
+               how=f"numbers that only some of {len(topics)} topics lack; {how}"),
+        Figure("soak.samples_left_out", float(left_out), "samples",
+               how="numbers that no topic has: the plant woke up too late for them; it says that "
+               f"it missed {said}"),
+    ]

@@ -29,7 +29,7 @@ from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
 from dfm_stage.nodes.security import require_what_was_asked
-from dfm_stage.nodes.shared_memory import take_back_notes
+from dfm_stage.nodes.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 
 __all__ = ["HarnessError", "Launched", "NodeSet"]
 
@@ -37,6 +37,8 @@ _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
 _ASKED_BY_ONE = 3
 _ENDING_S = 10.0
+_DEAF = ("; this process's own port in shared memory is gone (was another process killed?): it "
+         "hears nobody any more, start it again")
 
 
 class HarnessError(DfmError):
@@ -86,6 +88,9 @@ class NodeSet:
         self._client_node: Any = None
         self._clients: dict[str, Any] = {}
         self._closing = False
+        self._own_ports: PortWatch | None = None
+        self._looked = 0.0
+        self._deaf = False
         self._cleanup = contextlib.ExitStack()
 
     def start_nodes(self) -> None:
@@ -120,6 +125,7 @@ class NodeSet:
         self._cleanup.callback(self._context.try_shutdown)
         self._executor = make_executor(self._context)
         self._client_node = helper_node("harness", "/stage", self._context)
+        self._own_ports = PortWatch()
         self._client_node.create_subscription(DiagnosticArray, "/diagnostics",
                                               self._on_diagnostics, 50)
         self._executor.add_node(self._client_node)
@@ -199,9 +205,11 @@ class NodeSet:
                     if interrupted:
                         break
                     self._check_alive()
+                    self._look_at_port(now)
                     if now > deadline:
                         said = "".join(f"; {name} says: {text}"
                                        for name, text in self._complaints.items() if text)
+                        said += _DEAF if self._deaf else ""
                         raise HarnessError(f"{what}: not there after {timeout_s:.3g} s{said}")
         if interrupted and not self._closing:
             raise KeyboardInterrupt
@@ -256,6 +264,11 @@ class NodeSet:
     def watch_diagnostics(self, callback: Callable[[DiagnosticArray], None]) -> None:
         """Have `callback` called with every message of /diagnostics while something spins."""
         self._client_node.create_subscription(DiagnosticArray, "/diagnostics", callback, 50)
+
+    def _look_at_port(self, now: float) -> None:
+        if now - self._looked > PORT_LOOK_S and self._own_ports is not None:
+            self._looked = now
+            self._deaf |= self._own_ports.lost()
 
     def _check_alive(self) -> None:
         for launched in self.launched:

@@ -26,7 +26,7 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.scheduling import RealTime
-from dfm_stage.nodes.shared_memory import neighbour_killed
+from dfm_stage.nodes.shared_memory import killed_endpoints, neighbour_killed
 from dfm_stage.nodes.watch import Input, Watch
 from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import (
@@ -101,17 +101,19 @@ class Publisher:
                 return
 
     def missing(self, nodes: Sequence[str]) -> list[str]:
-        """Return the names out of `nodes` that do not subscribe yet."""
+        """Return the names out of `nodes` that do not subscribe yet; the killed do not count."""
         here = self._node.get_subscriptions_info_by_topic(self.ros.topic_name)
-        present = {info.node_name for info in here}
+        killed = killed_endpoints()
+        present = {info.node_name for info in here
+                   if not bytes(info.endpoint_gid).startswith(killed)}
         missing = [name for name in nodes if name not in present]
         if not missing and self.ros.get_subscription_count() < len(here):
             missing = ["a subscriber that is still being matched"]
         return missing
 
-    def delivered(self) -> bool:
+    def delivered(self, within_s: float = 0.0) -> bool:
         """Return whether every reliable subscriber has received everything."""
-        return bool(self.ros.wait_for_all_acked(Duration(nanoseconds=0)))
+        return bool(self.ros.wait_for_all_acked(Duration(seconds=max(within_s, 0.0))))
 
     def open(self) -> bool:
         """Return whether the first message may go out: everyone who must not miss it listens."""
@@ -135,6 +137,8 @@ class LoopNode(Node):
     settings_table: tuple[Setting, ...] = ()
     priority = PRIORITY.default
     """A node below the loop waits for it as a matter of course, and is not judged by that."""
+    leaving_s = 0.0
+    """How long a node that ends may wait until its last messages have arrived, s."""
 
     def __init__(self, *, context: Any = None, cli_args: list[str] | None = None) -> None:
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
@@ -208,6 +212,20 @@ class LoopNode(Node):
 
         self.create_subscription(link.type, prefix + topic, decoded,
                                  subscriber_qos(link, self.kind, self.lockstep), raw=True)
+
+    def destroy_node(self) -> None:
+        """End the node when its last messages have arrived, or had `leaving_s` to."""
+        deadline = time.monotonic() + self.leaving_s
+        with contextlib.suppress(RuntimeError):  # the context is gone already
+            for publisher in self.publishers_of_links if self.leaving_s else ():
+                publisher.delivered(deadline - time.monotonic())
+        super().destroy_node()
+
+    def an_endpoint(self) -> Sequence[int]:
+        """Return the global identifier of one of this node's endpoints."""
+        identifier: Sequence[int] = self.get_publishers_info_by_topic(
+            self._config.topic_name)[0].endpoint_gid
+        return identifier
 
     def publish_config(self) -> None:
         """Publish the latched description of this node."""

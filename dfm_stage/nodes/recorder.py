@@ -51,6 +51,8 @@ _FETCH_PERIOD_S = 0.002
 _LOOK_PERIODS_S = (0.05, 0.5)
 _SETTLED_S = 3.0
 _DRAIN_S = 0.05
+_REPAIR_S = 0.25
+"""A message that got lost on its way is missed at the next heartbeat (config/fastdds.xml)."""
 _NICENESS = 5
 
 
@@ -212,7 +214,7 @@ class Recorder(LoopNode):
         """Close the bag; return whether it is complete and what is in it."""
         if not self._open:
             return True, "closed before"
-        until = time.monotonic() + _DRAIN_S
+        until = time.monotonic() + (_DRAIN_S if self.lockstep else _REPAIR_S)
         self._fetch()
         while time.monotonic() < until:  # what is still on its way was published before
             time.sleep(_FETCH_PERIOD_S)

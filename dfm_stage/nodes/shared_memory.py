@@ -8,7 +8,7 @@ from the opening of the port by the next participant. Now and then that one is l
 that has no name any more: it looks alive and hears nobody (Fast DDS 2.14, SharedMemGlobal.hpp,
 `open_port_internal` and `~Port`). Hence a note in /dev/shm for every port of our nodes, locked
 while its process lives: a note without a lock is a killed node's, and its port is not taken for
-LEASE_S.
+LEASE_S. The note says whose endpoints its participant's were, for they still look matched.
 
 Rarer, a process is killed while it holds the mutex of a neighbour's port; the others then give
 that port up as broken, and it is the neighbour who hears nobody. `PortWatch` tells.
@@ -22,14 +22,17 @@ import fcntl
 import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 where Fast DDS puts it
 LEASE_S = 11.0
+PORT_LOOK_S = 1.0
 _NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
+_PARTICIPANT = 12
+"""Length of what the global identifiers of all endpoints of a participant begin with, bytes."""
 _LOCK = re.compile(r"fastrtps_port(\d+)_el$")
 _own: dict[str, int] = {}
 
@@ -48,12 +51,33 @@ def avoiding_dead_ports() -> Iterator[None]:
         _leave_note(number)
 
 
+def sign_notes(endpoint: Sequence[int]) -> None:
+    """Write into this process's notes whose they are, by the identifier of any endpoint here."""
+    for descriptor in _own.values():
+        with contextlib.suppress(OSError):
+            os.pwrite(descriptor, bytes(endpoint[:_PARTICIPANT]), 0)
+
+
 def neighbour_killed() -> bool:
     """Whether a node of a domain that this process is in was killed within its lease."""
+    return any(_neighbours_killed())
+
+
+def killed_endpoints() -> tuple[bytes, ...]:
+    """Return what the identifiers of endpoints begin with that were killed within their lease."""
+    found = set()
+    for note in _neighbours_killed():
+        with contextlib.suppress(OSError):
+            found.add(note.read_bytes()[:_PARTICIPANT])
+    return tuple(found)
+
+
+def _neighbours_killed() -> Iterator[Path]:
     domains = {_domain(number) for number in _own} - {None}
-    return any(_killed_lately(note) for note in SHARED_MEMORY.glob(f"{_NOTE}*")
-               if (number := note.name.removeprefix(_NOTE)) not in _own
-               and _domain(number) in domains)
+    for note in SHARED_MEMORY.glob(f"{_NOTE}*"):
+        number = note.name.removeprefix(_NOTE)
+        if number not in _own and _domain(number) in domains and _killed_lately(note):
+            yield note
 
 
 def _domain(number: str) -> int | None:
@@ -75,7 +99,7 @@ def _killed_lately(note: Path) -> bool:
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        if not os.read(descriptor, 1):
+        if not os.read(descriptor, 64).endswith(_SEEN_DEAD):
             os.write(descriptor, _SEEN_DEAD)  # the lease ends this long after, at the latest
         if time.time() - os.fstat(descriptor).st_mtime < LEASE_S:
             return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -61,3 +62,23 @@ def test_a_recorder_that_stands_still_holds_nobody_up(tmp_path):
     assert np.max(np.diff(stamps)) < 0.5e9
     there = read_bag(tmp_path / "bag")["/stage/x/plant"]["header.stamp"]
     assert not set(stamps[:-2000].tolist()) - set(there.tolist())
+
+
+@pytest.mark.real_time
+@pytest.mark.slow
+def test_a_recorder_in_place_of_a_killed_one_is_ready_when_it_misses_nothing(tmp_path):
+    """The killed one's endpoints still look matched; the next was called ready 4 s too soon."""
+    with StageGraph(bag=tmp_path / "first") as graph:
+        heard = {topic: graph.listen("x", topic, lossy=True) for topic in ("measurement", "plant")}
+        graph.spin(1.0)
+        graph.signal_node("/stage/recorder", signal.SIGKILL)
+        graph.restart_node("/stage/recorder", {"bag": str(tmp_path / "second")})
+        ready_ns = time.time_ns()
+        graph.spin(3.0)
+        graph.stop_recording()
+        ended_ns = time.time_ns()
+    bag = read_bag(tmp_path / "second")
+    for topic, messages in heard.items():
+        mine = {each.stamp_ns for each in messages if ready_ns < each.stamp_ns < ended_ns - 10**8}
+        assert len(mine) > 1000
+        assert not mine - set(bag[f"/stage/x/{topic}"]["header.stamp"].tolist())

@@ -32,8 +32,11 @@ def test_a_whole_scan_through_both_emulators(tmp_path):
         bag = tmp_path / f"bag{attempt}"
         with EmulatedGraph(bag=bag, parameters=PATIENT) as graph:
             graph.bring_to_life()
-            result = graph.run(SCAN)["x"]
-            cut = graph.cut()
+            try:
+                result = graph.run(SCAN)["x"]
+                cut = graph.cut()
+            except HarnessError as error:  # a machine that stood still for half a second
+                cut = str(error)
             graph.stop_recording()
         if not cut:
             break

@@ -13,13 +13,17 @@ import time
 from pathlib import Path
 
 import pytest
+import rclpy
 
 from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE, claim_domain
+from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.nodes import shared_memory
+from dfm_stage.nodes.process import helper_node
 from dfm_stage.nodes.shared_memory import (
     LEASE_S,
     SHARED_MEMORY,
     PortWatch,
+    killed_endpoints,
     neighbour_killed,
 )
 
@@ -109,6 +113,31 @@ def test_the_others_know_that_a_neighbour_was_killed(domain, monkeypatch):
 
 
 @pytest.mark.slow
+def test_the_endpoints_of_a_killed_node_are_told_from_those_of_the_next(domain):
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain, args=[])
+    try:
+        looking = helper_node("looking", "/", context)
+
+        def endpoints(count: int) -> set[bytes]:
+            deadline = time.monotonic() + 20.0
+            while len(found := looking.get_publishers_info_by_topic(
+                    "/stage/x/controller/config")) < count and time.monotonic() < deadline:
+                time.sleep(0.05)
+            return {bytes(each.endpoint_gid) for each in found}
+
+        with running_node(domain):
+            (first,) = endpoints(1)
+            assert not first.startswith(killed_endpoints())
+        with running_node(domain, signal.SIGINT):
+            both = endpoints(2)  # the killed one's still look matched
+            assert {each for each in both if each.startswith(killed_endpoints())} == {first}
+        looking.destroy_node()
+    finally:
+        context.try_shutdown()
+
+
+@pytest.mark.slow
 def test_after_its_lease_it_is_taken_again(domain):
     with running_node(domain) as (_, port):
         pass
@@ -133,6 +162,15 @@ def test_a_node_whose_port_was_taken_away_begins_anew(domain):
         port.unlink()
         while not any(each.exists() for each in own_ports(pid)):  # the test's own time-out ends it
             time.sleep(0.1)
+
+
+@pytest.mark.slow
+def test_a_harness_whose_port_was_taken_away_says_so():
+    with StageGraph(nodes=("sim_plant",)) as graph:
+        for port in own_ports(os.getpid()):
+            port.unlink()
+        with pytest.raises(HarnessError, match="own port in shared memory is gone"):
+            graph.spin_until(lambda: False, 4.0, "nothing")
 
 
 def test_a_port_that_went_before_anybody_looked_is_missed(tmp_path, monkeypatch):

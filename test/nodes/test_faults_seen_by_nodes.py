@@ -93,3 +93,16 @@ def test_the_plants_watchdog_cuts_a_drive_that_nobody_renews(make, watchdog_s, k
     for _ in range(10):
         node._advance()
     assert axis.stage.inputs == [kept]
+
+
+@pytest.mark.parametrize(("leaving_s", "asked"), [(0.0, 0), (0.05, 1)])
+def test_a_node_that_ends_waits_for_its_last_messages(make, monkeypatch, leaving_s, asked):
+    waited = []
+    monkeypatch.setattr(base.Publisher, "delivered",
+                        lambda self, within_s=0.0: waited.append((self.link.topic, within_s)))
+    node = make(EncoderDriver)
+    node.leaving_s = leaving_s
+    topics = [publisher.link.topic for publisher in node.publishers_of_links]
+    node.destroy_node()
+    assert [topic for topic, _ in waited] == asked * topics
+    assert all(0.0 < within_s <= leaving_s for _, within_s in waited)
