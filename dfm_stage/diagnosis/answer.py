@@ -226,8 +226,7 @@ def _members(case: Case, name: str) -> tuple[str, ...]:
     for rival in case.rivals.get(name, ()):
         if _degenerate(rival, case.floor):
             continue
-        prices = len(rival.fit.system.free) - len(case.fit.system.free)
-        cost = rival.cost + 2.0 * prices
+        cost = rival.price(case.fit)
         if cost > MARGIN:
             continue
         seen = predict(rival.fit.model, case.held, case.held_weights, case.search.dither)

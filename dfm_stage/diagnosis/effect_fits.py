@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.candidates import LATE, late_splits
+from dfm_stage.diagnosis.candidates import LATE, Scales, late_splits, shapes
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.screen import Hit
@@ -20,7 +20,7 @@ Names = tuple[str, ...]
 
 PER_PARAMETER = 12.0
 """What a further parameter must bring at least for the larger of two models to be preferred."""
-BUDGET = 1500.0
+BUDGET = 3000.0
 """Work (`System.work`: simulations of 24 s with a smooth force) after which no further candidate
 that is slow to simulate is tried; after twice that none with a force that is not linear, and at
 three times that every fit ends where it is."""
@@ -122,14 +122,28 @@ class Fits:
             found = min(found, again, key=lambda f: f.chi2)
         return self.keep(names, found)
 
+    def instead(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
+        """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
+        are the same loop (see SAME_LOOP)."""
+        use = current.model.effect(name)
+        assert use is not None
+        typical = shapes(twin, current.model, self.runs,
+                         Scales.of(current.model, self.runs, self.dither))[0].parameters
+        begin = Hit(twin, 0.0, {**typical, **SAME_LOOP[name, twin](use.parameters)},
+                    np.zeros((0, 0)), np.zeros(0))
+        found = self._from(current.model, names, current, [begin], math.inf, limit=2.0 * BUDGET)
+        known = self.fits.get((frozenset(names), self.stage))
+        return known if known is not None and known.chi2 <= found.chi2 else self.keep(names, found)
+
     def refitted(self, names: Sequence[str], start: Fit) -> Fit:
         """The same effects under the present weights."""
         return self.fitted(names, start)
 
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
-              worth: float, seated: bool = False) -> Fit:
+              worth: float, seated: bool = False, limit: float = BUDGET) -> Fit:
         """`seated`: fit all else around the new effects first, and only then them, too. Begun
-        together, a large effect may be traded away for what it displaces."""
+        together, a large effect may be traded away for what it displaces. Once the work is beyond
+        `limit`, nothing slow is begun."""
         for use in model.effects:
             if use.name not in names and self.model.effect(use.name) is None:
                 model = model.without_effect(use.name)
@@ -141,7 +155,7 @@ class Fits:
         early = tuple(n for n in free if n not in later)
         slow = bool(later) or (self.spent > 2.0 * BUDGET
                                and any(is_costly(use.name) for use in model.effects))
-        if hits and slow and self.spent > BUDGET:
+        if hits and slow and self.spent > limit:
             self.cut_short = True
             return replace(start, chi2=math.inf)
         if seated:
@@ -209,6 +223,25 @@ def first_weights(found: Fit) -> Weights:
     """White noise, in the position or, for a stage without a spring, in the velocity."""
     weights = velocity_weights if found.system.springless else white_weights
     return weights(found.residuals)
+
+
+def _as_friction(loop: Mapping[str, float]) -> dict[str, float]:
+    """Dahl's friction, which the hysteresis of shape 1 and exponent 1 is."""
+    return {"force": loop["stiffness"] * loop["yield_displacement"],
+            "stiffness": loop["stiffness"]}
+
+
+def _as_hysteresis(friction: Mapping[str, float]) -> dict[str, float]:
+    """The loop that friction without Stribeck term and damping is."""
+    return {"stiffness": friction["stiffness"], "shape": 1.0, "exponent": 1.0,
+            "yield_displacement": friction["force"] / friction["stiffness"]}
+
+
+SAME_LOOP: dict[tuple[str, str], Callable[[Mapping[str, float]], dict[str, float]]] = {
+    ("hysteresis", "presliding_friction"): _as_friction,
+    ("presliding_friction", "hysteresis"): _as_hysteresis}
+"""Parameters with which the second effect of a pair is as good as the first: Dahl's model is a
+limit of both, F' = stiffness (x' - |x'| F / force)."""
 
 
 def _inside(name: str, parameters: dict[str, float]) -> dict[str, float]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.alike import counts_in, same_steps, shares_class
 from dfm_stage.diagnosis.candidates import excluded
-from dfm_stage.diagnosis.effect_fits import LATER, Fits, Names, first_weights
+from dfm_stage.diagnosis.effect_fits import LATER, SAME_LOOP, Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
 from dfm_stage.diagnosis.spectra import read_off
@@ -27,6 +27,8 @@ ENOUGH = 0.2
 MOST = 4
 VALLEY = 1.03
 """Chi-square per sample above which effects are looked for anew beside the others."""
+LOOP = 1.01
+"""Chi-square per sample above which the other kind of loop is tried in the place of one added."""
 SHORT_LIST = 4
 CLOSE = 0.8
 """Candidates whose screened gain is this share of the best one's are fitted in full."""
@@ -47,6 +49,10 @@ class Rival:
     name: str
     cost: float
     fit: Fit
+
+    def price(self, named: Fit) -> float:
+        """Its cost, parameters paid for (Akaike), in the place of what `named` fits."""
+        return self.cost + 2.0 * (len(self.fit.system.free) - len(named.system.free))
 
 
 @dataclass
@@ -159,13 +165,24 @@ class Search(Fits):
                     break
                 current = moved
                 continue
-            names, current = found
-            names, current = self.pruned(names, current)
+            names, current = self.pruned(*self._other_loop(names, *found))
             if any(abs(a.sigma / b.sigma - 1.0) > 0.03 for new, old in
                    zip(first_weights(current), self.weights, strict=True)
                    for a, b in zip(new, old, strict=True)):
                 self.weigh_at_first(current)
                 current = self.refitted(names, current)
+        return names, current
+
+    def _other_loop(self, before: Names, names: Names, current: Fit) -> tuple[Names, Fit]:
+        """The other kind of loop for one just added that leaves more than noise, if it fits
+        better: what is left of the wrong one would pass for further effects."""
+        if current.chi2 < LOOP * current.white.size:
+            return names, current
+        for name in names[len(before):]:
+            rest = tuple(n for n in names if n != name)
+            for twin in self._twins(name, rest, current):
+                if self.score(twin.fit) < self.score(current):
+                    return (*rest, twin.name), twin.fit
         return names, current
 
     def reseated(self, names: Names, current: Fit) -> Fit | None:
@@ -246,14 +263,28 @@ class Search(Fits):
                                                                  hit.parameters):
                 least = COUNTED
             wanted = hit.gain > least * own
-            if hit.name == name or not wanted or len(found) >= SHORT_LIST:
+            if hit.name == name or not wanted or len(found) >= SHORT_LIST or (
+                    name, hit.name) in SAME_LOOP:
                 continue
             self.step(f"fitting {hit.name} in place of {name}")
             rival = self.fitted((*rest, hit.name), without, [hit],
                                 current.chi2 + 0.2 * max(loss, 0.0))
             if rival.ok:
                 found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
+        found += self._twins(name, rest, current)
         return sorted(found, key=lambda r: r.cost)
+
+    def _twins(self, name: str, rest: Names, current: Fit) -> list[Rival]:
+        """Effects that can be the same loop as `name`, begun there: from the screen, which is
+        linear, their fits seldom find it."""
+        found = []
+        for own, twin in SAME_LOOP:
+            if own == name and twin in self.library and twin not in (*rest, *self.barred):
+                self.step(f"fitting {twin} in place of {name}, from the same loop")
+                fit = self.instead(name, twin, (*rest, twin), current)
+                if fit.ok:
+                    found.append(Rival(twin, fit.chi2 - current.chi2, fit))
+        return found
 
     def settle(self, names: Names, current: Fit) -> tuple[Names, Fit, Fit]:
         """Weigh by the noise that the best model leaves, and see whether each effect still pays.

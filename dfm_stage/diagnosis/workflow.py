@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from dfm_stage.diagnosis.answer import Case, answer
+from dfm_stage.diagnosis.answer import MARGIN, Case, answer
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.experiment import Experiment, experiment, split_by_time
 from dfm_stage.diagnosis.fit import Fit, quantities
 from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.result import Diagnosis
-from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.system import PER_RUN
 from dfm_stage.diagnosis.verification import predict, spoiled, weights_like
 from dfm_stage.diagnosis.weighting import Weights
@@ -91,9 +91,10 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
         names, current, bare = search.settle(names, current)
         tell("comparing rivals")
         names, current, rivals = search.compare(names, current)
-        current = search.polished(names, current)
-        tell("predicting held-out records")
         weights = weights_like(held, search.weights)
+        tell("predicting held-out records")
+        names, current, rivals = _exchanged(search, names, current, rivals, held, weights)
+        current = search.polished(names, current)
         names, current, silent = _held_out(search, names, current, held, weights, seed, dropped)
         names, current = _unlocked(search, names, current, dropped)
         names, current = _bounded(search, names, current, dropped)
@@ -116,6 +117,28 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
                 after=predict(current.model, held, weights, search.dither),
                 before_fit=predict(model, runs, search.weights), warnings=warnings)
     return answer(case, tell)
+
+
+def _exchanged(search: Search, names: Names, current: Fit, rivals: dict[str, list[Rival]],
+               held: Sequence[Experiment], weights: Weights
+               ) -> tuple[Names, Fit, dict[str, list[Rival]]]:
+    """Put a rival in the place of an effect that fits as well, where the held-out records part
+    them: fitted and held out together it must be better by the margin."""
+    for name in names:
+        close = [r for r in rivals[name] if r.price(current) <= MARGIN]
+        if not close:
+            continue
+        own = predict(current.model, held, weights, search.dither).chi2
+        scores = [r.price(current) + predict(r.fit.model, held, weights, search.dither).chi2
+                  for r in close]
+        if min(scores) >= own - MARGIN:
+            continue
+        better = close[scores.index(min(scores))]
+        kept = {n: [replace(r, cost=r.fit.chi2 - better.fit.chi2) for r in found]
+                for n, found in rivals.items() if n != name}
+        kept[better.name] = [Rival(name, -better.cost, current)]
+        return tuple(better.name if n == name else n for n in names), better.fit, kept
+    return names, current, rivals
 
 
 def _unlocked(search: Search, names: Names, current: Fit,

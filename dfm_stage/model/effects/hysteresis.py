@@ -95,13 +95,13 @@ def bristle_force(z: float, v: float, p: Values) -> float:
 
 
 def _forward(values: Array) -> Array:
-    k, stiffness, distance = values
-    return np.array([k + stiffness, stiffness / distance, distance])
+    stiffness, distance = values
+    return np.array([stiffness * distance, distance])
 
 
 def _backward(fitted: Array) -> Array:
-    total, bend, distance = fitted
-    return np.array([total - bend * distance, bend * distance, distance])
+    force, distance = fitted
+    return np.array([force / distance, distance])
 
 
 EFFECT = Effect(
@@ -130,9 +130,9 @@ EFFECT = Effect(
         Equivalence(("hysteresis", "stiffness"), "motion far below yield_displacement",
                     "motion beyond yield_displacement"),
     ),
-    fit=Reparametrisation(("stiffness", "hysteresis.stiffness", "hysteresis.yield_displacement"),
-                          ("stiffness_at_reversal", "hysteresis.bend",
-                           "hysteresis.yield_displacement"), _forward, _backward),
+    fit=Reparametrisation(("hysteresis.stiffness", "hysteresis.yield_displacement"),
+                          ("hysteresis.force", "hysteresis.yield_displacement"),
+                          _forward, _backward),
     advance=advance,
     bristle_force=bristle_force,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,14 @@ from scipy.signal import chirp, cont2discrete, dlsim
 
 from dfm_stage.diagnosis import diagnose
 from dfm_stage.diagnosis.candidates import late_splits
+from dfm_stage.diagnosis.effect_fits import SAME_LOOP
 from dfm_stage.diagnosis.experiment import experiment
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.screen import Screen
 from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verification import KnockOff
 from dfm_stage.diagnosis.weighting import white_weights
-from dfm_stage.model import EFFECTS
+from dfm_stage.model import EFFECTS, Simulator
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -75,6 +77,63 @@ def test_a_mode_sharper_than_any_grid_is_found_at_its_own_frequency():
     assert found.names == ("second_mode",)
     value, half = told(found.effects[0], "frequency")
     assert abs(value - 45.2) < 2.0 * half < 0.05
+
+
+LOOPED = [n for n in EFFECTS if n not in ("eddy_current_damping", "quadratic_damping")]
+
+
+def looped(feed: np.ndarray, rate: Callable[[float, float], float], size: float) -> np.ndarray:
+    """Position (N,) of the stage pulled back by size * w, where w' = rate(w, speed)."""
+    h = truth.PERIOD / truth.FINE
+    x = v = w = 0.0
+    out = np.empty(feed.size)
+
+    def slope(x: float, v: float, w: float, u: float) -> tuple[float, float, float]:
+        force = truth.GAIN * u - truth.DAMPING * v - truth.STIFFNESS * x - size * w
+        return v, force / truth.MASS, rate(w, v)
+
+    for k, u in enumerate(feed.tolist()):
+        out[k] = x
+        for _ in range(truth.FINE):
+            a = slope(x, v, w, u)
+            b = slope(x + 0.5 * h * a[0], v + 0.5 * h * a[1], w + 0.5 * h * a[2], u)
+            c = slope(x + 0.5 * h * b[0], v + 0.5 * h * b[1], w + 0.5 * h * b[2], u)
+            d = slope(x + h * c[0], v + h * c[1], w + h * c[2], u)
+            x += h / 6.0 * (a[0] + 2.0 * b[0] + 2.0 * c[0] + d[0])
+            v += h / 6.0 * (a[1] + 2.0 * b[1] + 2.0 * c[1] + d[1])
+            w += h / 6.0 * (a[2] + 2.0 * b[2] + 2.0 * c[2] + d[2])
+    return out
+
+
+@pytest.mark.parametrize(("shape", "exponent"), [(0.55, 1.8), (0.9, 1.3)])
+def test_the_shape_and_the_sharpness_of_a_loop_are_found_however_they_trade(shape, exponent):
+    def bouc_wen(w: float, v: float) -> float:
+        return v / 2e-5 * (1.0 - abs(w) ** exponent * (
+            (shape if v * w > 0.0 else -shape) + 1.0 - shape))
+
+    train, held = truth.multisine(5), truth.scan()
+    found = diagnose([truth.record(train, looped(train, bouc_wen, 4e-3), 25)], truth.believed(),
+                     library=LOOPED, holdout=[truth.record(held, looped(held, bouc_wen, 4e-3), 26)])
+    assert found.names == ("hysteresis",)
+    for name, true in (("stiffness", 200.0), ("yield_displacement", 2e-5), ("shape", shape),
+                       ("exponent", exponent)):
+        value, half = told(found.effects[0], name)
+        assert abs(value - true) < 2.0 * half
+
+
+def test_one_loop_can_be_both_of_two_effects():
+    feed, start = truth.multisine(6), {"force": 3e-3, "stiffness": 150.0}
+    model = truth.believed()
+    friction = model.with_effect("presliding_friction", start)
+    loop = model.with_effect("hysteresis",
+                             SAME_LOOP["presliding_friction", "hysteresis"](start))
+    assert SAME_LOOP["hysteresis", "presliding_friction"](
+        loop.effects[0].parameters) == pytest.approx(start)
+    moved = looped(feed, lambda w, v: v / 2e-5 - abs(v) / 2e-5 * w, 3e-3)  # Dahl 1968
+    first, second = (Simulator(m).run(feed).position for m in (friction, loop))
+    assert second == pytest.approx(first, abs=1e-11)
+    assert first == pytest.approx(moved, abs=1e-9)
+    assert np.ptp(first - truth.move(feed)) > 1e-5
 
 
 def test_a_constant_force_is_named_where_the_zero_is_trusted():
