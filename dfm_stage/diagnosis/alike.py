@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.system import MOST_DAMPED
 from dfm_stage.model import EFFECTS, Model
+
+
+def is_no_mode(found: Fit, names: Sequence[str]) -> bool:
+    """Whether a second mode among `names` ran to the largest damping: no resonance, but creep or a
+    lag in its place."""
+    use = found.model.effect("second_mode") if found.ok else None
+    return use is not None and "second_mode" in names and (
+        use.parameters["damping_ratio"] > 0.999 * MOST_DAMPED)
 
 
 def counts_in(step: float | None, period: float) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.alike import counts_in, same_steps, shares_class
+from dfm_stage.diagnosis.alike import counts_in, is_no_mode, same_steps, shares_class
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.effect_fits import LATER, SAME_LOOP, Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
@@ -115,12 +115,14 @@ class Search(Fits):
         worth = math.inf
         for hit in sorted(listed, key=lambda h: h.name in LATER):
             self.step(f"fitting {hit.name}")
-            trials.append(((*names, hit.name),
-                           self.fitted((*names, hit.name), current, [hit], worth)))
-            worth = min(worth, trials[-1][1].chi2 + 0.2 * max(above, 0.0))
-            if current.chi2 - trials[-1][1].chi2 > FULL * above > FURTHER:
+            found = self.fitted((*names, hit.name), current, [hit], worth)
+            if is_no_mode(found, [hit.name]):
+                continue
+            trials.append(((*names, hit.name), found))
+            worth = min(worth, found.chi2 + 0.2 * max(above, 0.0))
+            if current.chi2 - found.chi2 > FULL * above > FURTHER:
                 break
-        best = self.best(trials)
+        best = self.best([(names, current), *trials])
         taken = current.chi2 - best[1].chi2
         if len(names) + 2 <= MOST and taken < FULL * above:
             for gain, pair in pair_gains([h for h in hits if h.gain > 0.02 * top],
@@ -129,10 +131,15 @@ class Search(Fits):
                     continue
                 both = (*names, pair[0].name, pair[1].name)
                 self.step(f"fitting {pair[0].name} and {pair[1].name}")
-                trials.append((both, self.fitted(both, current, pair)))
-                if current.chi2 - trials[-1][1].chi2 > FULL * above:
+                found = self.fitted(both, current, pair)
+                if is_no_mode(found, both[len(names):]):
+                    continue
+                trials.append((both, found))
+                if current.chi2 - found.chi2 > FULL * above:
                     break
-            best = self.best(trials)
+        if not trials:
+            return None
+        best = self.best(trials)
         if best[1].chi2 > VALLEY * best[1].white.size:
             best = best[0], self.keep(best[0], self.resplit(best[1]))
         added = len(best[0]) - len(names)
@@ -269,7 +276,7 @@ class Search(Fits):
             self.step(f"fitting {hit.name} in place of {name}")
             rival = self.fitted((*rest, hit.name), without, [hit],
                                 current.chi2 + 0.2 * max(loss, 0.0))
-            if rival.ok:
+            if rival.ok and not is_no_mode(rival, [hit.name]):
                 found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
         found += self._twins(name, rest, current)
         return sorted(found, key=lambda r: r.cost)

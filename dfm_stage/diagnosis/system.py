@@ -31,6 +31,8 @@ SAMPLES = 24_000
 DISTANCES = ("presliding_friction.distance", "hysteresis.yield_displacement")
 UNSEEN = 0.1
 """A distance below this much of the noise is that of dry friction, and slow to simulate."""
+MOST_DAMPED = 0.5
+"""Damping ratio up to which a second mode is looked for: beyond it there is no resonance."""
 SMALL_SHARE = 0.05
 """Nonlinear effects that move the output by less than this leave the base's sensitivities."""
 
@@ -99,6 +101,8 @@ class System:
             else:
                 limits = self.model.parameter(address)
                 high = limits.high
+                if address == "second_mode.damping_ratio":
+                    high = max(MOST_DAMPED, abs(value))
                 if address == "thermal_drift.decay":
                     high = max(15.0 / self._longest(), abs(value))
                 yield Place(name, -1, abs(value) or self._typical(address),

@@ -12,6 +12,11 @@ LEASE_S. The note says whose endpoints its participant's were, for they still lo
 
 Rarer, a process is killed while it holds the mutex of a neighbour's port; the others then give
 that port up as broken, and it is the neighbour who hears nobody. `PortWatch` tells.
+
+Rarer still, one is killed when it has just made the file of a port, still of no size. Whoever
+writes to that port then waits for the size for ever (boost 1.7x, `managed_open_or_create_impl`),
+and with it all that this process has to say. Every `PortWatch` marks such a file as broken, which
+ends the wait; Fast DDS then makes the port anew.
 """
 
 from __future__ import annotations
@@ -33,6 +38,10 @@ PORT_LOOK_S = 1.0
 _NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
 _PARTICIPANT = 12
 """Length of what the global identifiers of all endpoints of a participant begin with, bytes."""
+EMPTY_S = 0.5
+"""Age from which a port of no size is one that nobody is making any more."""
+_BROKEN = (3).to_bytes(4, "little")
+"""boost::interprocess `CorruptedSegment`, the first word of a segment."""
 _LOCK = re.compile(r"fastrtps_port(\d+)_el$")
 _own: dict[str, int] = {}
 
@@ -149,6 +158,16 @@ def _take_back(number: str) -> None:
     os.close(_own.pop(number))
 
 
+def mark_empty_ports() -> None:
+    """Mark ports that were never finished as broken: who waits for one goes on."""
+    for port in SHARED_MEMORY.glob("fastrtps_port*[0-9]"):
+        with contextlib.suppress(OSError):
+            found = port.stat()
+            if found.st_size == 0 and time.time() - found.st_ctime > EMPTY_S:
+                with port.open("r+b") as file:
+                    file.write(_BROKEN)
+
+
 class PortWatch:
     """Tells whether the ports that this process reads are still the ones that others find."""
 
@@ -159,6 +178,7 @@ class PortWatch:
 
     def lost(self) -> bool:
         """Look; True when a port was missing twice in a row and was not made anew from here."""
+        mark_empty_ports()
         changed = [port for port, known in self._files.items()
                    if not known or _inode(port) != known]
         if changed:

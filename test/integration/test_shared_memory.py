@@ -164,6 +164,36 @@ def test_a_node_whose_port_was_taken_away_begins_anew(domain):
             time.sleep(0.1)
 
 
+ANNOUNCES = """
+import rclpy, sys, time
+from std_msgs.msg import Empty
+from dfm_stage.nodes.process import helper_node
+input()
+context = rclpy.Context()
+rclpy.init(context=context, domain_id=int(sys.argv[1]), args=[])
+node = helper_node("speaker", "/", context)
+for number in range(30):
+    node.create_publisher(Empty, f"/topic_{number}", 1)
+    time.sleep(0.05)
+print("announced", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_a_port_that_was_never_finished_stops_nobody_for_long(domain):
+    speaker = subprocess.Popen([sys.executable, "-c", ANNOUNCES, str(domain)], text=True,
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        with running_node(domain) as (_, port):  # its port, as one killed while it made it leaves
+            port.unlink()
+            port.touch()
+            said, _ = speaker.communicate("\n", timeout=20.0)
+        assert said == "announced\n"
+    finally:
+        speaker.kill()
+        speaker.wait()
+
+
 @pytest.mark.slow
 def test_a_harness_whose_port_was_taken_away_says_so():
     with StageGraph(nodes=("sim_plant",)) as graph:

@@ -11,14 +11,17 @@ import pytest
 from scipy.signal import chirp, cont2discrete, dlsim
 
 from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis.answer import MARGIN
 from dfm_stage.diagnosis.candidates import late_splits
 from dfm_stage.diagnosis.effect_fits import SAME_LOOP
-from dfm_stage.diagnosis.experiment import experiment
+from dfm_stage.diagnosis.experiment import Experiment, experiment
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.screen import Screen
+from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
-from dfm_stage.diagnosis.verification import KnockOff
+from dfm_stage.diagnosis.verification import KnockOff, weights_like
 from dfm_stage.diagnosis.weighting import white_weights
+from dfm_stage.diagnosis.workflow import _exchanged
 from dfm_stage.model import EFFECTS, Simulator
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -188,3 +191,29 @@ def test_lateness_of_next_to_nothing_is_shared_out_within_limits():
     assert len(splits) == 2
     for values in splits:
         assert model.with_parameters(values).parameters().items() >= values.items()
+
+
+def test_the_held_out_records_part_two_effects_that_fit_the_fitted_ones_alike():
+    def hardening(feed: np.ndarray) -> np.ndarray:
+        return truth.move(feed, lambda x, _: -1e7 * x**3)
+
+    time = truth.PERIOD * np.arange(truth.SAMPLES)
+    slow = np.minimum(time / 5.0, 1.0) ** 2 * np.sin(np.pi * time)  # k3 x^3 and droop x^2 F alike
+    lively = truth.multisine(3, 2.0)
+    model = truth.believed()
+    alike, apart = (experiment(truth.record(feed, hardening(feed), seed), model, None, None)
+                    for feed, seed in ((slow, 71), (lively, 72)))
+    names = ("force_constant_droop", "cubic_stiffness")
+    search = Search(model, [alike], ("damping", "stiffness", "force_constant"), library=names)
+    bare = search.begin()
+    hits = {hit.name: hit for hit in search.screened(bare, ())[1]}
+    droop, cubic = (search.fitted((name,), bare, [hits[name]]) for name in names)
+    rival = Rival("cubic_stiffness", cubic.chi2 - droop.chi2, cubic)
+    assert abs(rival.cost) < MARGIN
+
+    def chosen(held: Experiment) -> tuple[str, ...]:
+        weights = weights_like([held], search.weights)
+        return _exchanged(search, names[:1], droop, {names[0]: [rival]}, [held], weights)[0]
+
+    assert chosen(alike) == ("force_constant_droop",)
+    assert chosen(apart) == ("cubic_stiffness",)

@@ -1,0 +1,131 @@
+"""The tables of rates in the docs, made from the answers that are kept with the project.
+
+    ./run exec python -m benchmarks.blind.published
+
+prints them. `benchmarks/kept` holds a .tar.xz for each seed, the folder that `./run bench
+diagnose --keep` writes; unpacked into such a folder, `--resume` goes on from there.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import sys
+import tarfile
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind.rates import LARGE, large_effects
+from benchmarks.blind.scoring import Score, judge, wilson
+
+KEPT = Path(__file__).resolve().parents[1] / "kept"
+Row = tuple[str, Sequence[bool], str, Callable[[float], bool]]
+
+
+def archives() -> list[Path]:
+    """The kept seeds, the frozen one first."""
+    from benchmarks.diagnose import SEED
+
+    return sorted(KEPT.glob("seed_*.tar.xz"), key=lambda p: (str(SEED) not in p.name, p.name))
+
+
+def kept_scores(archive: Path) -> list[Score]:
+    """Judge every answer of one archive by its label, in the order of the cases."""
+    answers: dict[str, Any] = {}
+    labels: dict[str, Any] = {}
+    with tarfile.open(archive) as packed:
+        for member in packed:
+            file = packed.extractfile(member)
+            if file is not None:
+                place = answers if Path(member.name).parent.name == "answers" else labels
+                place[Path(member.name).name] = json.loads(file.read())
+    return [judge(labels[name], kept["answer"], kept["seconds"])
+            for name, kept in sorted(answers.items())]
+
+
+def rates(scores: Sequence[Score]) -> list[str]:
+    """Rows of the table of rates, those that miss their bar marked."""
+    large = large_effects(scores)
+    of_kind = {kind: [s for s in scores if s.kind == kind] for kind in (
+        "none", "trap", "retune", "pair", "left_out")}
+    pairs = [s for s in of_kind["pair"] if s.counted]
+    left = [s for s in of_kind["left_out"] if s.counted]
+    rows: list[Row] = [
+        ("one effect at severity 3 or 10: exact name", [s.exact for s in large], "95 %",
+         lambda r: r >= 95.0),
+        ("the same: right class", [s.right_class for s in large], "99 %", lambda r: r >= 99.0),
+        ("nothing missing, but a name", [s.false_name for s in of_kind["none"]], "1 %",
+         lambda r: r <= 1.0),
+        ("a trap, but a name", [s.false_name for s in of_kind["trap"]], "", lambda _: True),
+        ("only wrong numbers: `retune`", [s.exact for s in of_kind["retune"]], "95 %",
+         lambda r: r >= 95.0),
+        ("two effects at severity 10: both named", [s.exact for s in pairs], "85 %",
+         lambda r: r >= 85.0),
+        ("the same: a third that is not there", [s.spurious for s in pairs], "2 %",
+         lambda r: r <= 2.0),
+        ("left out of the library: `unknown`", [s.exact for s in left], "90 %",
+         lambda r: r >= 90.0),
+        ("the same: a wrong name", [s.spurious for s in left], "3 %", lambda r: r <= 3.0),
+        ("intervals that hold the truth", [hit for s in scores for hit in s.covered],
+         "92 to 98 %", lambda r: 92.0 <= r <= 98.0)]
+    table = ["| figure | measured | cases | 95 % interval | bar |", "|---|---|---|---|---|"]
+    for what, found, bar, met in rows:
+        low, high = wilson(sum(found), len(found))
+        rate = 100.0 * sum(found) / max(len(found), 1)
+        missed = "" if met(rate) else " **missed**"
+        table.append(f"| {what} | {rate:.1f} %{missed} | {sum(found)} of {len(found)} | "
+                     f"{low:.0f} to {high:.0f} | {bar} |")
+    over = [s.held_out_over_floor for s in scores
+            if s.held_out_over_floor is not None and s.severity >= LARGE]
+    times = [s.seconds for s in scores if s.seconds is not None]
+    return [*table,
+            f"| held-out error over the floor, 95 % within | {np.percentile(over, 95.0):.2f} | "
+            f"{len(over)} | | 1.2 |",
+            f"| processor time a case, median (90 %; longest) | {statistics.median(times):.1f} s "
+            f"({np.percentile(times, 90.0):.1f}; {max(times):.0f}) | {len(times)} | | 10 s |"]
+
+
+def failures(scores: Sequence[Score]) -> str:
+    """What went wrong, in one paragraph, each with its severity."""
+    wrong: dict[str, int] = defaultdict(int)
+    for s in scores:
+        if s.counted and not s.exact and (s.kind != "effect" or s.severity >= LARGE):
+            size = f" ({s.severity:g})" if s.severity else ""
+            label = s.label.replace("+", " with ")
+            wrong[f"{label}{size}: {s.answer}{' ' + s.notes[0] if s.notes else ''}"] += 1
+    return "; ".join(text + (f" ({n} times)" if n > 1 else "")
+                     for text, n in sorted(wrong.items()))
+
+
+def by_severity(scores: Sequence[Score]) -> list[str]:
+    """Exact names of each effect by severity."""
+    found: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
+    for s in scores:
+        if s.kind == "effect":
+            found[s.label][s.severity].append(s.exact)
+    sizes = sorted({size for cells in found.values() for size in cells})
+    table = ["| effect | " + " | ".join(f"{size:g}" for size in sizes) + " |",
+             "|---|" + "---|" * len(sizes)]
+    return table + [f"| `{name}` | " + " | ".join(
+        f"{sum(cells[size])} of {len(cells[size])}" for size in sizes) + " |"
+        for name, cells in sorted(found.items())]
+
+
+def main() -> int:
+    """Print every table."""
+    scores: list[Score] = []
+    for archive in archives():
+        found = kept_scores(archive)
+        scores += found
+        print(f"{archive.name}: {len(found)} cases", *rates(found), failures(found), "",
+              sep="\n")
+    print(*by_severity(scores), sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,37 @@
+"""The tables in the docs are those of the answers that are kept."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.blind.published import archives, by_severity, kept_scores, rates
+from benchmarks.diagnose import SEED
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+
+
+@pytest.fixture(scope="module")
+def scores():
+    return {archive.name: kept_scores(archive) for archive in archives()}
+
+
+def test_the_rates_in_the_docs_are_those_of_the_kept_answers(scores):
+    text = (DOCS / "benchmarks.md").read_text("utf-8")
+    assert len(scores) == 2
+    assert str(SEED) in next(iter(scores))
+    for found in scores.values():
+        for row in rates(found):
+            assert row in text
+
+
+def test_the_shares_by_severity_are_those_of_the_kept_answers(scores):
+    text = (DOCS / "diagnose.md").read_text("utf-8")
+    for row in by_severity([s for found in scores.values() for s in found]):
+        assert row in text
+
+
+def test_every_kept_answer_has_its_label_and_belongs_to_its_seed(scores):
+    for found in scores.values():
+        indices = [s.index for s in found]
+        assert len(set(indices)) == len(indices)
+        assert all(s.verdict != "error" or "Timeout" in s.notes[0] for s in found)
