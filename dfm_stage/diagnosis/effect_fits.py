@@ -126,7 +126,7 @@ class Fits:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
         are the same loop (see SAME_LOOP)."""
         use = current.model.effect(name)
-        assert use is not None
+        assert use is not None  # noqa: S101 (who calls has found it)
         typical = shapes(twin, current.model, self.runs,
                          Scales.of(current.model, self.runs, self.dither))[0].parameters
         begin = Hit(twin, 0.0, {**typical, **SAME_LOOP[name, twin](use.parameters)},

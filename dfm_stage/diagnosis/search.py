@@ -111,6 +111,26 @@ class Search(Fits):
         listed = [h for h in best_hits if h.gain > CLOSE * top][:SHORT_LIST]
         self.screens[frozenset(names)] = best_hits
         above = current.chi2 - current.white.size
+        trials = self._singles(names, current, listed, above)
+        taken = current.chi2 - self.best([(names, current), *trials])[1].chi2
+        if len(names) + 2 <= MOST and taken < FULL * above:
+            pairs = pair_gains([h for h in hits if h.gain > 0.02 * top], screen.residual, keep=3)
+            trials += self._pairs(names, current, [
+                pair for gain, pair in pairs
+                if gain >= taken + FURTHER and gain >= 1.02 * taken], above)
+        if not trials:
+            return None
+        best = self.best(trials)
+        if best[1].chi2 > VALLEY * best[1].white.size:
+            best = best[0], self.keep(best[0], self.resplit(best[1]))
+        added = len(best[0]) - len(names)
+        if current.chi2 - best[1].chi2 < limit + FURTHER * (added - 1):
+            return None
+        return best
+
+    def _singles(self, names: Names, current: Fit, listed: Sequence[Hit],
+                 above: float) -> list[tuple[Names, Fit]]:
+        """Fits with each of some candidates added, until one takes all there is `above` noise."""
         trials: list[tuple[Names, Fit]] = []
         worth = math.inf
         for hit in sorted(listed, key=lambda h: h.name in LATER):
@@ -122,30 +142,22 @@ class Search(Fits):
             worth = min(worth, found.chi2 + 0.2 * max(above, 0.0))
             if current.chi2 - found.chi2 > FULL * above > FURTHER:
                 break
-        best = self.best([(names, current), *trials])
-        taken = current.chi2 - best[1].chi2
-        if len(names) + 2 <= MOST and taken < FULL * above:
-            for gain, pair in pair_gains([h for h in hits if h.gain > 0.02 * top],
-                                         screen.residual, keep=3):
-                if gain < taken + FURTHER or gain < 1.02 * taken:
-                    continue
-                both = (*names, pair[0].name, pair[1].name)
-                self.step(f"fitting {pair[0].name} and {pair[1].name}")
-                found = self.fitted(both, current, pair)
-                if is_no_mode(found, both[len(names):]):
-                    continue
-                trials.append((both, found))
-                if current.chi2 - found.chi2 > FULL * above:
-                    break
-        if not trials:
-            return None
-        best = self.best(trials)
-        if best[1].chi2 > VALLEY * best[1].white.size:
-            best = best[0], self.keep(best[0], self.resplit(best[1]))
-        added = len(best[0]) - len(names)
-        if current.chi2 - best[1].chi2 < limit + FURTHER * (added - 1):
-            return None
-        return best
+        return trials
+
+    def _pairs(self, names: Names, current: Fit, pairs: Sequence[Sequence[Hit]],
+               above: float) -> list[tuple[Names, Fit]]:
+        """The same for two candidates at once."""
+        trials: list[tuple[Names, Fit]] = []
+        for pair in pairs:
+            both = (*names, pair[0].name, pair[1].name)
+            self.step(f"fitting {pair[0].name} and {pair[1].name}")
+            found = self.fitted(both, current, pair)
+            if is_no_mode(found, both[len(names):]):
+                continue
+            trials.append((both, found))
+            if current.chi2 - found.chi2 > FULL * above:
+                break
+        return trials
 
     def _further(self, names: Names, current: Fit) -> float:
         """Fall in chi-square that a further effect must bring."""

@@ -115,8 +115,9 @@ def test_the_shape_and_the_sharpness_of_a_loop_are_found_however_they_trade(shap
             (shape if v * w > 0.0 else -shape) + 1.0 - shape))
 
     train, held = truth.multisine(5), truth.scan()
-    found = diagnose([truth.record(train, looped(train, bouc_wen, 4e-3), 25)], truth.believed(),
-                     library=LOOPED, holdout=[truth.record(held, looped(held, bouc_wen, 4e-3), 26)])
+    fitted, other = (truth.record(feed, looped(feed, bouc_wen, 4e-3), seed)
+                     for feed, seed in ((train, 25), (held, 26)))
+    found = diagnose([fitted], truth.believed(), library=LOOPED, holdout=[other])
     assert found.names == ("hysteresis",)
     for name, true in (("stiffness", 200.0), ("yield_displacement", 2e-5), ("shape", shape),
                        ("exponent", exponent)):
