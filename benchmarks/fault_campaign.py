@@ -78,7 +78,7 @@ class Outcome:
 
 @dataclass
 class _Struck:
-    """When a fault began, was looked at and was done with, and when the witness saw no safety."""
+    """When a fault began, was looked at and was repaired, and when the witness saw no safety."""
 
     outcome: Outcome
     begin_ns: int
@@ -92,7 +92,8 @@ class Tally:
     """What became of all faults, and of the messages.
 
     `deaf`: how often a fault cut off the witness itself, in whose process the operator sits. The
-    bag shows that the graph went on, the fault is repeated on another.
+    bag shows that the graph went on, the fault is repeated on another. `travelled` is the furthest
+    in all bags, m.
     """
 
     outcomes: list[Outcome] = field(default_factory=list)
@@ -100,6 +101,7 @@ class Tally:
     lost: int = 0
     lost_while_paused: int = 0
     deaf: int = 0
+    travelled: float = 0.0
     lost_words: list[str] = field(default_factory=list)
 
 
@@ -194,6 +196,9 @@ class Campaign:
         bags = [read_bag(each) for each in (path, *sorted(path.parent.glob(f"{path.name}_*")))]
         for bag in bags:
             self._judge_again(bag)
+            if "/stage/x/plant" in bag:
+                self.tally.travelled = max(self.tally.travelled, float(np.max(
+                    np.abs(bag["/stage/x/plant"]["position"]), initial=0.0)))
         self._plant_ended_ns = int(bags[-1]["/stage/x/plant"]["header.stamp"][-1]) if (
             "/stage/x/plant" in bags[-1]) else 0
         for topic, messages in self._heard.items():
@@ -274,13 +279,15 @@ class Campaign:
         outcome.words = self._words(begin)
         if not outcome.safe or outcome.explained is False:
             outcome.words = f"{self._sight(since)}; {outcome.words}"
-        struck.end_ns = time.time_ns()
-        self._struck.append(struck)
         repaired = time.monotonic()
-        if fault.kind == "kill":
-            self._start_again(fault)
-        outcome.recovered = self._recover()
-        outcome.took_s = time.monotonic() - repaired
+        try:
+            if fault.kind == "kill":
+                self._start_again(fault)
+            outcome.recovered = self._recover()
+        finally:
+            outcome.took_s = time.monotonic() - repaired
+            struck.end_ns = time.time_ns()
+            self._struck.append(struck)
 
     def _strike(self, fault: Fault) -> None:
         graph, node = self._graph, fault.node

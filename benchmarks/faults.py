@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fault_campaign import Campaign, draw
+from benchmarks.fault_sight import TRAVEL_M
 from benchmarks.figure import Figure
 
 FULL, QUICK, SEED = 200, 20, 1
@@ -48,6 +49,8 @@ def figures(quick: bool = False, cases: int | None = None, seed: int = SEED) -> 
                f"was passed; median {np.median(safe):.2f} s until it was, worst "
                f"{np.max(safe):.2f}; seen in the bag alone, the witness being behind: "
                f"{sum(each.by_bag for each in outcomes)}"),
+        Figure("faults.travel_mm", 1e3 * tally.travelled, "mm", 1e3 * TRAVEL_M,
+               bar_kind="at most", how="furthest in all bags, also while it was repaired"),
         Figure("faults.unexplained", float(len(silent)), "faults", 0.0, bar_kind="at most",
                how="a node was gone or the output cut, and diagnostics did not say why"),
         Figure("faults.not_recovered", float(len(gone)), "faults", 0.0, bar_kind="at most",

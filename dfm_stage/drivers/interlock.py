@@ -48,6 +48,9 @@ class Interlock:
         Longest time between commands once the first has come; 0 in lockstep, where time waits.
     measurement_age_s : float
         Longest age of the measurement that a command answers; 0 = any.
+    age_lasts_s : float
+        How long commands may answer older ones, with 0 in their place, before that latches;
+        0 = not at all.
     divergence_window_s : float
         SWINGS saturated commands of alternating sign within this time are a diverging loop;
         0 = never.
@@ -56,11 +59,13 @@ class Interlock:
     """
 
     def __init__(self, limit: float, stale_s: float = 0.02, measurement_age_s: float = 0.0,
-                 divergence_window_s: float = 0.5,
+                 divergence_window_s: float = 0.5, age_lasts_s: float = 0.0,
                  on_trip: Callable[[Cause, str], None] | None = None) -> None:
         self.limit = limit
         self.stale_s = stale_s
         self._age_ns = measurement_age_s * 1e9
+        self._age_lasts_s = age_lasts_s
+        self.too_old = 0
         self._window_ns = divergence_window_s * 1e9
         self._on_trip = on_trip
         self.armed = False
@@ -72,6 +77,7 @@ class Interlock:
     def _forget(self) -> None:
         self.last_command_s = math.inf
         self._seq = _NONE_YET
+        self._old_since_s: float | None = None
         self._side = 0.0
         self._swings: deque[int] = deque(maxlen=SWINGS)
 
@@ -139,12 +145,22 @@ class Interlock:
         self._seq = seq
         if command.saturated and self._window_ns and self._diverges(value, now_ns):
             return 0.0
-        if self._age_ns and now_ns - command.measurement_stamp_ns > self._age_ns:
-            age_ms = (now_ns - command.measurement_stamp_ns) * 1e-6
-            self.trip(Cause.ENCODER, f"a command answers a measurement {age_ms:.1f} ms old")
-            return 0.0
         self.last_command_s = now_s
+        if self._age_ns:
+            age_ns = now_ns - command.measurement_stamp_ns
+            if age_ns > self._age_ns:
+                self._answers_the_past(age_ns * 1e-6, now_s)
+                return 0.0
+            self._old_since_s = None
         return value
+
+    def _answers_the_past(self, age_ms: float, now_s: float) -> None:
+        """Trip if it lasts: a loop that is behind pushes the stage the wrong way."""
+        self.too_old += 1
+        if self._old_since_s is None:
+            self._old_since_s = now_s
+        if now_s - self._old_since_s >= self._age_lasts_s:
+            self.trip(Cause.ENCODER, f"a command answers a measurement {age_ms:.1f} ms old")
 
     def _refuse(self, value: float) -> None:
         if math.isfinite(value):

@@ -68,8 +68,9 @@ class AmplifierDriver(ManagedNode):
                 "after arming", "s", 0.001, 10.0),
         Setting("shape_last_count", True, "hardware: spread what a current step leaves over "
                 "(sigma-delta) instead of rounding"),
-        Setting("measurement_timeout_s", 0.02, "hardware: a command that answers an older "
-                "measurement takes the output to zero", "s", 0.001, 10.0),
+        Setting("measurement_timeout_s", 0.02, "in place of a command that answers an older "
+                "measurement goes zero; hardware: latched at once, simulation: where it lasts "
+                "for stale_timeout_s; 0 = any age, only in simulation", "s", 0.0, 10.0),
         Setting("require_reference", True, "hardware: refuse to arm without a referenced "
                 "encoder"),
         Setting("question_period_s", 0.02, "hardware: how often the drive is asked how it is; "
@@ -83,7 +84,7 @@ class AmplifierDriver(ManagedNode):
         self._interlock = self._new_interlock()
         self._off_bits = int(Cause.DISARMED)
         self._seq = 0
-        self.counters["commands"] = 0
+        self.counters |= {"commands": 0, "commands_too_old": 0}
         self._answered = _NO_SAMPLE
         self._checked_s = time.monotonic()
         self._armed_s = 0.0
@@ -118,8 +119,9 @@ class AmplifierDriver(ManagedNode):
             limit = min(limit, self._limit_a / abs(self._gain))
         return Interlock(
             limit, 0.0 if self.lockstep else self.settings["stale_timeout_s"],
-            0.0 if self.simulated else self.settings["measurement_timeout_s"],
-            0.0 if self.lockstep else self.settings["divergence_window_s"], self._on_trip)
+            0.0 if self.lockstep else self.settings["measurement_timeout_s"],
+            0.0 if self.lockstep else self.settings["divergence_window_s"],
+            self.settings["stale_timeout_s"] if self.simulated else 0.0, self._on_trip)
 
     # Life cycle
 
@@ -129,6 +131,8 @@ class AmplifierDriver(ManagedNode):
             return
         if not self._limit_a:
             raise DfmError("amplifier_driver: set current_limit_a to what the coil bears")
+        if not self.settings["measurement_timeout_s"]:
+            raise DfmError("amplifier_driver: set measurement_timeout_s; 0 is for simulation")
         self._device = create_amplifier(
             self.settings["device"], self.settings["port"], baud=self.settings["baud"],
             peak_limit_a=self._limit_a,
@@ -179,6 +183,7 @@ class AmplifierDriver(ManagedNode):
         stamp = command.stamp_ns if self.lockstep else time.time_ns()
         value = interlock.accept(command, time.monotonic(), stamp)
         self.counters["commands"] += 1
+        self.counters["commands_too_old"] = interlock.too_old
         if self._worker is None:
             self._apply(stamp, value, 0 if interlock.armed else self._off_bits)
         elif interlock.armed:

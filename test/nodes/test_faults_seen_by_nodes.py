@@ -82,6 +82,27 @@ def test_an_amplifier_that_stood_still_does_not_go_on_by_itself(make):
     assert "this process stood still for 0.7" in node._interlock.words()
 
 
+def test_commands_of_a_loop_that_is_behind_are_not_obeyed(make):
+    """One such command may come of a short standstill; where they last, the output stays off."""
+    node = make(AmplifierDriver)
+    sent = []
+    node._state = SimpleNamespace(send=lambda *values: sent.append(values))
+
+    def command(seq, age_s):
+        node._on_command(SimpleNamespace(
+            seq=seq, voltage=1.0, saturated=False, measurement_seq=seq,
+            measurement_stamp_ns=time.time_ns() - int(age_s * 1e9)))
+        return sent[-1][3], sent[-1][5]
+
+    assert [command(1, 0.0), command(2, 0.05), command(3, 0.0)] == [
+        (1.0, True), (0.0, True), (1.0, True)]
+    assert command(4, 0.05) == (0.0, True)
+    time.sleep(0.03)
+    assert command(5, 0.05) == (0.0, False)
+    assert node.counters["commands_too_old"] == 3
+    assert "answers a measurement 50" in node.errors_active["output"]
+
+
 @pytest.mark.parametrize(("watchdog_s", "kept"), [(0.05, 0.0), (0.0, 1.5)])
 def test_the_plants_watchdog_cuts_a_drive_that_nobody_renews(make, watchdog_s, kept):
     node = make(SimPlant, drive_watchdog_s=watchdog_s)

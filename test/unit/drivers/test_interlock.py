@@ -7,10 +7,13 @@ import math
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dfm_stage.control import Pid, PidGains
 from dfm_stage.drivers.errors import RefusedError
 from dfm_stage.drivers.interlock import SWINGS, Cause, Interlock
 
@@ -112,6 +115,43 @@ def test_a_command_for_an_old_measurement():
     interlock.arm()
     assert interlock.accept(command(), 0.0, 10**9) == 0.0
     assert interlock.causes == Cause.ENCODER
+
+
+def test_commands_for_old_measurements_are_zero_and_latch_where_they_last():
+    interlock = armed(measurement_age_s=0.02, age_lasts_s=0.02)
+
+    def asked(seq, now_ms, age_ms):
+        return interlock.accept(command(1.0, seq, measured_ns=(now_ms - age_ms) * 10**6),
+                                now_ms * 1e-3, now_ms * 10**6)
+
+    assert [asked(1, 100, 30), asked(2, 110, 25), asked(3, 112, 20)] == [0.0, 0.0, 1.0]
+    assert [asked(4, 113, 21), asked(5, 131, 21)] == [0.0, 0.0]
+    assert interlock.armed
+    assert not interlock.stale(0.140), "an old command is not none"
+    assert asked(6, 133, 25) == 0.0
+    assert (interlock.too_old, interlock.causes) == (5, Cause.ENCODER)
+    assert interlock.words() == "encoder: a command answers a measurement 25.0 ms old"
+
+
+@pytest.mark.parametrize(("age_s", "leaves"), [(0.0, True), (0.02, False)])
+def test_a_loop_that_falls_behind_does_not_drive_the_stage_out_of_its_travel(age_s, leaves):
+    """As measured in a fault campaign: the commands came, the measurements they answered aged."""
+    period_s, travel_m = 1e-3, 7.7e-3
+    step, into, *_ = scipy.signal.cont2discrete(
+        (np.array([[0.0, 1.0], [-600.7, -1.705]]), np.array([[0.0], [1.0]]), np.eye(2),
+         np.zeros((2, 1))), period_s)
+    law = Pid(PidGains(kp=600.0, ki=4000.0, kd=30.0, output_limit_v=2.0), period_s)
+    interlock = armed(measurement_age_s=age_s, age_lasts_s=0.02 if age_s else 0.0)
+    state, furthest, seen = np.array([1e-3, 0.0]), 0.0, []
+    for now in range(600):
+        seen.append(state[0])
+        measured = max(0, now - min(now // 2, 60))
+        answer = law.step(0.5e-3, seen[measured], 0.0, 0.0, period_s)
+        voltage = interlock.accept(command(answer, now + 1, measured_ns=measured * 10**6),
+                                   now * period_s, now * 10**6)
+        state = step @ state + into[:, 0] * voltage
+        furthest = max(furthest, abs(state[0]))
+    assert (furthest > travel_m) == leaves
 
 
 def swings(interlock, count, period_ns):
