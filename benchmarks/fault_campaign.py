@@ -269,8 +269,10 @@ class Campaign:
         outcome.safe = self._becomes_safe(struck, since)
         outcome.safe_s = time.monotonic() - begin
         graph.spin(max(0.0, begin + LOOKED_AT_S - time.monotonic()))
-        struck.looked_ns = time.time_ns()
-        outcome.cut = not self._sight().works
+        outcome.cut = self._is_cut(struck)
+        if fault.kind == "pause" and not outcome.cut:  # looked at just as it went on
+            graph.spin(RECENT_S)
+            outcome.cut = self._is_cut(struck)
         if fault.kind == "kill" or outcome.cut:
             with contextlib.suppress(HarnessError):
                 graph.spin_until(lambda: self._explained(fault), EXPLAINED_WITHIN_S, "words")
@@ -317,6 +319,10 @@ class Campaign:
         """What the witness has; the travel only `since` a message of plant, as this is polled."""
         plant = len(self._heard["plant"]) if since is None else since
         return heard(self._heard, plant, time.time_ns())
+
+    def _is_cut(self, struck: _Struck) -> bool:
+        struck.looked_ns = time.time_ns()
+        return not self._sight().works
 
     def _becomes_safe(self, struck: _Struck, since: int) -> bool:
         node = struck.outcome.fault.node
