@@ -62,7 +62,7 @@ class Outcome:
     """How one fault ended; `explained` is None where there was nothing to explain.
 
     `by_bag`: the witness was behind and had not seen that all was safe, or at work; the bag shows
-    it, at that very time.
+    it, at that very time. `recovered_by_bag`: the same of the scan at work after the repair.
     """
 
     fault: Fault
@@ -74,6 +74,7 @@ class Outcome:
     took_s: float = 0.0
     words: str = ""
     by_bag: bool = False
+    recovered_by_bag: bool = False
 
 
 @dataclass
@@ -235,6 +236,9 @@ class Campaign:
     def _judge_again(self, bag: Any) -> None:
         """Judge by the bag: whether the travel was passed, and what a witness behind did not see.
 
+        The witness and the operator have no real-time priority, and are starved where the nodes
+        need most of the machine.
+
         It is believed where it has the plant at the very time of the witness's doubt.
         """
         for struck in self._struck:
@@ -247,6 +251,8 @@ class Campaign:
             elif not outcome.safe and all(each.ages["plant"] < RECENT_S and each.safe_after(node)
                                           for each in doubts):
                 outcome.safe = outcome.by_bag = True
+            if not outcome.recovered and at_last.works:
+                outcome.recovered = outcome.recovered_by_bag = True
             if outcome.explained is False and outcome.fault.kind != "kill" and (
                     recorded(bag, struck.begin_ns, struck.looked_ns).works):
                 outcome.explained, outcome.cut, outcome.by_bag = None, False, True
