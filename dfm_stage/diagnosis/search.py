@@ -221,6 +221,8 @@ class Search(Fits):
                 continue
             rest = tuple(n for n in names if n != name)
             without = self.fitted(rest, current)
+            if not without.ok:
+                continue
             screen = Screen(without, self.runs, self.weights, self.dither,
                             self.fitted((), current).model)
             for hit in screen.hits(name, keep=3):
@@ -269,10 +271,10 @@ class Search(Fits):
     def _rivals(self, name: str, rest: Names, current: Fit) -> list[Rival]:
         without = self.fitted(rest, current)
         loss = without.chi2 - current.chi2
-        if frozenset(rest) not in self.screens:
+        if frozenset(rest) not in self.screens and without.ok:
             _, hits = self.screened(without, rest)
             self.screens[frozenset(rest)] = list({h.name: h for h in reversed(hits)}.values())
-        best = self.screens[frozenset(rest)]
+        best = self.screens.get(frozenset(rest), [])
         own = max((h.gain for h in best if h.name == name), default=loss)
         found: list[Rival] = []
         for hit in sorted((h for h in best if h.name not in self.barred),

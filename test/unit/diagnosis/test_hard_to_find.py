@@ -218,3 +218,20 @@ def test_the_held_out_records_part_two_effects_that_fit_the_fitted_ones_alike():
 
     assert chosen(alike) == ("force_constant_droop",)
     assert chosen(apart) == ("cubic_stiffness",)
+
+
+def test_a_model_that_cannot_be_simulated_without_an_effect_has_no_rivals_and_no_other_valley():
+    """In a far valley the fit without an effect may fail; then there is nothing to screen."""
+    feed = truth.multisine(6)
+    run = experiment(truth.record(feed, truth.move(feed, lambda x, _: -1e7 * x**3), 31),
+                     truth.believed(), "x", "run")
+    names = ("damping", "stiffness", "force_constant")
+    search = Search(truth.believed(), [run], names, library=("quadratic_stiffness",))
+    linear_fit = search.begin()
+    failed = fit(truth.believed(), [run], names, search.weights, allowance=-1.0)
+    assert linear_fit.ok
+    assert not failed.ok
+    wrong = search.fitted(("quadratic_stiffness",), linear_fit)
+    search.keep((), failed)
+    assert search.reseated(("quadratic_stiffness",), wrong) is None
+    assert search._rivals("quadratic_stiffness", (), wrong) == []
