@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.fault_campaign import Campaign, Fault, Outcome, _Struck
 from benchmarks.fault_sight import WITNESSED, heard, recorded
 
 NOW_NS = 10_000_000_000
@@ -48,3 +49,18 @@ def test_a_bag_is_looked_at_at_a_time_and_may_lack_topics():
     assert sight.safe_after("x/controller")  # nothing ever came: no output either
     (_, later) = sights(-1.0)
     assert min(later.ages.values()) == float("inf")
+
+
+@pytest.mark.parametrize(("age_s", "last", "recovered", "safe"), [
+    (0.01, {}, True, True),
+    (0.5, {}, False, True),
+    (0.01, {"enabled": False}, False, True),
+    (0.01, {"position": 8e-3}, True, False),  # also while it was repaired
+])
+def test_where_the_operator_was_starved_the_bag_decides(tmp_path, age_s, last, recovered, safe):
+    campaign = Campaign(tmp_path)
+    outcome = Outcome(Fault("/stage/x/controller", "pause", 0.5), safe=True)
+    campaign._struck = [_Struck(outcome, NOW_NS - 2_000_000_000, end_ns=NOW_NS)]
+    campaign._judge_again(sights(age_s, **last)[1])
+    assert (outcome.recovered, outcome.recovered_by_bag) == (recovered, recovered)
+    assert outcome.safe is safe
