@@ -14,8 +14,8 @@ NOW_NS = 10_000_000_000
 LAST = {"enabled": True, "voltage": 0.5, "current": 0.1, "position": 1e-3}
 
 
-def sights(age_s: float, **last):
-    """The same stage through both; every topic's newest message is `age_s` old."""
+def seen(age_s: float, **last):
+    """What a witness has and a bag of the same; every topic's newest message is `age_s` old."""
     stamps = NOW_NS - int(age_s * 1e9) - np.arange(5)[::-1] * 1_000_000
     values = {**LAST, **last}
     messages = {topic: [SimpleNamespace(stamp_ns=int(stamp), **values) for stamp in stamps]
@@ -23,6 +23,11 @@ def sights(age_s: float, **last):
     bag = {f"/stage/x/{topic}": {"header.stamp": stamps,
                                  **{name: np.full(5, value) for name, value in values.items()}}
            for topic in WITNESSED}
+    return messages, bag
+
+
+def sights(age_s: float, **last):
+    messages, bag = seen(age_s, **last)
     return heard(messages, 0, NOW_NS), recorded(bag, 0, NOW_NS)
 
 
@@ -61,6 +66,6 @@ def test_where_the_operator_was_starved_the_bag_decides(tmp_path, age_s, last, r
     campaign = Campaign(tmp_path)
     outcome = Outcome(Fault("/stage/x/controller", "pause", 0.5), safe=True)
     campaign._struck = [_Struck(outcome, NOW_NS - 2_000_000_000, end_ns=NOW_NS)]
-    campaign._judge_again(sights(age_s, **last)[1])
+    campaign._judge_again(seen(age_s, **last)[1])
     assert (outcome.recovered, outcome.recovered_by_bag) == (recovered, recovered)
     assert outcome.safe is safe
