@@ -49,8 +49,8 @@ class Interlock:
     measurement_age_s : float
         Longest age of the measurement that a command answers; 0 = any.
     age_lasts_s : float
-        How long commands may answer older ones, with 0 in their place, before that latches;
-        0 = not at all.
+        How long commands may answer older ones, with 0 in their place, before that latches; one
+        that does not say which (stamp 0, sent by hand) is obeyed then. 0 = not at all.
     divergence_window_s : float
         SWINGS saturated commands of alternating sign within this time are a diverging loop;
         0 = never.
@@ -146,7 +146,7 @@ class Interlock:
         if command.saturated and self._window_ns and self._diverges(value, now_ns):
             return 0.0
         self.last_command_s = now_s
-        if self._age_ns:
+        if self._age_ns and (command.measurement_stamp_ns or not self._age_lasts_s):
             age_ns = now_ns - command.measurement_stamp_ns
             if age_ns > self._age_ns:
                 self._answers_the_past(age_ns * 1e-6, now_s)

@@ -128,7 +128,8 @@ def test_commands_for_old_measurements_are_zero_and_latch_where_they_last():
     assert [asked(4, 113, 21), asked(5, 131, 21)] == [0.0, 0.0]
     assert interlock.armed
     assert not interlock.stale(0.140), "an old command is not none"
-    assert asked(6, 133, 25) == 0.0
+    assert asked(6, 132, 132) == 1.0, "a command by hand has no stamp"
+    assert asked(7, 133, 25) == 0.0
     assert (interlock.too_old, interlock.causes) == (5, Cause.ENCODER)
     assert interlock.words() == "encoder: a command answers a measurement 25.0 ms old"
 
