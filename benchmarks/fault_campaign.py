@@ -151,7 +151,7 @@ class Campaign:
                         self._suffer(outcome)
                     except HarnessError as error:
                         outcome.words += f"; {error}"
-                    if not outcome.recovered:
+                    if not outcome.recovered and at_last.works:
                         break
                 ended_ns = time.time_ns()
                 with contextlib.suppress(HarnessError):
@@ -236,10 +236,9 @@ class Campaign:
     def _judge_again(self, bag: Any) -> None:
         """Judge by the bag: whether the travel was passed, and what a witness behind did not see.
 
-        The witness and the operator have no real-time priority, and are starved where the nodes
-        need most of the machine.
-
-        It is believed where it has the plant at the very time of the witness's doubt.
+        It is believed where it has the plant at the very time of the witness's doubt. Witness and
+        operator have no real-time priority, and are starved where the nodes need most of the
+        machine.
         """
         for struck in self._struck:
             outcome, node = struck.outcome, struck.outcome.fault.node

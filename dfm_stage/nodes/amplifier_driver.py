@@ -68,8 +68,8 @@ class AmplifierDriver(ManagedNode):
                 "after arming", "s", 0.001, 10.0),
         Setting("shape_last_count", True, "hardware: spread what a current step leaves over "
                 "(sigma-delta) instead of rounding"),
-        Setting("measurement_timeout_s", 0.02, "in place of a command that answers an older "
-                "measurement goes zero; hardware: latched at once, simulation: where it lasts "
+        Setting("measurement_timeout_s", 0.02, "a command that answers an older measurement goes "
+                "out as zero, and latches: with hardware at once, in simulation where it lasts "
                 "for stale_timeout_s; 0 = any age, only in simulation", "s", 0.0, 10.0),
         Setting("require_reference", True, "hardware: refuse to arm without a referenced "
                 "encoder"),
