@@ -151,7 +151,7 @@ class Campaign:
                         self._suffer(outcome)
                     except HarnessError as error:
                         outcome.words += f"; {error}"
-                    if not outcome.recovered and at_last.works:
+                    if not outcome.recovered:
                         break
                 ended_ns = time.time_ns()
                 with contextlib.suppress(HarnessError):
