@@ -10,30 +10,31 @@ from dfm_stage.diagnosis import diagnose
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
-FIRST, LAST = 2500, 20_000
-LIBRARY = [name for name in EFFECTS if name not in ("hysteresis", "presliding_friction")]
+FIRST = 2500
+WITHOUT_LOOPS = [name for name in EFFECTS if name not in ("hysteresis", "presliding_friction")]
 
 
-def record(name: str, current: str) -> Record:
+def record(name: str, current: str, last: int) -> Record:
     folder = data_folder()
     if folder is None:
         pytest.skip("the recorded data are not here (DFM_SHARED_DATA)")
     data = np.load(folder / f"motor_bench_multisine{name}.npz")
-    part = slice(FIRST, LAST)
-    return Record(PERIOD_S * np.arange(LAST - FIRST), PERIOD_S, {"x": AxisRecord(
+    part = slice(FIRST, last)
+    return Record(PERIOD_S * np.arange(last - FIRST), PERIOD_S, {"x": AxisRecord(
         np.asarray(data[current][part], float), np.asarray(data["theta_motor"][part], float),
         input_unit="A", position_unit="rad")}, Provenance(name, "npz"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("current", ["iq", "iq_ref"])
-def test_the_coupling_is_named_and_nothing_else(current):
-    """Measured current drifts a free motor further than commanded current does."""
+@pytest.mark.parametrize(("current", "last", "library"), [
+    ("iq", 20_000, WITHOUT_LOOPS), ("iq_ref", 50_000, None)])
+def test_the_coupling_is_named_and_nothing_else(current, last, library):
+    """Seven seconds of measured current, and all of the commanded with the whole library."""
     rigid = Model("motor", PERIOD_S, drive="current", position_unit="rad", base={
         "mass": 1.0, "damping": 10.0, "force_constant": 100.0, "amplifier_time_constant": 1e-4,
         "delay": 3e-4})
-    found = diagnose([record("A", current)], rigid, holdout=[record("B", current)],
-                     library=LIBRARY)
+    found = diagnose([record("A", current, last)], rigid,
+                     holdout=[record("B", current, last)], library=library)
     assert found.verdict == "named"
     assert found.names == ("second_mode",)
     frequency = found.effects[0].parameters["frequency"].value
