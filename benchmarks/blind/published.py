@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.rates import LARGE, large_effects
+from benchmarks.blind.rates import LARGE, large_effects, limits
 from benchmarks.blind.scoring import Score, judge, wilson
 
 KEPT = Path(__file__).resolve().parents[1] / "kept"
@@ -103,17 +103,18 @@ def failures(scores: Sequence[Score]) -> str:
 
 
 def by_severity(scores: Sequence[Score]) -> list[str]:
-    """Exact names of each effect by severity."""
-    found: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
-    for s in scores:
-        if s.kind == "effect":
-            found[s.label][s.severity].append(s.exact)
-    sizes = sorted({size for cells in found.values() for size in cells})
-    table = ["| effect | " + " | ".join(f"{size:g}" for size in sizes) + " |",
-             "|---|" + "---|" * len(sizes)]
-    return table + [f"| `{name}` | " + " | ".join(
-        f"{sum(cells[size])} of {len(cells[size])}" for size in sizes) + " |"
-        for name, cells in sorted(found.items())]
+    """Exact names of each effect by severity, and the severity at which half would be named."""
+    found = limits(scores)
+    sizes = sorted({size for row in found.values() for size in row["cases"]})
+    table = ["| effect | " + " | ".join(f"{size:g}" for size in sizes)
+             + " | half named at (95 % range) |", "|---|" + "---|" * (len(sizes) + 1)]
+    for name, row in found.items():
+        cells = [f"{row['shares'][size] * row['cases'][size]:.0f} of {row['cases'][size]}"
+                 if size in row["cases"] else "" for size in sizes]
+        least, most = row["range"]
+        table.append(f"| `{name}` | " + " | ".join(cells)
+                     + f" | {row['text']} ({least} to {most}) |")
+    return table
 
 
 def main() -> int:
