@@ -27,6 +27,8 @@ ENOUGH = 0.2
 MOST = 4
 VALLEY = 1.03
 """Chi-square per sample above which effects are looked for anew beside the others."""
+EXCHANGES = 3
+"""Times that a rival may take an effect's place, the noise weighed anew after each."""
 LOOP = 1.01
 """Chi-square per sample above which the other kind of loop is tried in the place of one added."""
 SHORT_LIST = 4
@@ -251,12 +253,10 @@ class Search(Fits):
         Returns the best set, its fit, and for every effect in it the rivals with what they would
         cost in chi-square, smallest first.
         """
-        for _ in range(3):
-            rivals: dict[str, list[Rival]] = {}
+        for _ in range(EXCHANGES):
+            rivals = self._all_rivals(names, current)
             better: tuple[Names, Fit] | None = None
-            for name in names:
-                rest = tuple(n for n in names if n != name)
-                rivals[name] = found = self._rivals(name, rest, current)
+            for name, found in rivals.items():
                 for rival in found:
                     if self.score(rival.fit) < self.score(current) and (
                             better is None or self.score(rival.fit) < self.score(better[1])):
@@ -266,7 +266,11 @@ class Search(Fits):
             names, current = better
             self.reweigh(weights_of(current.residuals))
             current = self.refitted(names, current)
-        return names, current, rivals
+        return names, current, self._all_rivals(names, current)
+
+    def _all_rivals(self, names: Names, current: Fit) -> dict[str, list[Rival]]:
+        return {name: self._rivals(name, tuple(n for n in names if n != name), current)
+                for name in names}
 
     def _rivals(self, name: str, rest: Names, current: Fit) -> list[Rival]:
         without = self.fitted(rest, current)

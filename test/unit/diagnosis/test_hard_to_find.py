@@ -235,3 +235,21 @@ def test_a_model_that_cannot_be_simulated_without_an_effect_has_no_rivals_and_no
     search.keep((), failed)
     assert search.reseated(("quadratic_stiffness",), wrong) is None
     assert search._rivals("quadratic_stiffness", (), wrong) == []
+
+
+def test_rivals_that_keep_taking_turns_are_all_compared_with_the_last_of_them(monkeypatch):
+    """Each weighing of the noise may prefer the other one; whoever comes last has rivals, too."""
+    feed = truth.multisine(6)
+    run = experiment(truth.record(feed, truth.move(feed, lambda x, _: -1e5 * x**3), 31),
+                     truth.believed(), "x", "run")
+    names = ("cubic_stiffness", "force_constant_droop")
+    search = Search(truth.believed(), [run], ("damping", "stiffness"), library=names)
+    both = {name: search.fitted((name,), search.begin()) for name in names}
+    others = dict(zip(names, reversed(names), strict=True))
+    monkeypatch.setattr(search, "_rivals", lambda name, rest, current: [
+        Rival(others[name], -1.0, both[others[name]])])
+    monkeypatch.setattr(search, "refitted", lambda chosen, _: both[chosen[0]])
+    turns = iter(range(1000))
+    monkeypatch.setattr(search, "score", lambda _: float(next(turns)))
+    last, _, rivals = search.compare(names[:1], both[names[0]])
+    assert set(rivals) == set(last)
