@@ -134,7 +134,8 @@ class Plant:
         position, velocity, current, force, reading, _ = self._out[:, 0].tolist()
         if not abs(position) < DIVERGED:
             raise SimulationError("the motion of the plant has escaped to infinity: the loop is "
-                                  "unstable, or the model's forces do not hold the stage")
+                                  "unstable, or the model's forces do not hold the stage or are "
+                                  "too stiff to follow")
         if self._noise > 0.0:
             if not self._draws:
                 self._draws = self._generator.standard_normal(_DRAWS)[::-1].tolist()

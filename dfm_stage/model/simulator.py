@@ -125,9 +125,9 @@ class Simulator:
         run(plan.on, plan.layout, theta, work, inputs, force, neighbour, rows, out)
         if not np.isfinite(out[slots.POSITION, -1]):
             when = int(np.argmin(np.isfinite(out[slots.POSITION]))) * self.model.sample_period
-            raise SimulationError(f"the motion escapes to infinity before t = {when:g} s: the "
-                                  "model's forces do not hold the stage; check their signs and "
-                                  "sizes")
+            raise SimulationError("the motion escapes to infinity, or a force is too stiff to "
+                                  f"follow, before t = {when:g} s: the model's forces do not "
+                                  "hold the stage; check their signs and sizes")
         reading = out[slots.READING] if rows[slots.READING] >= 0 else out[slots.POSITION]
         step = self.model.effect("encoder_quantization")
         return SimulationResult(
@@ -168,8 +168,8 @@ class Simulator:
         `parameter_names` (n) are addresses such as `mass`, `cubic_stiffness.k3` or, for the state
         at t_0, `initial.position`; `encoder_zero` is the output offset. Rows are spread over
         `threads` threads, by default one per available core. Values are not checked against the
-        limits of the parameters. A motion that escapes to infinity
-        ends in NaN. With `partial` a row without periodic motion is NaN, too.
+        limits of the parameters. A motion that escapes to infinity, or meets a force too stiff to
+        follow, ends in NaN. With `partial` a row without periodic motion is NaN, too.
 
         Raises
         ------

@@ -32,7 +32,8 @@ def advance(z: float, dx: float, v0: float, v1: float, p: Values) -> float:
     """w after a motion by dx in one direction; exact for the exponents 1 and 2.
 
     Of other exponents by Taylor series of the fourth order, one power a step, by Runge-Kutta near
-    w = 0, where they are not smooth, and in closed form next to saturation.
+    w = 0, where they are not smooth, and in closed form next to saturation. A state that is not
+    finite any more ends in NaN.
     """
     if dx == 0.0:
         return z
@@ -63,7 +64,7 @@ def advance(z: float, dx: float, v0: float, v1: float, p: Values) -> float:
         gained = math.tanh(path)
         return sign * (w + gained) / (1.0 + w * gained)
     while path > 0.0:
-        if w > 1.0 - NEAR_END:
+        if not w <= 1.0 - NEAR_END:
             bent = 0.5 * (p[3] - 1.0)
             left = (1.0 - w) / (1.0 - bent * (1.0 - w)) * math.exp(-p[3] * path)
             return sign * (1.0 - left / (1.0 + bent * left))

@@ -65,6 +65,7 @@ from dfm_stage.model.kernel.slots import (
     SCALE,
     SLOPE,
     STEP,
+    TRIED,
 )
 from dfm_stage.model.kernel.tables import CUBIC, FROM_VALUES, POINT_1, POINT_2
 
@@ -293,6 +294,7 @@ def advance_piece(on: int, layout: Layout, theta: Array, work: Array, which: int
         _rescale(work, head, h / at(work, head + STEP) if at(work, head + STEP) > 0.0 else 0.0)
     dr = span * (h / length)
     while position < units:
+        work[head + TRIED] += 1.0
         r = r0 + span * position / units if force.shape[0] > 0 else r0
         table = tables + level
         if directed and mode == 0:

@@ -13,6 +13,7 @@ from dfm_stage.model.kernel.hooks import (
     sense_error,
 )
 from dfm_stage.model.kernel.linear import steps, steps_with_force
+from dfm_stage.model.kernel.memory import at
 from dfm_stage.model.kernel.motion import advance_piece
 from dfm_stage.model.kernel.setup import block
 from dfm_stage.model.kernel.slots import (
@@ -42,6 +43,7 @@ from dfm_stage.model.kernel.slots import (
     SAMPLE,
     SENSED,
     SIGNALS,
+    TRIED,
     VELOCITY,
     WHOLE,
     ZERO,
@@ -52,6 +54,9 @@ Layout = NDArray[np.int64]
 BLOCK = 256
 DIVERGED = 1e12
 """A position beyond this has escaped; the states are NaN from then on."""
+USUAL, HOPELESS = 512.0, 1e6
+"""So are they after this many steps beyond the usual ones of a sample: with a force this stiff a
+record would take minutes, and its motion would be in doubt."""
 
 
 @entry
@@ -137,14 +142,14 @@ def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
 def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: Array,
                   force: Array, first: int, count: int, out: Array) -> None:
     """As `linear.steps_with_force`, with nonlinear forces; `force` may be empty."""
-    n, state = layout[ORDER], layout[AT_STATE]
+    n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
     push = force[0] if force.shape[0] > 0 else theta[:0]
     for k in range(count):
         for i in range(n):
             out[i, k] = work[state + i]
-        if not abs(work[state]) < DIVERGED:
+        if not abs(work[state]) < DIVERGED or at(work, tried) > HOPELESS:
             for i in range(n):
                 work[state + i] = np.nan
                 for later in range(k, count):
@@ -158,6 +163,7 @@ def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: A
             if span > 0.0:
                 advance_piece(on, layout, theta, work, which, applied[first + k + which], push,
                               begin, span, span * period)
+        work[tried] = max(at(work, tried) - USUAL, 0.0)
 
 
 @lean

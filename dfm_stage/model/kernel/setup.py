@@ -50,6 +50,7 @@ from dfm_stage.model.kernel.slots import (
     SLOPE,
     STATE_NAMES,
     STEP,
+    TRIED,
     WHOLE,
 )
 from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
@@ -184,3 +185,4 @@ def restart(layout: Layout, work: Array) -> None:
         speed += rows[ROW_VELOCITY, j] * work[layout[AT_STATE] + j]
     head[MODE] = np.sign(speed)
     head[LEVEL] = head[SCALE] = head[SLOPE] = head[CURVATURE] = head[STEP] = 0.0
+    head[TRIED] = 0.0

@@ -60,8 +60,8 @@ LAYOUT_FIXED = 19
 
 # head of `work`
 PERIOD, SAMPLE, WHOLE, FRACTION, MODE, LEVEL, SCALE, DEPTH, SLOPE, CURVATURE, \
-    CUBIC_PART, STEP = range(12)
-HEAD_SIZE = 12
+    CUBIC_PART, STEP, TRIED = range(13)
+HEAD_SIZE = 13
 
 # rows of the block AT_ROWS; the last two are filled where friction can hold the point
 ROW_POSITION, ROW_VELOCITY, ROW_DRIVE, ROW_FORCE_IN, ROW_HOLD = range(5)

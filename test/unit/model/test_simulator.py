@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 from dfm_stage.model import Model, ModelError, SimulationError, Simulator, load_model
+from dfm_stage.model.effects import hysteresis
 from dfm_stage.model.simulator import hermite
 
 PERIOD = 1e-3
@@ -275,3 +276,23 @@ def test_refusals() -> None:
     with pytest.raises(SimulationError, match="escapes to infinity"):
         Simulator(soft).run(np.full(2000, 5.0))
     assert np.isnan(Simulator(soft).run_many(np.full(2000, 5.0), ["mass"], [[1.0]])[0, -1])
+
+
+def test_a_force_too_stiff_to_follow_ends_in_nan_and_not_in_minutes_of_tiny_steps():
+    """As a fit may try one: an eddy damper of 7e7 N s/m slows the stage within 13 ns."""
+    drive = np.sin(2.0 * np.pi * 2.0 * PERIOD * np.arange(24_000))
+    model = Model("stage", PERIOD, base=BASE).with_effect("coulomb_friction", {"force": 0.004})
+    stiff = Simulator(model.with_effect(
+        "eddy_current_damping", {"damping": 7e7, "critical_velocity": 6e-3}))
+    assert np.isnan(stiff.run_many(drive, ["mass"], [[0.9]])[0, -1])
+    with pytest.raises(SimulationError, match="too stiff to follow"):
+        stiff.run(drive)
+
+
+@pytest.mark.timeout(60)
+def test_a_loop_whose_state_is_lost_ends_in_nan_and_not_never():
+    """In an iteration that does not contract the motion may be anything before it is given up."""
+    values = np.array([5184.0, 1.5e-7, 5.0, 4.019])
+    for state, path in ((math.nan, 1.0), (-math.inf, 1e12), (-1.0, math.inf), (0.3, 1e12)):
+        found = hysteresis.advance(state, path, 1.0, 1.0, values)
+        assert math.isnan(found) or found == pytest.approx(1.0)
