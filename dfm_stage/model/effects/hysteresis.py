@@ -23,7 +23,7 @@ from dfm_stage.model.parameter import Parameter
 Array = NDArray[np.float64]
 
 LONGEST = 0.05
-"""Step along the path, in yield displacements."""
+"""Step along the path, in yield displacements; where the path is steep, in yields gained."""
 NEAR_END = 1e-3
 """Distance from saturation within which the path is a closed form, good to its cube."""
 
@@ -68,7 +68,7 @@ def advance(z: float, dx: float, v0: float, v1: float, p: Values) -> float:
             bent = 0.5 * (p[3] - 1.0)
             left = (1.0 - w) / (1.0 - bent * (1.0 - w)) * math.exp(-p[3] * path)
             return sign * (1.0 - left / (1.0 + bent * left))
-        step = min(path, LONGEST)
+        step = min(path, LONGEST if w > 0.0 or bend < 1.0 else LONGEST / bend)
         path -= step
         a = 1.0 - abs(w)**p[3] if w > 0.0 else 1.0 + bend * abs(w)**p[3]
         if abs(w) > 4.0 * p[3] * step:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from friction_equations import bouc_wen, coulomb, fine_steps, lugre
+from scipy.integrate import solve_ivp
 from stage_equations import integrate
 
 from dfm_stage.model import Model, Simulator
+from dfm_stage.model.effects import hysteresis
 
 PERIOD = 1e-3
 BASE = {"mass": 1.082, "damping": 1.845, "stiffness": 650.0, "force_constant": 1.082,
@@ -186,3 +188,16 @@ def test_zero_friction_is_no_friction() -> None:
     states, equations = integrate(BASE, inputs[:100], PERIOD)
     assert error(Simulator(dry).run(inputs[:100]).position, states[:, 0]) < 1e-9
     assert equations.get("stiffness") == 650.0
+
+
+@pytest.mark.parametrize(("shape", "exponent"), [(0.5, 3.0), (1.0, 1.5), (2.0, 3.0), (5.0, 4.019)])
+def test_the_path_of_a_loop_after_a_reversal(shape: float, exponent: float) -> None:
+    """Against DOP853; the larger the shape, the steeper the path from saturation to zero."""
+    def along(_: float, w: np.ndarray) -> np.ndarray:
+        return 1.0 - np.abs(w) ** exponent * (shape * np.sign(w) + 1.0 - shape)
+
+    values = np.array([1.0, 1.0, shape, exponent])
+    for path in (0.03, 0.1, 0.4, 3.0):
+        exact = solve_ivp(along, (0.0, path), [-1.0], method="DOP853", rtol=1e-11, atol=1e-13)
+        found = hysteresis.advance(-1.0, path, 1.0, 1.0, values)
+        assert found == pytest.approx(exact.y[0, -1], abs=5e-5)
