@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from benchmarks.control_scan import Run, tabled
 from benchmarks.figure import Figure
+from benchmarks.picture import write_picture
 from dfm_stage.reporting import Page, Table, new_figure, page_style
 
 Scenarios = Mapping[str, Mapping[str, Run]]
@@ -104,11 +104,7 @@ def _show(page: Page, picture: Path | None, draw: Callable[[Make], Any], caption
         page.figure(draw(lambda rows, height: new_figure(rows, height, sharex=True)), caption,
                     table)
     if picture is not None:
-        figure = draw(_on_white)
-        temporary = picture.with_name(f".{picture.name}")
-        with contextlib.closing(temporary.open("wb")) as file:
-            figure.savefig(file, format="png", dpi=110)
-        temporary.replace(picture)
+        write_picture(draw(_on_white), picture, dpi=110)
 
 
 def _on_white(rows: int, height_in: float) -> tuple[Any, Any]:

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.picture import DOCS, write_picture
 from dfm_stage.model import EFFECTS, Model, Simulator
 from dfm_stage.reporting import display_unit, thinned
 
@@ -48,11 +47,8 @@ def main() -> int:
         axis.set_visible(False)
     for axis in axes[-COLUMNS:]:
         axis.set_xlabel("time / s")
-    target = Path(__file__).parents[1] / "docs/pictures/effects.png"
-    temporary = target.with_name(f".{target.name}")
-    with contextlib.closing(temporary.open("wb")) as file:
-        figure.savefig(file, format="png", dpi=80)
-    temporary.replace(target)
+    target = DOCS / "effects.png"
+    write_picture(figure, target)
     print(target)
     return 0
 

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from benchmarks.blind.published import archives, kept_scores
 from benchmarks.blind.scoring import Score, detection_limit, wilson
+from benchmarks.picture import DOCS, write_picture
 
 COLUMNS = 5
 NARROWER, WIDER = 0.88, 1.13
@@ -48,11 +47,8 @@ def main() -> int:
     for axis in spare:
         axis.set_axis_off()
     figure.supxlabel(SEVERITY, fontsize=9)
-    target = Path(__file__).resolve().parents[2] / "docs/pictures/detection.png"
-    temporary = target.with_name(f".{target.name}")
-    with contextlib.closing(temporary.open("wb")) as file:
-        figure.savefig(file, format="png", dpi=80)
-    temporary.replace(target)
+    target = DOCS / "detection.png"
+    write_picture(figure, target)
     print(target)
     return 0
 
