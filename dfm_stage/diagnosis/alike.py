@@ -1,36 +1,34 @@
-"""Which effects look alike: of one equivalence class, or one a harmonic of the other."""
+"""Which effects look alike: of one class, or one a limit or a harmonic of the other."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from dfm_stage.diagnosis.fit import Fit
-from dfm_stage.diagnosis.system import MOST_DAMPED
+from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.model import EFFECTS, Model
 
-
-def is_no_mode(found: Fit, names: Sequence[str]) -> bool:
-    """Whether a second mode among `names` ran to the largest damping: no resonance, but creep or a
-    lag in its place."""
-    use = found.model.effect("second_mode") if found.ok else None
-    return use is not None and "second_mode" in names and (
-        use.parameters["damping_ratio"] > 0.999 * MOST_DAMPED)
+AT_END = 0.999
+"""Share of the upper end of its range beyond which a parameter is at it."""
 
 
-def counts_in(step: float | None, period: float) -> bool:
-    """Whether a periodic error is but a harmonic of the steps in which the reading counts."""
-    return step is not None and _harmonic(step, period)
+def at_upper_end(found: Fit, names: Sequence[str]) -> bool:
+    """Whether an effect among `names` ran to the upper end of the range in which it is itself: a
+    resonance that is damped away is creep or a lag."""
+    if not found.ok:
+        return False
+    for use in found.model.effects:
+        for parameter, value in use.parameters.items() if use.name in names else ():
+            if value > AT_END * EFFECTS[use.name].search_range(parameter, found.system.at)[1]:
+                return True
+    return False
 
 
-def same_steps(model: Model, parameters: Mapping[str, float]) -> bool:
-    """Whether steps of a reading have the period of the model's periodic error."""
-    use = model.effect("encoder_periodic_error")
-    return use is not None and _harmonic(parameters["step"], use.parameters["period"])
-
-
-def _harmonic(step: float, period: float) -> bool:
-    order = step / period
-    return abs(order - round(order)) < 0.02 * max(order, 1.0) and round(order) > 0
+def same_rounding(model: Model, hit: Hit) -> bool:
+    """Whether a hit rounds the reading to steps of which an error in the model is a harmonic."""
+    step = next(iter(hit.parameters.values()))
+    return EFFECTS[hit.name].rounds and any(
+        EFFECTS[use.name].is_rounding(use.parameters, step) for use in model.effects)
 
 
 def shares_class(first: str, second: str) -> bool:

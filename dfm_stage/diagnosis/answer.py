@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.experiment import Experiment
-from dfm_stage.diagnosis.fit import Fit, quantities, rms
+from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.next_experiment import next_experiment
 from dfm_stage.diagnosis.remainder import Description, Finding, describe, findings
 from dfm_stage.diagnosis.result import Diagnosis, Gap, NamedEffect, Rejected, Trace, Verdict
 from dfm_stage.diagnosis.search import FIRST, Rival, Search
 from dfm_stage.diagnosis.spectra import STEP_GRID, lattice
 from dfm_stage.diagnosis.verification import SILENT, Prediction, joint, predict
-from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.quantity import Quantity
+from dfm_stage.identification.weights import Weights
 from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
     tell("judging")
     warnings = [*case.warnings, *doubts]
     members = {n: _members(case, n) for n in names}
-    values = _with_values(quantities(case.fit), case.fit.model)
+    values = _with_values(case.fit.quantities(), case.fit.model)
     offset = _offset(case)
     verdict: Verdict
     description: Description | None = None
@@ -113,7 +113,7 @@ def answer(case: Case, tell: Callable[[str], None]) -> Diagnosis:
     shown = case.fit if effects and names else case.bare
     base = values
     if shown is case.bare and names:
-        base = _with_values(quantities(case.bare), case.bare.model)
+        base = _with_values(case.bare.quantities(), case.bare.model)
     quiet = verdict in ("none", "not_excited", "retune")
     after = case.after if shown is case.fit else case.retuned
     gap = Gap(case.runs[0].unit, case.floor, case.search.weights[0][0].source,
@@ -137,7 +137,7 @@ def _next(case: Case, verdict: str, members: Sequence[str]) -> dict[str, Any] | 
     rivals = [r.fit for found in case.rivals.values() for r in found if r.name in members]
     free = [case.search.parameters(rival.model) for rival in rivals]
     return next_experiment(verdict, members, best, rivals, case.runs,
-                           case.search.weights[0][0], free, MARGIN, case.search.dither)
+                           case.search.weights[0][0], free, MARGIN, case.search.noise)
 
 
 def _with_values(found: Mapping[str, Quantity], model: Model) -> dict[str, Quantity]:
@@ -184,7 +184,7 @@ def _confirmed(case: Case, left: Mapping[str, Sequence[Finding]]) -> tuple[bool,
         return True, doubts
     fitted, held = joint(case.fit.model, case.search.parameters(case.fit.model), case.runs,
                          case.held, case.search.weights, case.held_weights, case.fit,
-                         case.search.dither)
+                         case.search.noise)
     if held <= FLOOR * case.floor and fitted <= 1.05 * case.fit.rms:
         doubts.append("held-out data are predicted at "
                       f"{case.after.rms / case.floor:.1f} times the noise floor, as far as the "
@@ -229,7 +229,7 @@ def _members(case: Case, name: str) -> tuple[str, ...]:
         cost = rival.price(case.fit)
         if cost > MARGIN:
             continue
-        seen = predict(rival.fit.model, case.held, case.held_weights, case.search.dither)
+        seen = predict(rival.fit.model, case.held, case.held_weights, case.search.noise)
         if cost + seen.chi2 - case.after.chi2 <= MARGIN:
             found.append(rival.name)
     return tuple(found)
@@ -258,7 +258,7 @@ def _named(case: Case, name: str, members: tuple[str, ...],
     without = case.search.fitted(rest, case.fit)
     loss = without.chi2 - case.fit.chi2
     share = loss / max(case.bare.chi2 - case.fit.white.size, 1.0)
-    seen = predict(without.model, case.held, case.held_weights, case.search.dither)
+    seen = predict(without.model, case.held, case.held_weights, case.search.noise)
     unit = case.runs[0].unit
     evidence = [
         f"chi-square rises by {loss:.0f} without it (limit {FIRST:g})",
@@ -290,7 +290,7 @@ def _offset(case: Case) -> NamedEffect | None:
     system = case.bare.system
     if system.trusted or system.springless or "force_offset" not in case.search.library:
         return None
-    places = [k for k, p in enumerate(system.places) if p.name == "encoder_zero"]
+    places = [k for k, p in enumerate(system.unknowns) if p.name == "offset"]
     gram = case.bare.jacobian.T @ case.bare.jacobian
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     covariance = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale,
@@ -339,7 +339,7 @@ def _rejected(case: Case, effects: Sequence[NamedEffect]) -> tuple[Rejected, ...
         for rival in rivals:
             if rival.name in named:
                 continue
-            seen = predict(rival.fit.model, case.held, case.held_weights, case.search.dither)
+            seen = predict(rival.fit.model, case.held, case.held_weights, case.search.noise)
             found.append(Rejected(rival.name, seen.rms,
                                   f"in place of {name}: chi-square {rival.cost:+.0f}"))
     told = {r.name for r in found} | named
@@ -347,7 +347,7 @@ def _rejected(case: Case, effects: Sequence[NamedEffect]) -> tuple[Rejected, ...
     for name in case.search.library:
         if name in told:
             continue
-        reason = excluded(name, case.model, case.runs)
+        reason = excluded(name, case.model, case.bare.system.at)
         hit = case.search.hits.get(name)
         if reason is None and name in case.dropped:
             reason = case.dropped[name]

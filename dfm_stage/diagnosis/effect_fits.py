@@ -3,42 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.candidates import LATE, Scales, late_splits, shapes
+from dfm_stage.diagnosis.candidates import late_splits, starts
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.screen import Hit
-from dfm_stage.diagnosis.system import is_costly
-from dfm_stage.diagnosis.weighting import Weight, Weights, velocity_weights, white_weights
+from dfm_stage.identification.system import is_nonlinear, rounding_step
+from dfm_stage.identification.weights import Weight, Weights, velocity_weights, white_weights
 from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.conditions import Conditions
 
 Names = tuple[str, ...]
 
 PER_PARAMETER = 12.0
 """What a further parameter must bring at least for the larger of two models to be preferred."""
-BUDGET = 3000.0
-"""Work (`System.work`: simulations of 24 s with a smooth force) after which no further candidate
-that is slow to simulate is tried; after twice that none with a force that is not linear, and at
-three times that every fit ends where it is."""
-EACH = 1000.0
-"""Work of a single fit at most."""
+BUDGET = 72e6
+"""Integration steps after which no further candidate that is slow to simulate is tried; after
+twice as many none with a force that is not linear, after three times every fit ends where it is."""
+EACH = 24e6
+"""Integration steps of a single fit at most."""
 TOLD = 1e-3
 """Fall in chi-square a step at which a fit whose values are told ends: 0.03 standard errors."""
 SEATING = 8
 """Steps of a fit of all else around new effects."""
-HELD = {"encoder_quantization": ("step",)}
-"""Parameters found by search and held in fits: the criterion is not smooth in them."""
-LATER = {"presliding_friction": ("breakaway_ratio", "stribeck_velocity", "damping"),
-         "hysteresis": ("exponent",)}
-"""Parameters freed once the others have been fitted."""
-STARTS: dict[str, dict[str, float]] = {
-    "presliding_friction": {"breakaway_ratio": 1.1}, "hysteresis": {"exponent": 1.2}}
-"""Where those begin then: off the values at which an effect is simpler and faster to simulate."""
-
 
 @dataclass
 class Fits:
@@ -51,10 +42,14 @@ class Fits:
     fits: dict[tuple[frozenset[str], int], Fit] = field(default_factory=dict)
     weights: Weights = ()
     stage: int = 0
-    dither: float = 0.0
+    noise: float = 0.0
     """RMS of the output's noise, over which a quantised reading is averaged."""
     spent: float = 0.0
     cut_short: bool = False
+
+    def conditions(self, model: Model) -> Conditions:
+        """Sizes that occur in the fitted runs."""
+        return Conditions.of(model.base, model.drive, self.runs, self.noise)
 
     def begin(self) -> Fit:
         """Fit the model as it is; sets the first weights."""
@@ -64,7 +59,7 @@ class Fits:
             (m, *(float(np.std(c)) for c in (r.current,) if c is not None)))
             for r, m in zip(self.runs, motion, strict=True))
         self.weights = rough
-        self.dither = rough[0][0].rms
+        self.noise = rough[0][0].rms
         first = fit(self.model, self.runs, self.free, rough, iterations=40)
         if not first.ok:
             return first
@@ -91,10 +86,10 @@ class Fits:
         """Weigh by what is left at high frequencies: there may be more than noise below."""
         self.reweigh(first_weights(found), white_weights(found.residuals)[0][0].rms)
 
-    def reweigh(self, weights: Weights, dither: float | None = None) -> None:
+    def reweigh(self, weights: Weights, noise: float | None = None) -> None:
         """Compare fits by other weights from now on."""
         self.weights = weights
-        self.dither = weights[0][0].rms if dither is None else dither
+        self.noise = weights[0][0].rms if noise is None else noise
         self.stage += 1
 
     def keep(self, names: Iterable[str], found: Fit) -> Fit:
@@ -124,12 +119,11 @@ class Fits:
 
     def instead(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
-        are the same loop (see SAME_LOOP)."""
+        are the same motion (`Effect.twins`)."""
         use = current.model.effect(name)
         assert use is not None  # noqa: S101 (who calls has found it)
-        typical = shapes(twin, current.model, self.runs,
-                         Scales.of(current.model, self.runs, self.dither))[0].parameters
-        begin = Hit(twin, 0.0, {**typical, **SAME_LOOP[name, twin](use.parameters)},
+        typical = starts(twin, self.conditions(current.model))[0]
+        begin = Hit(twin, 0.0, {**typical, **EFFECTS[name].twins[twin](use.parameters)},
                     np.zeros((0, 0)), np.zeros(0))
         found = self._from(current.model, names, current, [begin], math.inf, limit=2.0 * BUDGET)
         known = self.fits.get((frozenset(names), self.stage))
@@ -150,11 +144,11 @@ class Fits:
         later: list[str] = []
         for hit in hits:
             model = model.with_effect(hit.name, _inside(hit.name, hit.parameters))
-            later += [f"{hit.name}.{n}" for n in LATER.get(hit.name, ())]
+            later += [f"{hit.name}.{n}" for n in EFFECTS[hit.name].freed_last]
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
         slow = bool(later) or (self.spent > 2.0 * BUDGET
-                               and any(is_costly(use.name) for use in model.effects))
+                               and any(is_nonlinear(use.name) for use in model.effects))
         if hits and slow and self.spent > limit:
             self.cut_short = True
             return replace(start, chi2=math.inf)
@@ -165,13 +159,14 @@ class Fits:
             model = start.model
         found = self._fit(model, early, start, iterations=12 if later else 25,
                           tolerance=1.0 if later else 0.03)
-        if any(h.name == "encoder_quantization" for h in hits) and "noise" not in self.model.base:
+        if any(EFFECTS[h.name].rounds for h in hits) and "noise" not in self.model.base:
             found = self._with_noise(found, early)
         if later and found.ok and found.chi2 < worth:
-            freed = found.model.with_parameters({f"{hit.name}.{n}": v for hit in hits for n, v in
-                                                 STARTS.get(hit.name, {}).items()})
+            freed = found.model.with_parameters({
+                f"{hit.name}.{n}": v for hit in hits
+                for n, v in EFFECTS[hit.name].freed_last.items() if v is not None})
             found = self._fit(freed, free, found, tolerance=0.1)
-        if found.ok and any(f"{h.name}.{n}" in LATE for h in hits for n in h.parameters):
+        if found.ok and any(EFFECTS[h.name].late for h in hits):
             found = self.resplit(found)
         return found
 
@@ -179,7 +174,7 @@ class Fits:
              tolerance: float = 1e-2, exact: bool = False) -> Fit:
         """A fit within what is left of the work that may be done."""
         found = fit(model, self.runs, free, self.weights, earlier=start.locals,
-                    dither=self.dither, iterations=iterations, tolerance=tolerance, exact=exact,
+                    noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
                     allowance=min(max(3.0 * BUDGET - self.spent, 0.0), EACH))
         self.spent += found.system.work
         self.cut_short |= self.spent > 3.0 * BUDGET
@@ -187,10 +182,10 @@ class Fits:
 
     def _with_noise(self, found: Fit, free: Names) -> Fit:
         """The noise before rounding that explains a counted reading best."""
-        use = found.model.effect("encoder_quantization")
-        if use is None or not found.ok:
+        step = rounding_step(found.model)
+        if step is None or not found.ok:
             return found
-        trials = [self._fit(found.model.with_parameters({"noise": share * use.parameters["step"]}),
+        trials = [self._fit(found.model.with_parameters({"noise": share * step}),
                             free, found, iterations=4)
                   for share in (0.02, 0.035, 0.06, 0.085, 0.115, 0.15, 0.2)]
         return min([found, *trials], key=lambda f: f.chi2)
@@ -198,8 +193,7 @@ class Fits:
     def parameters(self, model: Model) -> Names:
         """What is free in a model with effects added: the base and all of theirs."""
         own = [f"{use.name}.{n}" for use in model.effects
-               if self.model.effect(use.name) is None for n in use.parameters
-               if n not in HELD.get(use.name, ())]
+               if self.model.effect(use.name) is None for n in EFFECTS[use.name].fittable]
         return (*self.free, *own)
 
     def polished(self, names: Names, current: Fit) -> Fit:
@@ -223,25 +217,6 @@ def first_weights(found: Fit) -> Weights:
     """White noise, in the position or, for a stage without a spring, in the velocity."""
     weights = velocity_weights if found.system.springless else white_weights
     return weights(found.residuals)
-
-
-def _as_friction(loop: Mapping[str, float]) -> dict[str, float]:
-    """Dahl's friction, which the hysteresis of shape 1 and exponent 1 is."""
-    return {"force": loop["stiffness"] * loop["yield_displacement"],
-            "stiffness": loop["stiffness"]}
-
-
-def _as_hysteresis(friction: Mapping[str, float]) -> dict[str, float]:
-    """The loop that friction without Stribeck term and damping is."""
-    return {"stiffness": friction["stiffness"], "shape": 1.0, "exponent": 1.0,
-            "yield_displacement": friction["force"] / friction["stiffness"]}
-
-
-SAME_LOOP: dict[tuple[str, str], Callable[[Mapping[str, float]], dict[str, float]]] = {
-    ("hysteresis", "presliding_friction"): _as_friction,
-    ("presliding_friction", "hysteresis"): _as_hysteresis}
-"""Parameters with which the second effect of a pair is as good as the first: Dahl's model is a
-limit of both, F' = stiffness (x' - |x'| F / force)."""
 
 
 def _inside(name: str, parameters: dict[str, float]) -> dict[str, float]:

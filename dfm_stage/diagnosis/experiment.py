@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
 from dfm_stage.identification.periods import Periodicity, find_period
+from dfm_stage.identification.run import Run
 from dfm_stage.model import Model
 from dfm_stage.recording import Record
 
@@ -21,8 +22,8 @@ LEAD_IN = 40
 SHORTEST = 400
 
 
-@dataclass(frozen=True)
-class Experiment:
+@dataclass(frozen=True, kw_only=True)
+class Experiment(Run):
     """One axis of one record.
 
     `input` (N,) V or A, held from sample k on; `output` (N,) in `unit`, before input k acts;
@@ -32,22 +33,11 @@ class Experiment:
     the record began.
     """
 
-    name: str
-    input: Array
-    output: Array
-    sample_period: float
     unit: str = "m"
-    current: Array | None = None
-    other: Array | None = None
     reference: Array | None = None
     periodicity: Periodicity | None = None
     skip: int = LEAD_IN
     start_s: float = 0.0
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """What is compared: the output, and the current where it was recorded."""
-        return ("output",) if self.current is None else ("output", "current")
 
     @property
     def time(self) -> Array:
@@ -105,9 +95,9 @@ def experiment(record: Record, model: Model, axis: str | None = None,
     other = _usable(record.axes[others[0]].position if len(others) == 1 else None)
     quiet = None if other is None else denoised(other)
     return Experiment(called, np.asarray(data.input, float), np.asarray(data.position, float),
-                      record.sample_period, unit, _usable(data.current), quiet,
-                      _usable(data.reference), _periodicity(data.extra.get("excitation"),
-                                                            data.input))
+                      record.sample_period, unit=unit, current=_usable(data.current), other=quiet,
+                      reference=_usable(data.reference),
+                      periodicity=_periodicity(data.extra.get("excitation"), data.input))
 
 
 def _axis_name(record: Record, axis: str | None) -> str:

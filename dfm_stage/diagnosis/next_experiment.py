@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.experiment import LEAD_IN, Experiment
-from dfm_stage.diagnosis.fit import Fit, fit, weighted_sensitivities
-from dfm_stage.diagnosis.system import System
-from dfm_stage.diagnosis.weighting import Weight, Weights
+from dfm_stage.diagnosis.fit import Fit, fit, system_of
+from dfm_stage.identification.criterion import Criterion
+from dfm_stage.identification.weights import Weight, Weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.trajectory import load_experiment
 
@@ -142,8 +142,8 @@ def _tried(spec: dict[str, Any], model: Model, unit: str) -> Experiment:
 
 def _response(model: Model, run: Experiment, dither: float) -> Array | None:
     """What the model answers (N - skip,), from rest; None where it cannot be simulated."""
-    system = System(model, [run], (), dither)
-    found = system.simulate(0, system.start()[None, :])[0][0]
+    system = system_of(model, [run], (), dither)
+    found = system.signals(0, system.start[None, :])[0][0]
     return found if np.all(np.isfinite(found)) else None
 
 
@@ -151,12 +151,13 @@ def _apart(rival: Model, free: Sequence[str], run: Experiment, weights: Weights,
            dither: float) -> float:
     """Chi-square between `run` and the nearest that the rival comes to it: by one linear step,
     or where the effect is quick to simulate by a fit."""
-    system = System(rival, [run], free, dither)
-    if system.cost <= 1.0:
-        return fit(rival, [run], free, weights, dither=dither, iterations=8).chi2
-    x = system.start()
-    white = weights[0][0].apply(system.residuals(x)[0][0])
-    jacobian = weighted_sensitivities(system, x, weights, system.use_light(x))
+    system = system_of(rival, [run], free, dither)
+    if not system.slow:
+        return fit(rival, [run], free, weights, noise=dither, iterations=8).chi2
+    x, light = system.start, system.barely_nonlinear(system.start)
+    criterion = Criterion(system, weights, slopes=lambda i, z, exact: system.sensitivities(
+        i, z, exact, light))
+    white, jacobian = criterion.residual(x), criterion.jacobian(x)
     norms = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian[:, norms > 0.0] / norms[norms > 0.0]
     step = np.linalg.lstsq(scaled, white, rcond=1e-7)[0]

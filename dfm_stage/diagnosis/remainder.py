@@ -18,9 +18,9 @@ from scipy.signal import lfilter
 
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.spectra import position_peaks
-from dfm_stage.diagnosis.weighting import PERIODS, high_band_rms
 from dfm_stage.identification.noise import fit_noise
 from dfm_stage.identification.periods import local_mean
+from dfm_stage.identification.weights import PERIODS, high_band_rms
 
 Array = NDArray[np.float64]
 

@@ -15,29 +15,18 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.candidates import (
-    FIXED_SIZE,
-    ONE_SIDED,
-    TWO_PHASED,
-    Parameters,
-    Scales,
-    Shape,
-    shapes,
-)
+from dfm_stage.diagnosis.candidates import starts
 from dfm_stage.diagnosis.experiment import Experiment
-from dfm_stage.diagnosis.fit import Fit, weighted_sensitivities
+from dfm_stage.diagnosis.fit import Fit, system_of
 from dfm_stage.diagnosis.spectra import STEP_GRID, frequency_peaks, position_peaks, read_off
-from dfm_stage.diagnosis.system import PER_RUN, System
-from dfm_stage.diagnosis.weighting import Weights
-from dfm_stage.model import Model
+from dfm_stage.identification.criterion import Criterion
+from dfm_stage.identification.weights import Weights
+from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import Parameters
 
 Array = NDArray[np.float64]
 
-SMALL_SHARE, HALF = 1e-4, 0.5
-"""Share of a second mode that is small; share from which a search for it begins at most: beyond
-it the response is not nearly linear in it."""
-SHARP_MODES = (0.003, 0.01)
-"""Damping ratios of modes looked for at the residual's own frequencies."""
 LEAST_TRAVEL = 10.0
 """Motion over noise below which errors of the scale cannot be seen."""
 
@@ -54,29 +43,27 @@ class Hit:
     parameters: dict[str, float]
     columns: Array
     multiples: Array
-
-    def share_of(self, total: float) -> float:
-        """The part of chi-square it could take."""
-        return self.gain / total if total > 0.0 else 0.0
+    rescalable: bool = True
+    """Whether one multiple makes its size."""
 
 
 class Screen:
     """Screens candidates against the residual of a fit."""
 
     def __init__(self, base: Fit, runs: Sequence[Experiment], weights: Weights,
-                 dither: float, linear: Model | None = None) -> None:
+                 noise: float, linear: Model | None = None) -> None:
         """`linear` is a model that moves alike and answers for one that is slow to simulate."""
-        self.base, self.runs, self.weights, self.dither = base, tuple(runs), weights, dither
-        self.scales = Scales.of(base.model, runs, weights[0][0].rms)
-        light = base.system.use_light(base.x)
+        self.base, self.runs, self.weights, self.noise = base, tuple(runs), weights, noise
+        system = base.system
+        light = system.barely_nonlinear(base.x)
         self.model = base.model
-        for costly in base.system.costly if light else ():
-            self.model = self.model.without_effect(costly)
-        if linear is not None and not light and base.system.cost > 1.0:
+        for name in system.nonlinear if light else ():
+            self.model = self.model.without_effect(name)
+        if linear is not None and not light and system.slow:
             self.model = linear
-        if base.system.pushed:
-            self.model = self.model.without_effect("force_offset")
-        jacobian = weighted_sensitivities(base.system, base.x, weights, light)
+        criterion = Criterion(system, weights, slopes=lambda i, x, exact: system.sensitivities(
+            i, x, exact, light))
+        jacobian = criterion.jacobian(base.x)
         norms = np.linalg.norm(jacobian, axis=0)
         seen = norms > 1e-12 * max(float(norms.max()), 1e-300)
         left, values, _ = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
@@ -85,8 +72,8 @@ class Screen:
         self.residual = white - self.basis @ (self.basis.T @ white)
         self.edges = self._edges()
         self.plain = self._outputs(self.model)
-        self._strengths: list[tuple[Shape, float]] = []
-        self._peaks: list[float] | None = None
+        self.at = self._conditions()
+        self._strengths: list[tuple[str, Parameters, float]] = []
 
     def _edges(self) -> list[tuple[int, int]]:
         found, at = [], 0
@@ -98,17 +85,11 @@ class Screen:
 
     def _outputs(self, model: Model) -> Array | None:
         """The weighted output (N,) of a model at the base's local values; None if impossible."""
-        system = System(model, self.runs, (), self.dither)
-        locals_ = self.base.locals
-        x = np.array([locals_.get((p.name, p.run), 0.0 if p.name != "current.gain" else 1.0)
-                      for p in system.places])
-        per_run = system._coordinates()
-        for k, p in enumerate(system.places):
-            if (p.name, p.run) not in locals_ and p.name in per_run:
-                x[k] = per_run[p.name]
+        system = system_of(model, self.runs, (), self.noise)
+        x = system.started(self.base.locals)
         parts = []
         for i, ws in enumerate(self.weights):
-            for out, w in zip(system.simulate(i, x[None, :]), ws, strict=True):
+            for out, w in zip(system.signals(i, x[None, :]), ws, strict=True):
                 if not np.all(np.isfinite(out)):
                     return None
                 parts.append(w.apply(out[0]))
@@ -120,12 +101,8 @@ class Screen:
 
     def hits(self, name: str, keep: int = 2) -> list[Hit]:
         """The best starting points of one effect, best first."""
-        found = []
-        for shape in self._shapes(name):
-            hit = self._hit(shape)
-            if hit is not None:
-                found.append(hit)
-        return sorted(found, key=lambda h: -h.gain)[:keep]
+        found = [self._hit(name, parameters) for parameters in starts(name, self.at)]
+        return sorted((h for h in found if h is not None), key=lambda h: -h.gain)[:keep]
 
     def smallest(self, limit: float) -> dict[str, Parameters]:
         """Size of each effect screened so far at which chi-square is expected to rise by `limit`.
@@ -134,121 +111,85 @@ class Screen:
         there, half of all records show it more clearly. Without those of no free size.
         """
         found: dict[str, Parameters] = {}
-        for shape, strength in self._strengths:
+        for name, parameters, strength in self._strengths:
             if strength <= 0.0:
                 continue
-            sizes = {n: abs(v) for n, v in shape.sizes(math.sqrt(limit) / strength).items() if v}
+            effect = EFFECTS[name]
+            grown = effect.scaled(parameters, math.sqrt(limit) / strength)
+            sizes = {n: abs(v) for n, v in grown.items() if v and n in effect.sizes}
             first = next(iter(sizes))
-            if sizes[first] < found.get(shape.name, {}).get(first, math.inf):
-                found[shape.name] = sizes
+            if sizes[first] < found.get(name, {}).get(first, math.inf):
+                found[name] = sizes
         return found
 
-    def _strength(self, shape: Shape, projected: Array) -> float:
-        """Root of the rise of chi-square for the shape once, the mean over its phase."""
-        if shape.name == "cross_axis_coupling":
-            return float(np.linalg.norm(projected[:, 0]))
-        phases = 2.0 if shape.name in TWO_PHASED else 1.0
-        return float(np.linalg.norm(projected)) / math.sqrt(phases)
-
-    def _shapes(self, name: str) -> list[Shape]:
-        s = self.scales
-        if name == "periodic_disturbance":
-            return [Shape(name, {"amplitude": 1e-3 * s.force, "frequency": f, "phase": 0.0})
-                    for f in self._frequencies()]
-        if name == "second_mode":  # the grid is coarser than a sharp resonance
-            sharp = [Shape(name, {"share": SMALL_SHARE, "frequency": f, "damping_ratio": zeta})
-                     for f in self._frequencies() for zeta in SHARP_MODES]
-            return [*shapes(name, self.base.model, self.runs, s), *sharp]
-        if name in ("encoder_periodic_error", "encoder_quantization"):
-            return self._scale_errors(name)
-        return shapes(name, self.base.model, self.runs, s)
-
-    def _frequencies(self) -> list[float]:
-        """Frequencies (Hz) at which the residual of the output stands out."""
-        if self._peaks is None:
-            first = [self.residual[a:a + run.input.size - run.skip - ws[0].polynomial.size + 1]
-                     for (a, _), run, ws in zip(self.edges, self.runs, self.weights, strict=True)]
-            self._peaks = frequency_peaks(first, self.runs[0].sample_period,
-                                          lowest_hz=2.0 / self.scales.duration)
-        return self._peaks
-
-    def _scale_errors(self, name: str) -> list[Shape]:
-        positions, residuals = [], []
-        for run, parts in zip(self.runs, self.base.residuals, strict=True):
-            positions.append(run.output[run.skip:] - parts[0])
-            residuals.append(parts[0])
-        if max(float(np.ptp(p)) for p in positions) < LEAST_TRAVEL * self.scales.noise:
-            return []
+    def _conditions(self) -> Conditions:
+        """Sizes in the runs, and what stands out in the residual: lines over time, patterns over
+        position, and steps of the reading."""
+        model = self.base.model
+        at = Conditions.of(model.base, model.drive, self.runs, self.weights[0][0].rms)
+        first = [self.residual[a:a + run.input.size - run.skip - ws[0].order]
+                 for (a, _), run, ws in zip(self.edges, self.runs, self.weights, strict=True)]
+        lines = frequency_peaks(first, at.sample_period, lowest_hz=2.0 / at.duration)
+        residuals = [parts[0] for parts in self.base.residuals]
+        positions = [run.output[run.skip:] - r for run, r in zip(self.runs, residuals,
+                                                                 strict=True)]
+        at = replace(at, frequencies=tuple(lines))
+        if max(float(np.ptp(p)) for p in positions) < LEAST_TRAVEL * at.noise:
+            return at
         periods = position_peaks(positions, residuals)
-        if name == "encoder_periodic_error":
-            return [Shape(name, {"amplitude": 0.1 * self.scales.noise, "period": p, "phase": 0.0})
-                    for p in periods]
-        known = self.base.model.base.get("encoder_resolution", 0.0)
+        return replace(at, periods=tuple(periods), steps=tuple(self._steps(
+            periods, positions[0], residuals[0], at)))
+
+    def _steps(self, periods: Sequence[float], position: Array, residual: Array,
+               at: Conditions) -> list[float]:
+        """Steps (m) that the reading may count in: read off it, or the best near `periods`."""
+        known = at.base.get("encoder_resolution", 0.0)
         step = read_off(self.runs[0].output, known)
         if step is not None:
-            return [Shape(name, {"step": step})] if step > self.scales.noise else []
+            return [step] if step > at.noise else []
         grid = np.arange(-20, 21) * STEP_GRID
-        steps = [p for period in periods for p in
-                 period * (1.0 + grid * period / self.scales.travel)]
-        steps = sorted(steps, key=lambda p: -_staircase(positions[0], residuals[0], p))[:2]
-        least = max(self.scales.noise, 1.5 * known)
-        return [Shape(name, {"step": float(p)}) for p in steps if p > least]
+        tried = [p for period in periods for p in period * (1.0 + grid * period / at.travel)]
+        best = sorted(tried, key=lambda p: -_staircase(position, residual, p))[:2]
+        return [float(p) for p in best if p > max(at.noise, COARSER * known)]
 
-    def _hit(self, shape: Shape) -> Hit | None:
-        columns = self._columns(shape)
+    def _hit(self, name: str, parameters: Parameters) -> Hit | None:
+        effect = EFFECTS[name]
+        directions = effect.directions(parameters, self.at)
+        columns = self._columns(name, directions)
         if columns is None:
             return None
         projected = self.project(columns)
         size = np.linalg.norm(projected, axis=0)
-        kept = size > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        kept = size > UNSEEN_PART * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         if not np.any(kept):
             return None
         projected = projected[:, kept]
-        if shape.name in FIXED_SIZE:
+        if effect.searched:
             d = projected[:, 0]
             gain = float(2.0 * d @ self.residual - d @ d)
-            return Hit(shape.name, gain, dict(shape.parameters), projected, np.ones(1))
-        self._strengths.append((shape, self._strength(shape, projected)))
+            return Hit(name, gain, dict(parameters), projected, np.ones(1))
+        own = projected if effect.wave else projected[:, :1]
+        phases = 2.0 if effect.wave else 1.0
+        self._strengths.append((name, parameters, float(np.linalg.norm(own)) / math.sqrt(phases)))
         multiples, gain = _best(projected, self.residual)
-        if shape.name in ONE_SIDED and multiples[0] <= 0.0:
+        if effect.one_sided and not effect.wave and multiples[0] <= 0.0:
             return None
-        return Hit(shape.name, gain, self._sized(shape, multiples), projected, multiples)
+        return Hit(name, gain, effect.combined(directions, multiples[:len(directions)]), projected,
+                   multiples, len(directions) == 1)
 
-    def _sized(self, shape: Shape, multiples: Array) -> dict[str, float]:
-        if shape.name in TWO_PHASED:
-            size = float(np.hypot(multiples[0], multiples[1])) if multiples.size > 1 \
-                else abs(float(multiples[0]))
-            phase = float(np.arctan2(multiples[1], multiples[0])) if multiples.size > 1 else 0.0
-            return {**shape.scaled(size), "phase": phase}
-        if shape.name == "cross_axis_coupling" and multiples.size == 2:
-            return {"ratio": shape.parameters["ratio"] * float(multiples[0]),
-                    "stiffness": self._coupling() * float(multiples[1])}
-        if shape.name == "second_mode":
-            most = HALF / shape.parameters["share"]
-            return shape.scaled(float(np.clip(multiples[0], -most, most)))
-        return shape.scaled(float(multiples[0]))
-
-    def _coupling(self) -> float:
-        return 1e-3 * self.scales.stiffness
-
-    def _columns(self, shape: Shape) -> Array | None:
-        """Weighted responses (N, c) to the effect; of per-run effects one column for each run."""
-        variants = [shape.parameters]
-        if shape.name in TWO_PHASED:
-            variants.append({**shape.parameters, "phase": 0.5 * math.pi})
-        elif shape.name == "cross_axis_coupling":
-            variants.append({"ratio": 0.0, "stiffness": self._coupling()})
-        columns = []
+    def _columns(self, name: str, directions: Sequence[Parameters]) -> Array | None:
+        """Weighted responses (N, c) to the effect; one column a run where it differs by run."""
         model, plain = self.model, self.plain
-        if shape.name == "encoder_quantization":  # at the motion itself, to a part of a step
+        if EFFECTS[name].rounds:  # at the motion itself, to a part of a step
             model = self.base.model
             plain = self._outputs(model)
-        for parameters in variants:
-            shifted = self._outputs(model.with_effect(shape.name, parameters))
+        columns = []
+        for parameters in directions:
+            shifted = self._outputs(model.with_effect(name, parameters))
             if shifted is None or plain is None:
                 return None
             columns.append(shifted - plain)
-        if shape.name not in PER_RUN or len(self.runs) == 1:
+        if not EFFECTS[name].per_run or len(self.runs) == 1:
             return np.asarray(np.array(columns).T)
         split = []
         for a, b in self.edges:
@@ -257,6 +198,12 @@ class Screen:
                 own[a:b] = column[a:b]
                 split.append(own)
         return np.asarray(np.array(split).T)
+
+
+COARSER = 1.5
+"""A step counts where it is this much coarser than the encoder's resolution."""
+UNSEEN_PART = 1e-6
+"""Part of a response that is left beside the free parameters, below which it is rounding."""
 
 
 def _staircase(position: Array, residual: Array, step: float) -> float:
@@ -288,8 +235,8 @@ def pair_gains(hits: Sequence[Hit], residual: Array,
         at = np.r_[ends[i]:ends[i + 1], ends[j]:ends[j + 1]]
         solved = np.linalg.lstsq(gram[np.ix_(at, at)], score[at], rcond=1e-9)[0]
         first, second = solved[0], solved[ends[i + 1] - ends[i]]
-        if (hits[i].name in ONE_SIDED and first <= 0.0) or (
-                hits[j].name in ONE_SIDED and second <= 0.0):
+        if any(_positive(hit) and size <= 0.0
+               for hit, size in ((hits[i], first), (hits[j], second))):
             continue
         gain = float(score[at] @ solved)
         sizes = solved / norms[at]
@@ -302,9 +249,14 @@ def pair_gains(hits: Sequence[Hit], residual: Array,
     return sorted(found.values(), key=lambda p: -p[0])[:keep]
 
 
+def _positive(hit: Hit) -> bool:
+    """Whether the multiple of a hit's response cannot be negative."""
+    return EFFECTS[hit.name].one_sided and EFFECTS[hit.name].wave is None
+
+
 def _rescaled(hit: Hit, multiples: Array) -> Hit:
-    """The hit at the size it has in company."""
-    if hit.name in FIXED_SIZE or hit.name in TWO_PHASED or hit.name == "cross_axis_coupling":
+    """The hit at the size it has in company; as it is where several directions make its size."""
+    if not hit.rescalable:
         return hit
     factor = float(multiples[0] / hit.multiples[0]) if hit.multiples[0] else 1.0
-    return replace(hit, parameters=Shape(hit.name, hit.parameters).scaled(factor))
+    return replace(hit, parameters=EFFECTS[hit.name].scaled(hit.parameters, factor))

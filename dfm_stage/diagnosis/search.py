@@ -9,14 +9,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.alike import counts_in, is_no_mode, same_steps, shares_class
+from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
-from dfm_stage.diagnosis.effect_fits import LATER, SAME_LOOP, Fits, Names, first_weights
+from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
 from dfm_stage.diagnosis.spectra import read_off
-from dfm_stage.diagnosis.weighting import weights_of
-from dfm_stage.model import Model
+from dfm_stage.identification.system import rounding_step
+from dfm_stage.identification.weights import weights_of
+from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
 
@@ -73,24 +74,25 @@ class Search(Fits):
     def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         """Hits of every effect that is allowed and not in `current` yet, best first."""
         alike = self.fitted((), current).model if names else None
-        screen = Screen(current, self.runs, self.weights, self.dither, alike)
+        screen = Screen(current, self.runs, self.weights, self.noise, alike)
         found: list[Hit] = []
         step = self._step_of(current.model)
+        at = self.conditions(self.model)
         for name in self.library:
-            if name in (*names, *self.barred) or excluded(name, self.model, self.runs):
+            if name in (*names, *self.barred) or excluded(name, self.model, at):
                 continue
-            found += [h for h in screen.hits(name) if h.name != "encoder_periodic_error"
-                      or not counts_in(step, h.parameters["period"])]
+            found += [h for h in screen.hits(name)
+                      if step is None or not EFFECTS[name].is_rounding(h.parameters, step)]
         found.sort(key=lambda h: -h.gain)
         return screen, found
 
     def _step_of(self, model: Model) -> float | None:
         """The step in which the reading is known to count: the model's, or read off the data
         where that effect may be named."""
-        use = model.effect("encoder_quantization")
-        if use is not None:
-            return use.parameters["step"]
-        if "encoder_quantization" not in self.library or "encoder_quantization" in self.barred:
+        step = rounding_step(model)
+        if step is not None:
+            return step
+        if not any(EFFECTS[n].rounds and n not in self.barred for n in self.library):
             return None
         return read_off(self.runs[0].output, model.base.get("encoder_resolution", 0.0))
 
@@ -135,10 +137,10 @@ class Search(Fits):
         """Fits with each of some candidates added, until one takes all there is `above` noise."""
         trials: list[tuple[Names, Fit]] = []
         worth = math.inf
-        for hit in sorted(listed, key=lambda h: h.name in LATER):
+        for hit in sorted(listed, key=lambda h: bool(EFFECTS[h.name].freed_last)):
             self.step(f"fitting {hit.name}")
             found = self.fitted((*names, hit.name), current, [hit], worth)
-            if is_no_mode(found, [hit.name]):
+            if at_upper_end(found, [hit.name]):
                 continue
             trials.append(((*names, hit.name), found))
             worth = min(worth, found.chi2 + 0.2 * max(above, 0.0))
@@ -154,7 +156,7 @@ class Search(Fits):
             both = (*names, pair[0].name, pair[1].name)
             self.step(f"fitting {pair[0].name} and {pair[1].name}")
             found = self.fitted(both, current, pair)
-            if is_no_mode(found, both[len(names):]):
+            if at_upper_end(found, both[len(names):]):
                 continue
             trials.append((both, found))
             if current.chi2 - found.chi2 > FULL * above:
@@ -163,7 +165,7 @@ class Search(Fits):
 
     def _further(self, names: Names, current: Fit) -> float:
         """Fall in chi-square that a further effect must bring."""
-        if "encoder_quantization" not in names:
+        if not any(EFFECTS[n].rounds for n in names):
             return FURTHER
         return max(FURTHER, ROUGH * current.white.size)
 
@@ -213,19 +215,19 @@ class Search(Fits):
         if not names or current.system.springless \
                 or current.chi2 < VALLEY * current.white.size:
             return None
-        if current.system.costly:
+        if current.system.nonlinear:
             exact = self._fit(current.model, self.parameters(current.model), current,
                               iterations=12, exact=True)
             if exact.chi2 < current.chi2 - FURTHER:
                 return self.keep(names, exact)
         for name in names:
-            if name in LATER:
+            if EFFECTS[name].freed_last:
                 continue
             rest = tuple(n for n in names if n != name)
             without = self.fitted(rest, current)
             if not without.ok:
                 continue
-            screen = Screen(without, self.runs, self.weights, self.dither,
+            screen = Screen(without, self.runs, self.weights, self.noise,
                             self.fitted((), current).model)
             for hit in screen.hits(name, keep=3):
                 trial = self._from(without.model, names, without, [hit], math.inf)
@@ -284,17 +286,16 @@ class Search(Fits):
         for hit in sorted((h for h in best if h.name not in self.barred),
                           key=lambda h: -h.gain):
             least = RELATED if shares_class(hit.name, name) else STRANGER
-            if hit.name == "encoder_quantization" and same_steps(current.model,
-                                                                 hit.parameters):
+            if same_rounding(current.model, hit):
                 least = COUNTED
             wanted = hit.gain > least * own
-            if hit.name == name or not wanted or len(found) >= SHORT_LIST or (
-                    name, hit.name) in SAME_LOOP:
+            if hit.name == name or not wanted or len(found) >= SHORT_LIST \
+                    or hit.name in EFFECTS[name].twins:
                 continue
             self.step(f"fitting {hit.name} in place of {name}")
             rival = self.fitted((*rest, hit.name), without, [hit],
                                 current.chi2 + 0.2 * max(loss, 0.0))
-            if rival.ok and not is_no_mode(rival, [hit.name]):
+            if rival.ok and not at_upper_end(rival, [hit.name]):
                 found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
         found += self._twins(name, rest, current)
         return sorted(found, key=lambda r: r.cost)
@@ -303,8 +304,8 @@ class Search(Fits):
         """Effects that can be the same loop as `name`, begun there: from the screen, which is
         linear, their fits seldom find it."""
         found = []
-        for own, twin in SAME_LOOP:
-            if own == name and twin in self.library and twin not in (*rest, *self.barred):
+        for twin in EFFECTS[name].twins:
+            if twin in self.library and twin not in (*rest, *self.barred):
                 self.step(f"fitting {twin} in place of {name}, from the same loop")
                 fit = self.instead(name, twin, (*rest, twin), current)
                 if fit.ok:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit, rms
-from dfm_stage.diagnosis.weighting import Weight, Weights
+from dfm_stage.identification.weights import Weight, Weights
 from dfm_stage.model import Model
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Prediction:
 def predict(model: Model, runs: Sequence[Experiment], weights: Weights,
             dither: float = 0.0) -> Prediction:
     """Simulate `model` on runs it has not seen; only initial states and offsets are free."""
-    found = fit(model, runs, (), weights, dither=dither, iterations=15)
+    found = fit(model, runs, (), weights, noise=dither, iterations=15)
     if not found.ok:
         return Prediction(math.inf, math.inf, 0, [])
     return Prediction(rms([parts[0] for parts in found.residuals]), found.chi2,
@@ -93,15 +93,15 @@ def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weight
     itself.
     """
     rng = np.random.default_rng(seed)
-    found = fit(model, runs, (), weights, dither=dither, iterations=10)
+    found = fit(model, runs, (), weights, noise=dither, iterations=10)
     without = model.without_effect(name)
-    bare = fit(without, runs, (), weights, dither=dither, iterations=10)
+    bare = fit(without, runs, (), weights, noise=dither, iterations=10)
     if not (found.ok and bare.ok):
         return KnockOff(math.inf, found.chi2, bare.chi2, math.inf)
     if name == "periodic_disturbance":
         return KnockOff(math.inf, found.chi2, bare.chi2, min(
             fit(model.with_parameters({f"{name}.frequency": f}), runs, (), weights,
-                dither=dither, iterations=10).chi2 for f in _neighbours(model, runs)),
+                noise=dither, iterations=10).chi2 for f in _neighbours(model, runs)),
             outstanding=OUTSTANDING)
     contribution = bare.white - found.white
     quarter = contribution.size // 4
@@ -127,7 +127,7 @@ def joint(model: Model, free: Sequence[str], runs: Sequence[Experiment],
           earlier: Fit, dither: float) -> tuple[float, float]:
     """RMS over fitted and over held-out runs when one set of parameters must serve both."""
     found = fit(model, [*runs, *held], free, (*weights, *held_weights),
-                earlier=earlier.locals, dither=dither, iterations=12)
+                earlier=earlier.locals, noise=dither, iterations=12)
     if not found.ok:
         return math.inf, math.inf
     parts = [p[0] for p in found.residuals]

@@ -11,15 +11,14 @@ from dfm_stage.diagnosis.answer import MARGIN, Case, answer
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.experiment import Experiment, experiment, split_by_time
-from dfm_stage.diagnosis.fit import Fit, quantities
+from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.result import Diagnosis
 from dfm_stage.diagnosis.search import Rival, Search
-from dfm_stage.diagnosis.system import PER_RUN
 from dfm_stage.diagnosis.verification import predict, spoiled, weights_like
-from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.identification.periods import find_period
+from dfm_stage.identification.weights import Weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
 
@@ -114,7 +113,7 @@ def _search(model: Model, runs: list[Experiment], held: list[Experiment],
                 bare=bare, rivals=rivals, held_weights=weights,
                 dropped=dropped, silent=silent,
                 before=predict(model, held, weights), retuned=predict(bare.model, held, weights),
-                after=predict(current.model, held, weights, search.dither),
+                after=predict(current.model, held, weights, search.noise),
                 before_fit=predict(model, runs, search.weights), warnings=warnings)
     return answer(case, tell)
 
@@ -128,8 +127,8 @@ def _exchanged(search: Search, names: Names, current: Fit, rivals: dict[str, lis
         close = [r for r in rivals[name] if r.price(current) <= MARGIN]
         if not close:
             continue
-        own = predict(current.model, held, weights, search.dither).chi2
-        scores = [r.price(current) + predict(r.fit.model, held, weights, search.dither).chi2
+        own = predict(current.model, held, weights, search.noise).chi2
+        scores = [r.price(current) + predict(r.fit.model, held, weights, search.noise).chi2
                   for r in close]
         if min(scores) >= own - MARGIN:
             continue
@@ -168,7 +167,7 @@ def _bounded(search: Search, names: Names, current: Fit,
     """Drop effects of which a parameter has no interval: the fit ran to the edge of what the
     effect can be, and stands for something else there."""
     while True:
-        values = quantities(current)
+        values = current.quantities()
         for name in reversed(names):
             own = [q for address, q in values.items() if address.startswith(f"{name}.")]
             if any(q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own):
@@ -191,15 +190,16 @@ def _held_out(search: Search, names: Names, current: Fit, held: Sequence[Experim
     while True:
         silent = []
         for name in names:
-            seen = spoiled(current.model, name, held, weights, search.dither, seed)
-            passed = seen.passed(name in PER_RUN)
+            seen = spoiled(current.model, name, held, weights, search.noise, seed)
+            passed = seen.passed(bool(EFFECTS[name].per_run))
             if passed is None and not search.barred:
                 silent.append(name)
             elif not passed:
                 dropped[name] = (
                     "found second, and the held-out records do not exercise it"
                     if passed is None else "is not in the held-out data"
-                    if name in PER_RUN else "lowers the held-out error no more than when shifted")
+                    if EFFECTS[name].per_run
+                    else "lowers the held-out error no more than when shifted")
                 names = tuple(n for n in names if n != name)
                 current = search.fitted(names, current)
                 break

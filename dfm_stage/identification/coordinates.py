@@ -24,9 +24,27 @@ from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
 
-LAGS = ("amplifier_time_constant", "amplifier_bandwidth.time_constant")
-DELAYS = ("delay", "transport_delay.delay")
+BASE_LATE = {"amplifier_time_constant": "lag", "delay": "delay", "coil_inductance": "coil"}
+"""Base parameters that make the force late, and how; see `Effect.late`."""
 DRAWS = 4096
+"""Draws from which the interval of a parameter searched in other coordinates is taken."""
+LONGEST_LATENESS_S = 11.0
+"""Limit of lag and delay together: the sum of their own limits."""
+
+
+def late_parameters(model: Model, names: Sequence[str]) -> dict[str, str]:
+    """Those free `names` that make the force late -> lag, delay or coil."""
+    kinds = dict(BASE_LATE)
+    for use in model.effects:
+        effect = EFFECTS[use.name]
+        if effect.late is not None:
+            kinds[f"{use.name}.{effect.parameters[0].name}"] = effect.late
+    return {n: kinds[n] for n in names if n in kinds}
+
+
+def absolute(effect: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Addresses of an effect's own parameters, written with a dot in front, and of base ones."""
+    return tuple(effect + n if n.startswith(".") else n for n in names)
 
 
 @dataclass(frozen=True)
@@ -50,20 +68,24 @@ class Coordinates:
 def group(model: Model, names: Sequence[str]) -> list[Coordinates]:
     """Return the coordinates of those free `names` that are not searched as they are."""
     groups: list[Coordinates] = []
-    lags = [n for n in LAGS if n in names]
-    delays = [n for n in DELAYS if n in names]
+    late = late_parameters(model, names)
+    lags = [n for n, kind in late.items() if kind == "lag"]
+    delays = [n for n, kind in late.items() if kind == "delay"]
     if len(lags) == len(delays) == 1:
         groups.append(_lag_and_delay(lags[0], delays[0], model.sample_period))
     taken = {n for g in groups for n in g.names}
     for use in model.effects:
         change = EFFECTS[use.name].fit
-        if change is None or any(n not in names or n in taken for n in change.names):
+        if change is None:
             continue
-        count = len(change.names)
+        own = absolute(use.name, change.names)
+        if any(n not in names or n in taken for n in own):
+            continue
+        count = len(own)
         groups.append(Coordinates(
-            tuple(change.names), tuple(change.fitted), ("",) * count, change.forward,
+            own, absolute(use.name, change.fitted), ("",) * count, change.forward,
             change.backward, np.full(count, -np.inf), np.full(count, np.inf), np.ones(count)))
-        taken.update(change.names)
+        taken.update(own)
     return groups
 
 
@@ -77,7 +99,8 @@ def _lag_and_delay(lag: str, delay: str, period: float) -> Coordinates:
         return np.array([part, fitted[0] - part])
 
     return Coordinates((lag, delay), (f"{lag} + {delay}", f"({lag} share)^2"), ("s", ""), forward,
-                       backward, np.zeros(2), np.array([11.0, 1.0]), np.array([period, 1.0]), True)
+                       backward, np.zeros(2), np.array([LONGEST_LATENESS_S, 1.0]),
+                       np.array([period, 1.0]), True)
 
 
 def to_physical(found: Estimate, groups: Sequence[Coordinates], model: Model) -> Estimate:
@@ -115,13 +138,14 @@ def to_physical(found: Estimate, groups: Sequence[Coordinates], model: Model) ->
             stopped = list(coordinates.names)
         at_bound += tuple(stopped)
     verdict = _reworded(found.identifiability, groups)
-    message = found.message
-    if found.status == "at_bound":
-        message = limit_message(at_bound)
+    status, message = found.status, found.message
+    if at_bound and status in ("at_bound", "converged"):
+        status, message = "at_bound", limit_message(at_bound)
     elif found.status == "not_identifiable":
         message = "; ".join(d.text for d in verdict.directions if math.isinf(d.std))
-    return replace(found, message=message, identifiability=verdict, names=tuple(names),
-                   units=tuple(units), values=values, low=low, high=high, covariance=covariance,
+    return replace(found, status=status, message=message, identifiability=verdict,
+                   names=tuple(names), units=tuple(units), values=values, low=low,
+                   high=high, covariance=covariance,
                    intervals=intervals, at_bound=at_bound, determined=determined, blind=blind)
 
 

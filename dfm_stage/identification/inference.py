@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,47 +24,100 @@ from dfm_stage.identification.result import Estimate, SegmentFit
 Array = NDArray[np.float64]
 
 
-def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
-              iterations: int) -> Estimate:
-    problem, x = criterion.problem, solution.x
-    trends, noises, total = criterion.layout()
-    segments, row = [], 0
-    scale = np.concatenate((criterion.scale, np.full(total - criterion.count, 1.0)))
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance (n, n) of the unknowns with its degrees of freedom; which of them (n,) have a
+    share in a direction that the data do not see, and those directions (k, n)."""
+
+    covariance: Array
+    dof: float
+    lost: NDArray[np.bool_]
+    blind: Array
+
+
+def uncertainty(criterion: Criterion, solution: Solution) -> Uncertainty:
+    """The sandwich covariance of the weighted residuals, the score's spectrum taken run by run."""
+    extra = solution.x.size - criterion.problem.start.size
+    scale = np.concatenate((criterion.problem.scale, np.ones(extra)))
     inverse, lost, blind = _inverse(solution.jacobian, scale)
-    middle = np.zeros((total, total))
-    dof = math.inf
-    for i, segment in enumerate(problem.segments):
-        gap = criterion.closest(i, x)
-        used = gap.size - criterion.orders[i]
-        rows = slice(row, row + used)
-        row += used
+    middle = np.zeros((solution.x.size, solution.x.size))
+    dof, row = 0.0, 0
+    for size in _sizes(criterion, solution.x):
+        rows = slice(row, row + size)
+        row += size
         part, part_dof = score_covariance(solution.jacobian[rows], solution.residual[rows],
                                           inverse)
         middle += part
-        dof = part_dof if math.isinf(dof) else dof + part_dof
-        innovations = solution.residual[rows] * criterion.sigma[i]
-        segments.append(SegmentFit(
-            segment.name, segment.output[segment.skip:], segment.output[segment.skip:] - gap,
-            innovations, NoiseModel(x[noises[i]], float(np.std(innovations))), segment.skip,
-            segment.sample_period))
-    dof = min(dof, float(max(row - total, 1)))
-    covariance = inverse @ middle @ inverse
-    determined = covariance.copy() if np.any(lost) else None
+        dof += part_dof
+    return Uncertainty(inverse @ middle @ inverse, min(dof, float(max(row - lost.size, 1))), lost,
+                       blind)
+
+
+def _sizes(criterion: Criterion, z: Array) -> list[int]:
+    """The number of weighted residuals of each run and signal."""
+    return [m.size - criterion.polynomial(i, s, z).size + 1
+            for i, run in enumerate(criterion.problem.runs) for s, m in enumerate(run.measured)]
+
+
+def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
+             iterations: int) -> Estimate:
+    """The estimate that a minimum stands for; the weights' own coefficients are left out."""
+    problem, shown = criterion.problem, criterion.problem.start.size
+    found = uncertainty(criterion, solution)
+    covariance, lost = found.covariance[:shown, :shown], found.lost[:shown]
+    determined = covariance.copy() if np.any(found.lost) else None
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
-    names, units = _labels(problem, trends)
-    shown = trends[-1].stop if trends else criterion.count
+    names = tuple(u.name if u.run is None else f"{u.name}[{problem.runs[u.run].name}]"
+                  for u in problem.unknowns)
     verdict = _verdict(criterion, solution)
-    at_bound = tuple(problem.unknowns[j].name
-                     for j in np.flatnonzero(solution.at_bound[: criterion.count]))
+    at_bound = tuple(names[j] for j in np.flatnonzero(solution.at_bound[:shown]))
     status, message = _status(solution, verdict, at_bound)
-    unbounded = np.full(shown - criterion.count, np.inf)
     return Estimate(
-        names, units, x[:shown].copy(), covariance[:shown, :shown],
-        np.concatenate((criterion.low, -unbounded)), np.concatenate((criterion.high, unbounded)),
-        held, dof, verdict, tuple(segments), solution.cost, status, message, iterations, at_bound,
-        determined=None if determined is None else determined[:shown, :shown],
-        blind=blind[:, :shown])
+        names, tuple(u.unit for u in problem.unknowns), solution.x[:shown].copy(), covariance,
+        problem.low, problem.high, held, found.dof, verdict, _run_fits(criterion, solution),
+        solution.cost, status, message, iterations, at_bound, determined=determined,
+        blind=found.blind[:, :shown])
+
+
+def _run_fits(criterion: Criterion, solution: Solution) -> tuple[SegmentFit, ...]:
+    """How the output of each run was explained."""
+    fits, row = [], 0
+    sizes = iter(_sizes(criterion, solution.x))
+    for i, run in enumerate(criterion.problem.runs):
+        size = next(sizes)
+        white = solution.residual[row:row + size]
+        row += size + sum(next(sizes) for _ in run.measured[1:])
+        innovations = white * criterion.weights[i][0].sigma
+        polynomial = criterion.polynomial(i, 0, solution.x)
+        noise = NoiseModel(polynomial[1:], float(np.std(innovations)))
+        measured = run.measured[0]
+        fits.append(SegmentFit(run.name, measured, measured - closest(criterion, i, solution.x),
+                               innovations, noise, run.skip, run.sample_period))
+    return tuple(fits)
+
+
+def closest(criterion: Criterion, index: int, z: Array) -> Array:
+    """Measured minus simulated output (N - skip,) of one run with its own unknowns fitted to it as
+    if noise were white.
+
+    Whitening hardly sees how a body without a spring starts to drift; this is for looking at the
+    simulated output, not for inference.
+    """
+    problem = criterion.problem
+    x = z[:problem.start.size]
+    gap = problem.residuals(x)[index][0]
+    own = [k for k, u in enumerate(problem.unknowns) if u.run == index]
+    if criterion.polynomial(index, 0, z).size == 1 or not own:
+        return gap
+    columns = problem.sensitivities(index, x)[0][own]
+    norms = np.linalg.norm(columns, axis=1)
+    if not np.all(norms > 0.0):
+        return gap
+    moved = x.copy()
+    moved[own] += np.linalg.lstsq((columns / norms[:, None]).T, gap, rcond=1e-9)[0] / norms
+    closer = problem.residuals(moved)[index][0]
+    return closer if float(closer @ closer) < float(gap @ gap) else gap
 
 
 def _inverse(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_], Array]:
@@ -82,25 +136,14 @@ def _inverse(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_], A
 
 
 def _verdict(criterion: Criterion, solution: Solution) -> Identifiability:
-    common = [j for j, u in enumerate(criterion.problem.unknowns) if u.segment is None]
+    unknowns = criterion.problem.unknowns
+    common = [j for j, u in enumerate(unknowns) if u.run is None]
     rest = [j for j in range(solution.x.size) if j not in common]
-    names = [criterion.problem.unknowns[j].name for j in common]
-    units = [criterion.problem.unknowns[j].unit for j in common]
     variance = solution.cost / max(solution.residual.size - solution.x.size, 1)
     weighted = solution.jacobian / math.sqrt(variance) if variance > 0.0 else solution.jacobian
-    return judge(names, solution.x[common], units, criterion.scale[common],
+    return judge([unknowns[j].name for j in common], solution.x[common],
+                 [unknowns[j].unit for j in common], criterion.problem.scale[common],
                  weighted[:, common], weighted[:, rest])
-
-
-def _labels(problem: Problem, trends: list[slice]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    names = [u.name for u in problem.unknowns]
-    units = [u.unit for u in problem.unknowns]
-    words = ("offset", "drift")
-    for segment, place in zip(problem.segments, trends, strict=True):
-        for k in range(place.stop - place.start):
-            names.append(f"{words[k] if k < 2 else f'trend{k}'}[{segment.name}]")
-            units.append(problem.output_unit)
-    return tuple(names), tuple(units)
 
 
 def _status(solution: Solution, verdict: Identifiability,
@@ -122,10 +165,9 @@ def limit_message(names: Sequence[str]) -> str:
 
 
 def failed(problem: Problem, held: dict[str, float], message: str) -> Estimate:
-    count = len(problem.unknowns)
+    """What stands in the place of an estimate where a search failed."""
     return Estimate(
         tuple(u.name for u in problem.unknowns), tuple(u.unit for u in problem.unknowns),
-        np.array([u.start for u in problem.unknowns]), np.diag(np.full(count, np.inf)),
-        np.array([u.low for u in problem.unknowns]), np.array([u.high for u in problem.unknowns]),
+        problem.start, np.diag(np.full(problem.start.size, np.inf)), problem.low, problem.high,
         held, 1.0, Identifiability((), "nothing was estimated"), (), math.inf, "failed", message,
         0)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,10 @@ from dfm_stage.identification.criterion import ACCURATE, ROUGH, Criterion
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.inference import assemble, failed
 from dfm_stage.identification.least_squares import Solution
+from dfm_stage.identification.noise import fit_noise
 from dfm_stage.identification.problem import Problem
 from dfm_stage.identification.result import Estimate
+from dfm_stage.identification.weights import Weight, Weights
 
 Array = NDArray[np.float64]
 
@@ -43,78 +46,111 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
         If a record is too short for the number of unknowns or holds values that are not finite.
     """
     _check(problem, noise)
-    criterion = Criterion(problem)
-    first = tolerance if noise == "white" and len(problem.segments) == 1 else ROUGH
-    solution = _best_start(criterion, starts, max_iterations, first)
-    iterations = solution.iterations
+    white = tuple(tuple(Weight(np.ones(1), 1.0, "") for _ in r.measured) for r in problem.runs)
+    criterion = Criterion(problem, white)
+    alone = noise == "white" and len(problem.runs) == 1
+    solution = _best_start(criterion, starts, max_iterations, tolerance if alone else ROUGH)
+    rounds = [solution]
     if not math.isfinite(solution.cost):
         return failed(problem, held or {}, "the model cannot be simulated from its starting "
                        "values: start from others or tighten the bounds")
     if noise == "auto":
-        solution, spent = _with_noise(criterion, solution, max_iterations, max_order,
-                                      tolerance)
-        iterations += spent
-    elif len(problem.segments) > 1:
-        for _ in range(3):
-            criterion.renew_weights(solution.x)
-            solution = criterion.minimise(solution.x, max_iterations, tolerance)
-            iterations += solution.iterations
+        criterion, rounds = _with_noise(criterion, solution, max_iterations, max_order, tolerance)
+    elif not alone:
+        for _ in range(WEIGHINGS):
+            criterion = Criterion(problem, _spreads(problem, rounds[-1].x))
+            rounds.append(criterion.minimise(rounds[-1].x, max_iterations, tolerance))
+    solution = rounds[-1]
     if math.isfinite(solution.cost):
-        solution = criterion.with_central_differences(solution)
+        solution = replace(solution, jacobian=criterion.jacobian(solution.x, exact=True))
     if not (math.isfinite(solution.cost) and np.all(np.isfinite(solution.jacobian))):
         return failed(problem, held or {}, f"{solution.reason}: tighten the bounds or start from "
                        "other values")
-    return assemble(criterion, solution, held or {}, iterations)
+    return assemble(criterion, solution, held or {}, sum(r.iterations for r in rounds))
+
+
+WEIGHINGS = 3
+"""Times that records are weighed by what a fit leaves of them."""
+LIKE = 0.02
+"""Relative change of a record's noise that leaves its weight as it is."""
+FAINTEST = 1e-9
+"""Least noise over the motion: an exact fit has a weight, too."""
+
+
+def _spreads(problem: Problem, x: Array) -> Weights:
+    """White weights, as strong as what is left of each record."""
+    least = FAINTEST * _spread(problem)
+    return tuple((Weight(np.ones(1), max(float(np.sqrt(np.mean(parts[0]**2))), least), ""),)
+                 for parts in problem.residuals(x))
+
+
+def _spread(problem: Problem) -> float:
+    return max(float(np.std(r.measured[0])) for r in problem.runs) or 1.0
+
+
+def _noise_weights(problem: Problem, x: Array, max_order: int | None) -> Weights:
+    """Weights by an autoregression of what is left of each record."""
+    least = FAINTEST * _spread(problem)
+    models = [fit_noise(parts[0], max_order) for parts in problem.residuals(x)]
+    return tuple((Weight(m.polynomial, max(m.sigma, least), ""),) for m in models)
+
+
+def _outdated(old: Weights, new: Weights) -> bool:
+    """Whether new weights call for another joint search: where an order has become too small or
+    far too large, or where records weigh each other by noise that has changed."""
+    return any(b[0].order > a[0].order or 2 * b[0].order + 5 < a[0].order
+               or (len(old) > 1 and abs(b[0].sigma / a[0].sigma - 1.0) > LIKE)
+               for a, b in zip(old, new, strict=True))
 
 
 def _with_noise(criterion: Criterion, solution: Solution, max_iterations: int,
-                max_order: int | None, tolerance: float) -> tuple[Solution, int]:
+                max_order: int | None, tolerance: float) -> tuple[Criterion, list[Solution]]:
     """Estimate noise models and unknowns: in turn, which is cheap, and then jointly."""
-    spent = 0
-    criterion.frozen = True
+    problem, rounds, count = criterion.problem, [solution], criterion.problem.start.size
     for _ in range(2):
-        criterion.renew_noise(solution.x, max_order)
-        if len(criterion.orders) == 1 and not criterion.orders[0]:
+        weights = _noise_weights(problem, rounds[-1].x[:count], max_order)
+        if len(weights) == 1 and not weights[0][0].order:
             break
-        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations,
-                                      max(ROUGH, tolerance))
-        spent += solution.iterations
-    criterion.renew_noise(solution.x, max_order)
-    criterion.frozen = False
-    for _ in range(3):
-        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations, tolerance)
-        spent += solution.iterations
-        if not criterion.renew_noise(solution.x, max_order):
+        rounds.append(Criterion(problem, weights).minimise(rounds[-1].x[:count], max_iterations,
+                                                           max(ROUGH, tolerance)))
+    weights = _noise_weights(problem, rounds[-1].x[:count], max_order)
+    for _ in range(WEIGHINGS + 1):
+        criterion = Criterion(problem, weights, joint=True)
+        rounds.append(criterion.minimise(rounds[-1].x[:count], max_iterations, tolerance))
+        renewed = _noise_weights(problem, rounds[-1].x[:count], max_order)
+        if not _outdated(weights, renewed):
             break
-    else:
-        solution = criterion.minimise(criterion.start_from(solution.x), max_iterations, tolerance)
-    return solution, spent
+        weights = renewed
+    return criterion, rounds
 
 
 def _check(problem: Problem, noise: str) -> None:
     if noise not in ("auto", "white"):
         raise IdentificationError(f"noise must be auto or white, not {noise!r}")
-    if not problem.segments:
+    if not problem.runs:
         raise IdentificationError("no record to estimate from: give at least one")
-    for segment in problem.segments:
-        used = segment.output.size - segment.skip
-        if used < 4 * (len(problem.unknowns) + segment.trend + 2):
-            raise IdentificationError(f"{segment.name}: {used} samples are too few for "
+    for run in problem.runs:
+        used = run.output.size - run.skip
+        if used < SAMPLES_EACH * (len(problem.unknowns) + 1):
+            raise IdentificationError(f"{run.name}: {used} samples are too few for "
                                       f"{len(problem.unknowns)} unknowns: record longer")
-        if not np.all(np.isfinite(segment.output)):
-            raise IdentificationError(f"{segment.name}: the output holds values that are not "
+        if not np.all(np.isfinite(run.output)):
+            raise IdentificationError(f"{run.name}: the output holds values that are not "
                                       "finite: cut or interpolate them first")
+
+
+SAMPLES_EACH = 4
+"""Least samples for each unknown."""
+FIRST_LOOK = 8
+"""Iterations after which the best of several starting points is chosen."""
 
 
 def _best_start(criterion: Criterion, starts: Sequence[Array], max_iterations: int,
                 tolerance: float) -> Solution:
-    given = np.array([u.start for u in criterion.problem.unknowns], dtype=float)
+    given = criterion.problem.start
     if not starts:
-        return criterion.minimise(criterion.start(given), max_iterations, tolerance)
-    tried = []
-    for values in (given, *starts):
-        criterion.steps = 1e-4 * criterion.scale
-        x = criterion.start(np.asarray(values, dtype=float))
-        tried.append(criterion.minimise(x, 8, tolerance))
+        return criterion.minimise(given, max_iterations, tolerance)
+    tried = [criterion.minimise(np.asarray(values, dtype=float), FIRST_LOOK, tolerance)
+             for values in (given, *starts)]
     best = min(tried, key=lambda s: s.cost)
     return best if best.converged else criterion.minimise(best.x, max_iterations, tolerance)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.identification.model_fit import Run
 from dfm_stage.identification.periods import find_period
+from dfm_stage.identification.run import Run
 from dfm_stage.recording import AxisRecord
 
 Array = NDArray[np.float64]

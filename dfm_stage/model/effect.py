@@ -29,11 +29,21 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.model.base import BASE_BY_NAME
+from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.parameter import Parameter
+
+Array = NDArray[np.float64]
+Parameters = dict[str, float]
 
 Values = tuple[float, ...]
 """The values of an effect's parameters, as its hooks get them."""
@@ -48,6 +58,21 @@ class Prior:
     low: float
     high: float
     log: bool = True
+
+    @property
+    def typical(self) -> float:
+        """The middle of its range; the end where it may be zero or negative."""
+        return math.sqrt(self.low * self.high) if self.log else self.high
+
+
+@dataclass(frozen=True)
+class Wave:
+    """An effect that is a sine over time or over position: the parameter that is its frequency
+    (Hz) or its period (m), and the one that is its phase (rad)."""
+
+    parameter: str
+    over: Literal["time", "position"]
+    phase: str = "phase"
 
 
 @dataclass(frozen=True)
@@ -66,8 +91,9 @@ class Equivalence:
 class Reparametrisation:
     """Coordinates in which a fit is well conditioned.
 
-    `names` are the free parameters it replaces, as `Model.parameters` names them; `forward` and
-    `backward` map arrays of their values, same order, to the fitted coordinates `fitted`.
+    `names` are the free parameters it replaces: base parameters, or with a dot in front the
+    effect's own. `forward` and `backward` map arrays of their values, same order, to the fitted
+    coordinates `fitted`, which are named alike.
     """
 
     names: tuple[str, ...]
@@ -108,6 +134,25 @@ class Effect:
     sense: Callable[..., float] | None = field(default=None, repr=False)
     encode: Callable[..., float] | None = field(default=None, repr=False)
     other_force: Callable[..., float] | None = field(default=None, repr=False)
+    size: tuple[str, ...] = ()
+    """Parameters that grow with the size of the effect; by default the first one."""
+    wave: Wave | None = None
+    searched: bool = False
+    """The response is linear in no parameter: the screen tries the starting values as they are."""
+    per_run: tuple[str, ...] = ()
+    """Fitted coordinates, with a dot in front, that differ from run to run."""
+    freed_last: Mapping[str, float | None] = field(default_factory=dict)
+    """Parameters that are freed once the others have been fitted, and the value at which they
+    begin then; None for where they are."""
+    late: Literal["lag", "delay", "coil"] | None = None
+    """How the first parameter makes the force late: a first-order lag or a dead time in s, or an
+    inductance in H. All act alike to first order."""
+    retuned_by: str = ""
+    """The base parameter in whose presence the effect is a wrong number, not missing physics; by
+    default the one that it adds to."""
+    twins: Mapping[str, Callable[[Mapping[str, float]], Parameters]] = field(default_factory=dict)
+    """Effects that are the same motion in a limit, with their parameters there from ours: a
+    linear screen seldom leads from one to the other."""
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -120,3 +165,114 @@ class Effect:
             if parameter.name == name:
                 return parameter
         raise KeyError(name)
+
+    # -- what fitting, screening and naming need to know ----------------------------------------
+
+    @property
+    def rounds(self) -> bool:
+        """Whether it rounds the reading: a fit's criterion has steps in its parameters then."""
+        return self.encode is not None
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Parameters that grow with the size of the effect."""
+        return self.size or (self.parameters[0].name,)
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether the size cannot be negative."""
+        return self.parameter(self.sizes[0]).low >= 0.0
+
+    @property
+    def fittable(self) -> tuple[str, ...]:
+        """Parameters that a fit may free; those of a rounding are found by search."""
+        return () if self.rounds else tuple(p.name for p in self.parameters)
+
+    @property
+    def wrong_number_of(self) -> str:
+        """The base parameter whose wrong value does the same; empty if there is none."""
+        return self.retuned_by or (self.adds_to if self.adds_to in BASE_BY_NAME else "") or ""
+
+    def hidden_because(self, at: Conditions) -> str | None:
+        """Why the runs cannot show the effect, in words; None where they can."""
+        return None
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """Parameters at which a search may begin, at a size small enough to be linear in.
+
+        By default a force of SMALL times the actuator's for the sizes, and a grid over the usual
+        range of what shapes the response.
+        """
+        shaping = [p.name for p in self.parameters
+                   if p.name not in (*self.sizes, *self.optional) and p.name in self.priors]
+        shared = {**self.defaults, **{n: self.priors[n].typical for n in self.sizes
+                                      if n in self.priors}}
+        grids = [_grid(self.priors[n]) for n in shaping]
+        return [self._small({**shared, **dict(zip(shaping, values, strict=True))}, at)
+                for values in itertools.product(*grids)]
+
+    def _small(self, values: Parameters, at: Conditions) -> Parameters:
+        """`values` with the sizes scaled to a small force, where that can be told."""
+        wanted, first = SMALL * at.force, self.sizes[0]
+        if self.parameter(first).unit == "N":
+            return {**values, first: wanted}
+        if self.force is None:
+            return {**values, **{n: SMALL * values[n] for n in self.sizes}}
+        unit = tuple(1.0 if p.name in self.sizes else values[p.name] for p in self.parameters)
+        felt = abs(self.force(at.motion, at.speed, at.force, unit))
+        return {**values, **dict.fromkeys(self.sizes, wanted / felt if felt else 0.0)}
+
+    def scaled(self, parameters: Parameters, factor: float) -> Parameters:
+        """`parameters` at `factor` times the size."""
+        if self.searched:
+            return dict(parameters)
+        return {n: v * factor if n in self.sizes else v for n, v in parameters.items()}
+
+    def directions(self, parameters: Parameters, at: Conditions) -> list[Parameters]:
+        """Parameter sets whose responses span what the effect can do at any small size."""
+        if self.wave is None:
+            return [parameters]
+        return [parameters, {**parameters, self.wave.phase: 0.5 * math.pi}]
+
+    def combined(self, directions: Sequence[Parameters], multiples: Array) -> Parameters:
+        """The effect that is the sum of `multiples` (c,) of the first c `directions`."""
+        if self.wave is None:
+            return self.scaled(directions[0], float(multiples[0]))
+        turned = complex(*(*multiples, 0.0)[:2])
+        return {**self.scaled(directions[0], abs(turned)),
+                self.wave.phase: float(np.angle(turned)) if multiples.size > 1 else 0.0}
+
+    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
+        """Where a parameter or fitted coordinate is searched, inside its limits; at the upper end
+        the effect has become another one."""
+        return -math.inf, math.inf
+
+    def difference_step(self, parameter: str, value: float, at: Conditions) -> float | None:
+        """The relative step of a difference by a parameter; None for the usual one."""
+        if self.wave is None or parameter != self.wave.parameter:
+            return None
+        if self.wave.over == "time":
+            return TURNED / (at.duration * max(abs(value), 1e-9))
+        return TURNED * min(1.0, abs(value) / (at.travel or 1.0))
+
+    def is_rounding(self, parameters: Mapping[str, float], step: float) -> bool:
+        """Whether it is but a harmonic of a reading that counts in `step`."""
+        if self.wave is None or self.wave.over != "position":
+            return False
+        order = step / parameters[self.wave.parameter]
+        return round(order) > 0 and abs(order - round(order)) < HARMONIC * max(order, 1.0)
+
+
+SMALL = 1e-3
+"""Size of a nonlinear force in units of the actuator's, for sensitivities."""
+TURNED = 1e-3
+"""Turns of a wave over the record or the travel that a difference may take."""
+HARMONIC = 0.02
+"""Relative distance from a whole number of periods within which a pattern is a harmonic."""
+STARTS = 4
+"""Starting values of a parameter that shapes the response, where the effect names none."""
+
+
+def _grid(prior: Prior) -> list[float]:
+    spaced = np.geomspace if prior.log else np.linspace
+    return [float(v) for v in spaced(prior.low, prior.high, STARTS + 2)[1:-1]]

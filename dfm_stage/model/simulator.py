@@ -162,7 +162,7 @@ class Simulator:
                  past_input: float = 0.0, external_force: ArrayLike | None = None,
                  other: ArrayLike | None = None, dither: float | None = None,
                  steady_state: bool = False, partial: bool = False,
-                 threads: int | None = None) -> Array:
+                 threads: int | None = None, steps: NDArray[np.int64] | None = None) -> Array:
         """One signal for each row of `parameter_matrix` (P, n); returns (P, N).
 
         `parameter_names` (n) are addresses such as `mass`, `cubic_stiffness.k3` or, for the state
@@ -198,6 +198,9 @@ class Simulator:
                                           force, neighbour, slots.SIGNALS.index(signal),
                                           steady_state, out[row:row + 1])
 
+        if steps is not None:
+            slow = any(EFFECTS[u.name].advance is not None for u in self.model.effects)
+            steps[:] = len(inputs) * (4 if slow else 1)
         workers = max(1, min(threads or _cores(), len(table)))
         bounds = np.linspace(0, len(table), workers + 1).astype(int)
         parts = [range(a, b) for a, b in pairwise(bounds)]

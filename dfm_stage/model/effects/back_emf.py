@@ -9,10 +9,28 @@ Source: Schmidt, Schitter and Rankers, The Design of High Performance Mechatroni
 
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import SMALL, Effect, Equivalence, Parameters, Prior
 from dfm_stage.model.parameter import Parameter
 
-EFFECT = Effect(
+
+class BackEmf(Effect):
+    """Shows beside free damping only where the current was recorded."""
+
+    def hidden_because(self, at: Conditions) -> str | None:
+        """Without a current record it is damping."""
+        if at.drive_kind == "current":
+            return "has no meaning with drive: current"
+        if not any(r.current is not None for r in at.runs):
+            return "without a current record it is viscous damping: retuned"
+        return None
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """A small part of the voltage."""
+        return [{"constant": SMALL * at.drive / at.speed}] if at.drive > 0.0 else []
+
+
+EFFECT = BackEmf(
     name="back_emf",
     meaning="motion induces a voltage that brakes a coil driven by voltage",
     equation="(L/R) e' = a - constant x' - e",

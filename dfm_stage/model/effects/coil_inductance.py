@@ -8,10 +8,30 @@ Source: Schmidt, Schitter and Rankers, The Design of High Performance Mechatroni
 
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import Effect, Equivalence, Parameters, Prior
 from dfm_stage.model.parameter import Parameter
 
-EFFECT = Effect(
+
+class CoilInductance(Effect):
+    """Begins at shares of the sample period; needs a voltage drive and a resistance."""
+
+    def hidden_because(self, at: Conditions) -> str | None:
+        """Without voltage drive or resistance there is no lag."""
+        if at.drive_kind == "current":
+            return "has no meaning with drive: current"
+        if at.base.get("coil_resistance", 0.0) <= 0.0:
+            return "needs coil_resistance in base"
+        return None
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """L / R from a tenth to three sample periods."""
+        resistance = at.base["coil_resistance"]
+        return [{"inductance": resistance * at.sample_period * f}
+                for f in (0.1, 0.3, 1.0, 3.0)]
+
+
+EFFECT = CoilInductance(
     name="coil_inductance",
     meaning="the coil's current lags behind its voltage",
     equation="(inductance/R) e' = a - back_emf x' - e",
@@ -31,4 +51,5 @@ EFFECT = Effect(
                     "excitation to higher frequencies"),
     ),
     adds_to="coil_inductance",
+    late="coil",
 )

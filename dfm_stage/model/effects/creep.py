@@ -13,7 +13,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import (
+    SMALL,
+    Effect,
+    Equivalence,
+    Parameters,
+    Prior,
+    Reparametrisation,
+    Values,
+)
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
@@ -41,7 +50,16 @@ def _backward(fitted: Array) -> Array:
     return np.array([total - rate * time_constant, rate * time_constant, time_constant])
 
 
-EFFECT = Effect(
+class Creep(Effect):
+    """Begins at time constants from some samples to twice the record."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """A small part of the stiffness, at time constants over decades."""
+        return [{"stiffness": 0.1 * SMALL * at.stiffness, "time_constant": float(tau)}
+                for tau in np.geomspace(0.02, 2.0 * at.duration, 12)]
+
+
+EFFECT = Creep(
     name="creep",
     meaning="the stage goes on moving slowly after a step: part of the stiffness relaxes",
     equation="F = -stiffness (x - z);  time_constant z' = x - z",
@@ -62,8 +80,8 @@ EFFECT = Effect(
                     "higher frequencies"),
         Equivalence(("creep", "thermal_drift"), "one step only", "steps in both directions"),
     ),
-    fit=Reparametrisation(("stiffness", "creep.stiffness", "creep.time_constant"),
-                          ("unrelaxed_stiffness", "creep.rate", "creep.time_constant"),
+    fit=Reparametrisation(("stiffness", ".stiffness", ".time_constant"),
+                          (".unrelaxed_stiffness", ".rate", ".time_constant"),
                           _forward, _backward),
     states=("creep",),
     stamp=stamp,

@@ -8,10 +8,14 @@ resonance only the ratio remains.
 Source: Awtar, Synthesis and Analysis of Parallel Kinematic XY Flexure Mechanisms (2004), ch. 2.
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
+from collections.abc import Sequence
+
+import numpy as np
+
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import SMALL, Array, Effect, Equivalence, Parameters, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
@@ -25,7 +29,32 @@ def other_force(p: Values) -> float:
     return -p[1]
 
 
-EFFECT = Effect(
+class CrossAxisCoupling(Effect):
+    """Has two sizes, of the reading and of the force, that are told apart by frequency."""
+
+    def hidden_because(self, at: Conditions) -> str | None:
+        """It needs the neighbour's position."""
+        return None if all(r.other is not None for r in at.runs) else \
+            "the neighbouring axis was not recorded"
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """A small part of the motion."""
+        other = max(float(np.std(r.other)) for r in at.runs if r.other is not None)
+        return [{"ratio": SMALL * at.motion / max(other, 1e-12), "stiffness": 0.0}]
+
+    def directions(self, parameters: Parameters, at: Conditions) -> list[Parameters]:
+        """Each size alone."""
+        return [parameters, {"ratio": 0.0, "stiffness": SMALL * at.stiffness}]
+
+    def combined(self, directions: Sequence[Parameters], multiples: Array) -> Parameters:
+        """The sum of both."""
+        if multiples.size == 1:
+            return super().combined(directions, multiples)
+        return {n: sum(float(m) * d[n] for m, d in zip(multiples, directions, strict=True))
+                for n in directions[0]}
+
+
+EFFECT = CrossAxisCoupling(
     name="cross_axis_coupling",
     meaning="motion of the neighbouring axis shows up in this one",
     equation="y = x + ratio other;  F = -stiffness other",

@@ -8,7 +8,6 @@ Source: Nayfeh and Mook, Nonlinear Oscillations (1979), ch. 4; Kerschen et al., 
 Signal Process. 20 (2006) 505.
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 from dfm_stage.model.effect import Effect, Equivalence, Prior, Values

@@ -7,10 +7,10 @@ largest, damping critical_velocity / 2, at the critical speed.
 Source: Wouterse, IEE Proc. B 138 (1991) 153; Smythe, Trans. AIEE 61 (1942) 681.
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import SMALL, Effect, Equivalence, Parameters, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
@@ -20,7 +20,16 @@ def force(x: float, v: float, actuator: float, p: Values) -> float:
     return -p[0] * v / (1.0 + ratio * ratio)
 
 
-EFFECT = Effect(
+class EddyCurrentDamping(Effect):
+    """Begins at critical speeds around those of the record."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """From well below the RMS speed to well above it."""
+        return [{"damping": SMALL * at.force / at.speed,
+                 "critical_velocity": share * at.speed} for share in (0.2, 0.6, 1.5, 4.0)]
+
+
+EFFECT = EddyCurrentDamping(
     name="eddy_current_damping",
     meaning="eddy currents brake the motion, the less the faster it is",
     equation="F = -damping x' / (1 + (x'/critical_velocity)^2)",

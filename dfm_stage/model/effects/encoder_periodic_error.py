@@ -7,7 +7,6 @@ for errors of their gains and of their quadrature.
 Source: Heydemann, Appl. Opt. 20 (1981) 3382; Ellin and Dolsak, Sensor Review 28 (2008) 150.
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 import math
@@ -15,7 +14,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import (
+    Effect,
+    Equivalence,
+    Parameters,
+    Prior,
+    Reparametrisation,
+    Values,
+    Wave,
+)
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
@@ -36,7 +44,16 @@ def _backward(fitted: Array) -> Array:
     return np.array([np.hypot(in_phase, quadrature), np.arctan2(quadrature, in_phase)])
 
 
-EFFECT = Effect(
+class EncoderPeriodicError(Effect):
+    """Looked for at the patterns of the residual over position."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """A part of the noise at each period that stands out."""
+        return [{"amplitude": 0.1 * at.noise, "period": p, "phase": 0.0}
+                for p in at.periods]
+
+
+EFFECT = EncoderPeriodicError(
     name="encoder_periodic_error",
     meaning="the reading errs periodically along the scale",
     equation="y = x + amplitude sin(2 pi x / period + phase)",
@@ -57,8 +74,8 @@ EFFECT = Effect(
                          "motion much smaller than the period",
                          "motion across several periods"),),
     fit=Reparametrisation(
-        ("encoder_periodic_error.amplitude", "encoder_periodic_error.phase"),
-        ("encoder_periodic_error.in_phase", "encoder_periodic_error.quadrature"),
+        (".amplitude", ".phase"), (".in_phase", ".quadrature"),
         _forward, _backward),
     sense=sense,
+    wave=Wave("period", "position"),
 )

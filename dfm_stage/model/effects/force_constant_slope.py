@@ -6,7 +6,6 @@ Source: Schmidt, Schitter and Rankers, The Design of High Performance Mechatroni
 ch. 5.
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 from dfm_stage.model.effect import Effect, Equivalence, Prior, Values

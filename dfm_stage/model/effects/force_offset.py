@@ -10,10 +10,21 @@ Source: Slocum, Precision Machine Design (1992).
 
 from __future__ import annotations
 
+from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import Effect, Equivalence, Prior
 from dfm_stage.model.parameter import Parameter
 
-EFFECT = Effect(
+
+class ForceOffset(Effect):
+    """On a linear spring it is told from the encoder's zero only where that is known."""
+
+    def hidden_because(self, at: Conditions) -> str | None:
+        """An unknown zero of the encoder does the same."""
+        return None if "encoder_zero" in at.base else \
+            "without a trusted encoder_zero it is an offset of the encoder"
+
+
+EFFECT = ForceOffset(
     name="force_offset",
     meaning="a constant force acts on the stage",
     equation="F = force",

@@ -9,15 +9,24 @@ Source: Bouc (1967); Wen, J. Eng. Mech. Div. ASCE 102 (1976) 249; normalised for
 Rodellar, Systems with Hysteresis (2007), ch. 2.
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import (
+    SMALL,
+    Effect,
+    Equivalence,
+    Parameters,
+    Prior,
+    Reparametrisation,
+    Values,
+)
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
@@ -105,7 +114,32 @@ def _backward(fitted: Array) -> Array:
     return np.array([force / distance, distance])
 
 
-EFFECT = Effect(
+def _as_friction(loop: Mapping[str, float]) -> Parameters:
+    """Dahl's friction, which the loop of shape 1 and exponent 1 is: F' = k (x' - |x'| F / F0)."""
+    return {"force": loop["stiffness"] * loop["yield_displacement"],
+            "stiffness": loop["stiffness"]}
+
+
+class Hysteresis(Effect):
+    """Begins at yield displacements around the size of the motion."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """Loops that saturate early and late in the motion."""
+        return [{"stiffness": SMALL * at.force / (share * at.motion),
+                 "yield_displacement": share * at.motion, "shape": 0.6, "exponent": 1.0}
+                for share in (0.05, 0.15, 0.5, 1.5)]
+
+    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
+        """A distance far below the noise is that of dry friction, and slow to simulate."""
+        low = INVISIBLE * at.noise if parameter == "yield_displacement" else -math.inf
+        return low, math.inf
+
+
+INVISIBLE = 0.1
+"""Yield displacement over the noise below which the loop is dry friction."""
+
+
+EFFECT = Hysteresis(
     name="hysteresis",
     meaning="the restoring force depends on the path: a loop that survives at zero speed",
     equation="w' = (x'/yield) (1 - |w|^n (shape sgn(x' w) + 1 - shape));  F = -stiffness yield w",
@@ -131,9 +165,11 @@ EFFECT = Effect(
         Equivalence(("hysteresis", "stiffness"), "motion far below yield_displacement",
                     "motion beyond yield_displacement"),
     ),
-    fit=Reparametrisation(("hysteresis.stiffness", "hysteresis.yield_displacement"),
-                          ("hysteresis.force", "hysteresis.yield_displacement"),
+    fit=Reparametrisation((".stiffness", ".yield_displacement"),
+                          (".force", ".yield_displacement"),
                           _forward, _backward),
     advance=advance,
     bristle_force=bristle_force,
+    freed_last={"exponent": 1.2},
+    twins={"presliding_friction": _as_friction},
 )

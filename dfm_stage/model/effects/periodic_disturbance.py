@@ -13,7 +13,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Prior, Reparametrisation, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import (
+    SMALL,
+    Effect,
+    Parameters,
+    Prior,
+    Reparametrisation,
+    Values,
+    Wave,
+)
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
@@ -44,7 +53,16 @@ def _backward(fitted: Array) -> Array:
     return np.array([np.hypot(in_phase, quadrature), np.arctan2(quadrature, in_phase)])
 
 
-EFFECT = Effect(
+class PeriodicDisturbance(Effect):
+    """Looked for at the lines of the residual."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """A small force at each frequency that stands out."""
+        return [{"amplitude": SMALL * at.force, "frequency": f, "phase": 0.0}
+                for f in at.frequencies]
+
+
+EFFECT = PeriodicDisturbance(
     name="periodic_disturbance",
     meaning="a vibration from outside shakes the stage",
     equation="F = amplitude sin(2 pi frequency t + phase)",
@@ -62,10 +80,11 @@ EFFECT = Effect(
     shown_by="any record, at rest too, at a frequency that is not excited",
     optional=("phase",),
     fit=Reparametrisation(
-        ("periodic_disturbance.amplitude", "periodic_disturbance.phase"),
-        ("periodic_disturbance.in_phase", "periodic_disturbance.quadrature"),
+        (".amplitude", ".phase"), (".in_phase", ".quadrature"),
         _forward, _backward),
     states=("periodic_disturbance.force", "periodic_disturbance.quadrature"),
     stamp=stamp,
     start=start,
+    wave=Wave("frequency", "time"),
+    per_run=(".in_phase", ".quadrature"),
 )

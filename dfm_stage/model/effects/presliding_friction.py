@@ -14,11 +14,21 @@ Dahl, Aerospace Corp. TOR-0158 (1968).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import (
+    SMALL,
+    Effect,
+    Equivalence,
+    Parameters,
+    Prior,
+    Reparametrisation,
+    Values,
+)
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
@@ -62,7 +72,33 @@ def _backward(fitted: Array) -> Array:
     return np.array([force, force / distance])
 
 
-EFFECT = Effect(
+def _as_hysteresis(friction: Mapping[str, float]) -> Parameters:
+    """The loop that friction without Stribeck term and damping is (Dahl's model)."""
+    return {"stiffness": friction["stiffness"], "shape": 1.0, "exponent": 1.0,
+            "yield_displacement": friction["force"] / friction["stiffness"]}
+
+
+class PreslidingFriction(Effect):
+    """Begins at pre-sliding distances below and around the size of the motion."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """Bristles that bend by a hundredth of the motion up to all of it."""
+        force = SMALL * at.force
+        return [{"force": force, "stiffness": force / (share * at.motion),
+                 "breakaway_ratio": 1.0, "stribeck_velocity": 0.2 * at.speed, "damping": 0.0}
+                for share in (0.01, 0.03, 0.1, 0.3, 1.0)]
+
+    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
+        """A distance far below the noise is that of dry friction, and slow to simulate."""
+        low = INVISIBLE * at.noise if parameter == "distance" else -math.inf
+        return low, math.inf
+
+
+INVISIBLE = 0.1
+"""Pre-sliding distance over the noise below which the bristles are dry friction."""
+
+
+EFFECT = PreslidingFriction(
     name="presliding_friction",
     meaning="friction whose contacts deflect elastically before they slide",
     equation="z' = x' - stiffness |x'| z / g(x');  F = -(stiffness z + damping z')",
@@ -93,9 +129,11 @@ EFFECT = Effect(
         Equivalence(("presliding_friction", "stiffness"), "motion that never breaks away",
                     "motion beyond the pre-sliding distance"),
     ),
-    fit=Reparametrisation(("presliding_friction.force", "presliding_friction.stiffness"),
-                          ("presliding_friction.force", "presliding_friction.distance"),
+    fit=Reparametrisation((".force", ".stiffness"), (".force", ".distance"),
                           _forward, _backward),
     advance=advance,
     bristle_force=bristle_force,
+    size=("force", "stiffness", "damping"),
+    freed_last={"breakaway_ratio": 1.1, "stribeck_velocity": None, "damping": None},
+    twins={"hysteresis": _as_hysteresis},
 )

@@ -5,7 +5,6 @@
 Source: Nayfeh and Mook, Nonlinear Oscillations (1979), ch. 3.
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 from dfm_stage.model.effect import Effect, Equivalence, Prior, Values

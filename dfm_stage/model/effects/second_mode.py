@@ -16,11 +16,13 @@ Preumont, Vibration Control of Active Structures (2011), ch. 2.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.effect import Effect, Prior, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import Effect, Parameters, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 Array = NDArray[np.float64]
@@ -37,7 +39,34 @@ def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
     rows[3, first + 1] = rows[3, 1]
 
 
-EFFECT = Effect(
+class SecondMode(Effect):
+    """Looked for on a dense grid of frequencies, and sharp at the residual's own lines."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """A grid is coarser than a sharp resonance, hence the lines of the residual as well."""
+        grid = np.geomspace(max(0.5, 4.0 / at.duration), 0.45 / at.sample_period, 60)
+        tried = [(f, zeta) for f in grid for zeta in (0.01, 0.04)]
+        tried += [(f, zeta) for f in at.frequencies for zeta in (0.003, 0.01)]
+        return [{"share": SMALL_SHARE, "frequency": float(f), "damping_ratio": zeta}
+                for f, zeta in tried]
+
+    def combined(self, directions: Sequence[Parameters], multiples: Array) -> Parameters:
+        """Beyond half of the motion the response is not nearly linear in the share."""
+        found = super().combined(directions, multiples)
+        return {**found, "share": min(max(found["share"], -LARGEST_SHARE), LARGEST_SHARE)}
+
+    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
+        """Beyond MOST_DAMPED there is no resonance, but creep or a lag."""
+        return -math.inf, MOST_DAMPED if parameter == "damping_ratio" else math.inf
+
+
+SMALL_SHARE, LARGEST_SHARE = 1e-4, 0.5
+"""Share that is small, and the largest from which a search begins."""
+MOST_DAMPED = 0.5
+"""Damping ratio up to which a mode is a resonance."""
+
+
+EFFECT = SecondMode(
     name="second_mode",
     meaning="a second resonance of the structure that actuator and encoder take part in",
     equation="x = (1 - share) q1 + share q2;  q2'' + 2 zeta w q2' + w^2 q2 = F/mass",

@@ -7,12 +7,12 @@ Source: Slocum, Precision Machine Design (1992); Incropera, Fundamentals of Heat
 Mass Transfer, sec. 5.1 (lumped capacitance).
 """
 
-# ruff: noqa: ARG001 (a hook has its signature whether or not it uses all of it)
 from __future__ import annotations
 
 import math
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
+from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import Effect, Equivalence, Parameters, Prior, Values
 from dfm_stage.model.parameter import Parameter
 
 
@@ -23,7 +23,24 @@ def sense(x: float, t: float, other: float, p: Values) -> float:
     return -p[0] * math.expm1(-p[1] * t) / p[1]
 
 
-EFFECT = Effect(
+class ThermalDrift(Effect):
+    """Begins at a drift as large as the noise."""
+
+    def starts(self, at: Conditions) -> list[Parameters]:
+        """Drifts that last, and some that die out within the record."""
+        return [{"rate": at.noise / at.duration, "decay": d / at.duration}
+                for d in (0.0, 1.0, 3.0, 8.0)]
+
+    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
+        """A drift that ends within a fifteenth of the record is a step at its beginning."""
+        return -math.inf, FASTEST / at.duration if parameter == "decay" else math.inf
+
+
+FASTEST = 15.0
+"""Largest decay, over the rate of one record."""
+
+
+EFFECT = ThermalDrift(
     name="thermal_drift",
     meaning="the reading drifts with time",
     equation="y = x + rate (1 - exp(-decay t)) / decay",
@@ -41,4 +58,5 @@ EFFECT = Effect(
     classes=(Equivalence(("thermal_drift", "creep"), "one step only",
                          "steps in both directions"),),
     sense=sense,
+    per_run=(".rate",),
 )

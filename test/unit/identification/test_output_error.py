@@ -10,7 +10,6 @@ from dfm_stage.identification import (
     IdentificationError,
     Problem,
     Run,
-    Segment,
     Unknown,
     estimate,
     evaluate,
@@ -160,7 +159,7 @@ def test_hold_out_leaves_only_noise(reference_stage, multisine):
 def toy(simulate, samples=400, step=1e-2, **unknown):
     t = np.arange(samples) * step
     y = np.sin(t) + 0.01 * np.random.default_rng(0).standard_normal(samples)
-    return Problem((Unknown("a", 0.8, 1.0, **unknown),), (Segment(y, 1e-2, trend=-1),),
+    return Problem((Unknown("a", 0.8, 1.0, **unknown),), (Run("toy", y, y, 1e-2, trend=-1),),
                    lambda i, rows: simulate(rows, t))
 
 
@@ -176,8 +175,8 @@ def test_a_trap_is_left_by_another_start():
         return np.sin(rows[:, :1] * t)
 
     problem = toy(simulate, step=0.1)
-    stuck = estimate(Problem((Unknown("a", 4.0, 1.0),), problem.segments, problem.simulate))
-    freed = estimate(Problem((Unknown("a", 4.0, 1.0),), problem.segments, problem.simulate),
+    stuck = estimate(Problem((Unknown("a", 4.0, 1.0),), problem.runs, problem.simulate))
+    freed = estimate(Problem((Unknown("a", 4.0, 1.0),), problem.runs, problem.simulate),
                      starts=[np.array([1.1]), np.array([9.0])])
     assert abs(stuck.value("a") - 1.0) > 0.1
     assert freed.quantity("a").value == pytest.approx(1.0, abs=0.01)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.identification.noise import fit_noise, whiten
 
 Array = NDArray[np.float64]
@@ -31,6 +30,11 @@ class Weight:
     sigma: float
     source: str
 
+    @property
+    def order(self) -> int:
+        """The number of coefficients of the polynomial."""
+        return self.polynomial.size - 1
+
     def apply(self, signals: Array) -> Array:
         """Return `signals` (..., N) white and in standard deviations; the first n are dropped."""
         return whiten(signals, self.polynomial) / self.sigma
@@ -46,7 +50,13 @@ class Weight:
 
 
 Weights = tuple[tuple[Weight, ...], ...]
-"""Per run, per channel."""
+"""Per run, per signal compared."""
+
+
+def weighted(residuals: Sequence[Sequence[Array]], weights: Weights) -> Array:
+    """All residuals white and in standard deviations, in a row."""
+    return np.concatenate([w.apply(r) for parts, ws in zip(residuals, weights, strict=True)
+                           for r, w in zip(parts, ws, strict=True)])
 
 
 def white_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
@@ -69,22 +79,6 @@ def velocity_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
 def weights_of(residuals: Sequence[Sequence[Array]]) -> Weights:
     """Weights from residuals that hold nothing but noise."""
     return tuple(tuple(_autoregression(r, "residuals") for r in parts) for parts in residuals)
-
-
-def unrepeated(run: Experiment, residual: Array) -> Array | None:
-    """What does not repeat in `residual` (N - skip,), scaled to the noise; None without periods.
-
-    The trend over the periods' means is left out: it is drift, not noise.
-    """
-    found = run.periodicity
-    if found is None:
-        return None
-    count = residual.size // found.period
-    if count < PERIODS:
-        return None
-    rows = residual[residual.size - count * found.period:].reshape(count, found.period)
-    apart = (rows - rows.mean(axis=0)) * np.sqrt(count / (count - 1.0))
-    return np.asarray((apart - apart.mean(axis=1, keepdims=True)).ravel())
 
 
 def high_band_rms(residual: Array) -> float:

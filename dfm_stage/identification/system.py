@@ -1,0 +1,345 @@
+"""A model of the stage on runs, as an estimation problem.
+
+Unknowns are, in this order, the free parameters of the model in well-conditioned coordinates, and
+for each run its initial state, parameters of effects that differ from run to run (the phase of a
+vibration, the rate of a drift), the force that a body without a spring feels, gain and offset of
+the current, and offset and drift of the output.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.identification.coordinates import absolute, group, late_parameters
+from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
+from dfm_stage.identification.run import Run
+from dfm_stage.identification.scales import typical_size
+from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
+from dfm_stage.model.conditions import Conditions
+
+Array = NDArray[np.float64]
+
+BASE_STEP, EFFECT_STEP, CURVED_STEP = 1e-5, 1e-4, 1e-3
+"""Steps of differences over the size: by a base parameter, by one of a linear effect, by one of a
+nonlinear force."""
+LINEAR_SHARE = 0.05
+"""Nonlinear effects that move the output by less than this leave the base's sensitivities."""
+SHARP = 0.06
+"""Noise over the step of a reading that counts in steps, where nothing else is known of it."""
+PARALLEL = 1_000_000
+"""Samples (rows times length) up to which one thread simulates: more cost more than they save."""
+SHORTEST_LAG = 1e-6
+"""Least lag, in samples, for which a periodic motion is looked for."""
+
+
+def is_nonlinear(name: str) -> bool:
+    """Whether an effect makes the simulation nonlinear."""
+    effect = EFFECTS[name]
+    return effect.force is not None or effect.advance is not None \
+        or effect.adds_to == "dry_friction"
+
+
+def rounding_step(model: Model) -> float | None:
+    """The step to which an effect of the model rounds the reading, None where there is none."""
+    return next((next(iter(use.parameters.values())) for use in model.effects
+                 if EFFECTS[use.name].rounds), None)
+
+
+class System(Problem):
+    """A one-axis `model` with `free` parameter addresses on `runs`.
+
+    `states` are the initial states that are estimated, those of every mode by default. With
+    `pushed` a body without a spring feels an unknown constant force in each run. `noise` is the
+    RMS of the output's noise (m): a rounded reading is averaged over it, and distances far below
+    it are not searched.
+    """
+
+    def __init__(self, model: Model, runs: Sequence[Run], free: Sequence[str], *,
+                 noise: float = 0.0, states: Sequence[str] | None = None,
+                 pushed: bool = False) -> None:
+        self.free, self.given, self.runs = tuple(free), model, tuple(runs)
+        self.springless = model.base.get("stiffness", 0.0) == 0.0 and "stiffness" not in free
+        self.trusted = "encoder_zero" in model.base or "encoder_zero" in free
+        constant = next(e for e in EFFECTS.values() if e.adds_to == "constant_force")
+        self.push = ""
+        if pushed and self.springless and model.effect(constant.name) is None:
+            self.push = f"{constant.name}.{constant.parameters[0].name}"
+            model = model.with_effect(constant.name, constant.defaults)
+        self.model = _ready(model, self.free)
+        self.dither = _dither(self.model, noise)
+        self.rounded = rounding_step(self.model) is not None
+        self.groups = group(self.model, self.free)
+        renamed = {n: f for g in self.groups for n, f in zip(g.names, g.fitted, strict=True)}
+        self.fitted = [renamed.get(n, n) for n in self.free]
+        self.count = len(self.free)
+        self.simulator = Simulator(self.model)
+        self.nonlinear = [u.name for u in self.model.effects if is_nonlinear(u.name)]
+        light = self.model
+        for name in self.nonlinear:
+            light = light.without_effect(name)
+        self.light = Simulator(light) if self.nonlinear else self.simulator
+        self.slow = any(EFFECTS[n].advance is not None for n in self.nonlinear)
+        """Whether a simulation follows states with memory, and is worth being spared."""
+        self.work = 0.0
+        """Integration steps that simulations with nonlinear forces have taken."""
+        self.noise = noise
+        self.states = [s for s in self.simulator.states if _is_mechanical(s)] \
+            if states is None else list(states)
+        own = [u for i, run in enumerate(runs) for u in self._own_unknowns(run, i)]
+        super().__init__([*self._shared_unknowns(), *own],
+                         runs, self.simulated, model.position_unit)
+
+    @cached_property
+    def at(self) -> Conditions:
+        """Sizes that occur in the runs."""
+        return Conditions.of(self.model.base, self.model.drive, self.runs, self.noise)
+
+    # -- unknowns -------------------------------------------------------------------------------
+
+    def _shared_unknowns(self) -> Iterable[Unknown]:
+        special = {n: (g, k) for g in self.groups for k, n in enumerate(g.fitted)}
+        values = self._coordinates(self.model.parameters()).tolist()
+        for value, name, address in zip(values, self.fitted, self.free, strict=True):
+            head, _, own = address.partition(".")
+            low, high, step = -math.inf, math.inf, BASE_STEP
+            if own:
+                effect = EFFECTS[head]
+                low, high = effect.search_range(name.removeprefix(f"{head}."), self.at)
+                step = effect.difference_step(own, value, self.at) or (
+                    CURVED_STEP if is_nonlinear(head) else EFFECT_STEP)
+            if name in special:
+                coordinates, k = special[name]
+                yield Unknown(name, value, abs(value) or float(coordinates.scale[k]),
+                              max(float(coordinates.low[k]), low),
+                              min(float(coordinates.high[k]), max(high, abs(value))),
+                              coordinates.units[k], step=step)
+            else:
+                limits = self.model.parameter(address)
+                yield Unknown(name, value, typical_size(self.model, address),
+                              max(limits.low, low), min(limits.high, max(high, abs(value))),
+                              limits.unit, step=step)
+
+    def _own_unknowns(self, run: Run, index: int) -> Iterable[Unknown]:
+        spread = float(np.std(run.output)) or 1e-9
+        speed = float(np.std(np.diff(run.output))) / run.sample_period or 1e-9
+        unit = self.model.position_unit
+        for state in self.states if run.start == "free" else ():
+            moving = state.endswith("velocity")
+            first = float(run.output[0]) if state == "position" and self.springless else 0.0
+            yield Unknown(f"initial.{state}", first, speed if moving else spread,
+                          unit=f"{unit}/s" if moving else unit, run=index)
+        usual = -1 if self.springless or self.trusted else 0
+        if self.rounded and run.trend is None and usual == 0:
+            yield Unknown("offset", 0.0, spread, unit=unit, run=index)
+        else:
+            yield from trend(run, index, usual, unit)
+        if self.push:
+            yield Unknown(self.push, 0.0, 1e-3 * self._force(run), unit="N", run=index)
+        if index > 0 or not self.free:
+            yield from self._per_run_unknowns(index)
+        if run.current is not None:
+            yield Unknown("current.gain", 1.0, 1.0, run=index)
+            yield Unknown("current.offset", 0.0, float(np.std(run.current)) or 1.0, unit="A",
+                          run=index)
+
+    def _per_run_unknowns(self, index: int) -> Iterable[Unknown]:
+        """Coordinates of effects that do not carry over from one run to the next."""
+        for use in self.model.effects:
+            names, values = self._per_run(use.name)
+            size = float(np.linalg.norm(values)) or 1e-9
+            for name, value in zip(names, values, strict=True):
+                yield Unknown(name, float(value), size, run=index)
+
+    def _per_run(self, effect: str) -> tuple[tuple[str, ...], Array]:
+        """Names and values of an effect's coordinates that differ from run to run."""
+        own, change = EFFECTS[effect].per_run, EFFECTS[effect].fit
+        values = self.model.parameters()
+        if change is not None and own == change.fitted:
+            parts = np.array([values[n] for n in absolute(effect, change.names)])
+            return absolute(effect, own), change.forward(parts)
+        return absolute(effect, own), np.array([values[n] for n in absolute(effect, own)])
+
+    def _force(self, run: Run) -> float:
+        base = self.model.base
+        return (abs(base.get("force_constant", 1.0)) * float(np.std(run.input))
+                or base["mass"] * 1e-3)
+
+    def _coordinates(self, values: Mapping[str, float]) -> Array:
+        """Parameter values as the coordinates (count,) that are fitted."""
+        found = np.array([values.get(n, 0.0) for n in self.free], dtype=float)
+        for g in self.groups:
+            at = [self.fitted.index(n) for n in g.fitted]
+            found[at] = g.forward(found[at])
+        return found
+
+    def vector(self, values: Mapping[str, float]) -> Array:
+        """The unknowns (n,) that stand for parameter `values`; the model's where one is left out,
+        and what belongs to single runs where it starts."""
+        return np.concatenate((self._coordinates({**self.model.parameters(), **values}),
+                               self.start[self.count:]))
+
+    def started(self, earlier: dict[tuple[str, int], float]) -> Array:
+        """Where a search begins (n,): the model's values, and `earlier` values of single runs."""
+        return np.array([u.start if u.run is None else earlier.get((u.name, u.run), u.start)
+                         for u in self.unknowns])
+
+    def physical(self, x: Array) -> dict[str, float]:
+        """Address -> value of the free parameters."""
+        return dict(zip(self.free, self._backward(x[None, :])[0].tolist(), strict=True))
+
+    def fitted_model(self, x: Array) -> Model:
+        """The model with the values that the unknowns `x` (n,) stand for."""
+        values = {n: v if math.isfinite(v) else 0.0 for n, v in self.physical(x).items()}
+        return self.given.with_parameters(values) if values else self.given
+
+    def locals_of(self, x: Array) -> dict[tuple[str, int], float]:
+        """(name, run) -> value of what belongs to single runs."""
+        return {(u.name, u.run): float(v) for u, v in zip(self.unknowns, x, strict=True)
+                if u.run is not None}
+
+    def _backward(self, rows: Array) -> Array:
+        """Parameter values (P, count) for rows (P, n) of unknowns."""
+        table = rows[:, :self.count].copy()
+        with np.errstate(all="ignore"):
+            for g in self.groups:
+                at = [self.fitted.index(n) for n in g.fitted]
+                table[:, at] = [g.backward(row) for row in table[:, at]]
+        return table
+
+    # -- simulation -----------------------------------------------------------------------------
+
+    def simulated(self, index: int, rows: Array, light: bool = False) -> Signals:
+        """The signals compared of one run, (P, N) each, for rows (P, n) of all unknowns; NaN rows
+        where a row cannot be simulated. `light` leaves nonlinear effects out."""
+        run = self.runs[index]
+        names, table, allowed = self._table(index, rows)
+        out = [np.full((len(rows), run.input.size), np.nan) for _ in run.measured]
+        if light:
+            kept = [k for k, n in enumerate(names) if n.partition(".")[0] not in self.nonlinear]
+            names, table = [names[k] for k in kept], table[:, kept]
+        if np.any(allowed):
+            for channel, signal in zip(out, ("output", "current"), strict=False):
+                channel[allowed] = self._run(run, names, table[allowed], signal, light)
+        for k, unknown in enumerate(self.unknowns):
+            if unknown.run == index and unknown.name == "current.gain":
+                out[1] = out[1] * rows[:, k, None] + rows[:, k + 1, None]
+        return out
+
+    def _run(self, run: Run, names: Sequence[str], table: Array, signal: str,
+             light: bool) -> Array:
+        """One signal (P, N) of one run for rows (P, m) of parameters."""
+        simulator = self.light if light else self.simulator
+        periodic = run.start == "periodic" and run.period is not None
+        driven = run.input[:run.period] if periodic else run.input
+        steps = np.zeros(len(table), dtype=np.int64)
+        try:
+            found = simulator.run_many(
+                driven, names, table, signal=signal, other=run.other, steady_state=periodic,
+                past_input=0.0 if run.start == "rest" else float(run.input[0]), partial=periodic,
+                dither=self.dither or None, steps=steps,
+                threads=1 if driven.size * len(table) < PARALLEL else None)
+        except SimulationError:
+            return np.full((len(table), run.input.size), np.nan)
+        if self.nonlinear and not light:
+            self.work += float(steps.sum())
+        return np.tile(found, (1, run.input.size // driven.size)) if periodic else found
+
+    def _table(self, index: int, rows: Array) -> tuple[list[str], Array, NDArray[np.bool_]]:
+        """Names and values (P, m) of the simulator's parameters for one run, and which rows are
+        allowed."""
+        fitted = rows.copy()
+        extra: dict[str, Array] = {}
+        for k, unknown in enumerate(self.unknowns):
+            if unknown.run != index or unknown.column is not None:
+                continue
+            if unknown.name in self.fitted:
+                fitted[:, self.fitted.index(unknown.name)] = rows[:, k]
+            elif unknown.name == "offset":
+                extra["encoder_zero"] = rows[:, k]
+            elif not unknown.name.startswith("current."):
+                extra[unknown.name] = rows[:, k]
+        for use in self.model.effects:
+            change = EFFECTS[use.name].fit
+            turned = absolute(use.name, change.fitted) if change is not None else ()
+            if change is not None and turned and all(n in extra for n in turned):
+                back = change.backward(np.array([extra.pop(n) for n in turned]))
+                extra.update(zip(absolute(use.name, change.names), back, strict=True))
+        table = self._backward(fitted)
+        if self.runs[index].start == "periodic":
+            lags = [k for k, n in enumerate(self.free) if n in self._lags]
+            table[:, lags] = np.maximum(table[:, lags],
+                                        SHORTEST_LAG * self.model.sample_period)
+        limits = [self.model.parameter(n) for n in self.free]
+        allowed = np.all(np.isfinite(table) & (table >= [p.low for p in limits])
+                         & (table <= [p.high for p in limits]), axis=1)
+        return ([*self.free, *extra],
+                np.hstack([table, *(v[:, None] for v in extra.values())]), np.asarray(allowed))
+
+    @property
+    def _lags(self) -> list[str]:
+        return [n for n, kind in late_parameters(self.model, self.free).items() if kind == "lag"]
+
+    # -- sensitivities --------------------------------------------------------------------------
+
+    def barely_nonlinear(self, x: Array) -> bool:
+        """Whether the base's sensitivities may be taken without the nonlinear effects."""
+        if not self.nonlinear:
+            return True
+        full = self.signals(0, x[None, :])[0][0]
+        light = self.signals(0, x[None, :], self._lightly)[0][0]
+        if not np.all(np.isfinite(light)):
+            return False
+        return float(np.std(full - light)) < LINEAR_SHARE * float(np.std(full))
+
+    def is_own(self, unknown: Unknown) -> bool:
+        """Whether an unknown is that of a nonlinear effect, or tied to one by its coordinates."""
+        return unknown.name.partition(".")[0] in self.nonlinear or any(
+            unknown.name in g.fitted and any(n.partition(".")[0] in self.nonlinear
+                                             for n in g.names) for g in self.groups)
+
+    def sensitivities(self, index: int, x: Array, exact: bool = True, light: bool = False,
+                      own: bool = True) -> Signals:
+        """As `Problem.sensitivities`; `light` takes those by the base without the nonlinear
+        effects, and those by the effects' own parameters only where `own`."""
+        out = self.no_slopes(index)
+        left = self.fixed(index, out)
+        apart = [k for k in left if self.is_own(self.unknowns[k])
+                 or (self.unknowns[k].name in self.fitted[:self.count]
+                 and self.unknowns[k].run is not None)]
+        rest = [k for k in left if k not in apart]
+        central = exact or not self.nonlinear
+        self.differences(index, x, rest, light or central, out,
+                         self._lightly if light else None)
+        if own or not light:
+            self.differences(index, x, apart, central, out)
+        return out
+
+    def _lightly(self, index: int, rows: Array) -> Signals:
+        """As `simulated`, without the nonlinear effects."""
+        return self.simulated(index, rows, light=True)
+
+
+def _ready(model: Model, names: Iterable[str]) -> Model:
+    """The model with absent base parameters that are to be estimated added: as zero, or as one
+    where that is what absent means."""
+    absent = {n: 1.0 if n == "force_constant" else 0.0 for n in names
+              if "." not in n and n not in model.base}
+    return model.with_parameters(absent) if absent else model
+
+
+def _is_mechanical(state: str) -> bool:
+    return state.rpartition(".")[2] in ("position", "velocity")
+
+
+def _dither(model: Model, noise: float) -> float:
+    """RMS of the noise before rounding: given, or at most a small part of the step, because what
+    rounding adds looks like noise as well."""
+    step = rounding_step(model)
+    if step is None:
+        return noise
+    return min(noise or math.inf, model.base.get("noise", 0.0) or SHARP * step)

@@ -1,0 +1,81 @@
+"""What records and model say before an effect is added: from it effects choose where to begin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SMOOTHED = 5
+"""Samples over which a reading is averaged before it is differentiated for its speed."""
+SLOWEST = 1e-3
+"""Least speed, in motions a second, and least share of the spring's force, taken as a size."""
+
+
+class Recorded(Protocol):
+    """What a run must offer: input (N,) V or A, output (N,) m, the neighbour's position (N,)."""
+
+    @property
+    def input(self) -> Array: ...
+
+    @property
+    def output(self) -> Array: ...
+
+    @property
+    def other(self) -> Array | None: ...
+
+    @property
+    def current(self) -> Array | None: ...
+
+    @property
+    def sample_period(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Sizes that occur in some runs, the runs themselves, and the base of the model.
+
+    RMS motion (m) and speed (m/s), largest motion (m), RMS input (V or A) and force (N), the
+    longest run (s), a stiffness (N/m), noise (m RMS) and sample period (s). `drive_kind` is the
+    model's: voltage or current. `frequencies` (Hz), `periods` (m) and `steps` (m) are what
+    stands out in a residual: lines over time, patterns over position, steps of the reading.
+    """
+
+    motion: float
+    speed: float
+    travel: float
+    drive: float
+    force: float
+    duration: float
+    stiffness: float
+    noise: float
+    sample_period: float
+    base: Mapping[str, float]
+    drive_kind: str
+    runs: tuple[Recorded, ...] = ()
+    frequencies: tuple[float, ...] = ()
+    periods: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, base: Mapping[str, float], drive_kind: str, runs: Sequence[Recorded],
+           noise: float) -> Conditions:
+        """Measure them on the run that moves most."""
+        run = max(runs, key=lambda r: float(np.std(r.output)))
+        motion = max(float(np.std(run.output)), noise)
+        smooth = np.convolve(run.output, np.ones(SMOOTHED) / SMOOTHED, "valid")
+        speed = max(float(np.std(np.diff(smooth))) / run.sample_period, SLOWEST * motion)
+        drive = float(np.std(run.input))
+        gain = abs(base.get("force_constant", 1.0))
+        natural = math.sqrt(base["mass"] * base.get("stiffness", 0.0))
+        stiffness = max(base.get("stiffness", 0.0), base["mass"] * (speed / motion) ** 2)
+        force = max(gain * drive, SLOWEST * stiffness * motion, SLOWEST * natural * speed)
+        return cls(motion, speed, float(np.ptp(run.output)), drive, force,
+                   max(r.input.size * r.sample_period for r in runs), stiffness, noise,
+                   run.sample_period, base, drive_kind, tuple(runs))
