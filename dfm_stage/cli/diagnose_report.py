@@ -24,7 +24,7 @@ from dfm_stage.reporting import (
 )
 
 if TYPE_CHECKING:
-    from dfm_stage.diagnosis import Diagnosis, Trace
+    from dfm_stage.diagnosis import Comparison, Diagnosis
     from dfm_stage.reporting.table import Cell
 
 Array = NDArray[np.float64]
@@ -118,8 +118,8 @@ def _effects(page: Page, found: Diagnosis) -> None:
 
 
 def _traces(page: Page, found: Diagnosis) -> None:
-    shown = [t for t in found.traces if not t.held_out][:1] + \
-        [t for t in found.traces if t.held_out][:1]
+    shown = [t for t in found.comparisons if not t.held_out][:1] + \
+        [t for t in found.comparisons if t.held_out][:1]
     if shown:
         page.section("Measured against simulated", "Nothing but initial states and offsets are "
                      "adapted on held-out records.")
@@ -134,9 +134,9 @@ def _traces(page: Page, found: Diagnosis) -> None:
 
 
 def _evidence(page: Page, found: Diagnosis) -> None:
-    if not found.traces:
+    if not found.comparisons:
         return
-    trace = found.traces[0]
+    trace = found.comparisons[0]
     page.section("Where it is", "The gap in frequency, over position and over speed, before and "
                  "after. Flat curves at the noise are what a complete model leaves.")
     page.figure(_localised(trace, found.gap.unit), f"The gap of {trace.name}, localised")
@@ -147,7 +147,7 @@ def _evidence(page: Page, found: Diagnosis) -> None:
                "What is left over by the best model, against what noise would give")
 
 
-def _localised(trace: Trace, unit: str) -> Drawing:
+def _localised(trace: Comparison, unit: str) -> Drawing:
     before, after = trace.measured - trace.before, trace.measured - trace.after
     speed = np.gradient(trace.measured, trace.sample_period)
     factor, shown = display_unit((float(np.max(np.abs(before))),), unit)

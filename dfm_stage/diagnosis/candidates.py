@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class Scales:
     noise: float
 
     @classmethod
-    def of(cls, model: Model, runs: Sequence[Experiment], noise: float) -> Scales:
+    def of(cls, model: Model, runs: Sequence[Observation], noise: float) -> Scales:
         """Measure them on the run that moves most."""
         run = max(runs, key=lambda r: float(np.std(r.output)))
         motion = max(float(np.std(run.output)), noise)
@@ -92,7 +92,7 @@ class Shape:
         return {n: v * factor for n, v in self.parameters.items() if n in names}
 
 
-def excluded(name: str, model: Model, runs: Sequence[Experiment]) -> str | None:
+def excluded(name: str, model: Model, runs: Sequence[Observation]) -> str | None:
     """Why an effect cannot be a candidate here, or None where it can."""
     if model.effect(name) is not None:
         return "the model has it already: its parameters are re-estimated"
@@ -114,7 +114,7 @@ def excluded(name: str, model: Model, runs: Sequence[Experiment]) -> str | None:
     return None
 
 
-def shapes(name: str, model: Model, runs: Sequence[Experiment], scales: Scales) -> list[Shape]:
+def shapes(name: str, model: Model, runs: Sequence[Observation], scales: Scales) -> list[Shape]:
     """Starting points of one effect; empty where the data give it no size."""
     maker = _MAKERS.get(name)
     found = _generic(name) if maker is None else maker(model, runs, scales)
@@ -187,7 +187,7 @@ def _eddy(_: Model, __: object, s: Scales) -> list[Parameters]:
             for share in (0.2, 0.6, 1.5, 4.0)]
 
 
-def _saturation(_: Model, runs: Sequence[Experiment], __: Scales) -> list[Parameters]:
+def _saturation(_: Model, runs: Sequence[Observation], __: Scales) -> list[Parameters]:
     commands = np.sort(np.concatenate([np.abs(r.input) for r in runs]))
     largest = commands[-1]
     found: list[Parameters] = []
@@ -199,7 +199,7 @@ def _saturation(_: Model, runs: Sequence[Experiment], __: Scales) -> list[Parame
     return found + [p for p in top if p["limit"] > 0.0]
 
 
-def _second_mode(_: Model, runs: Sequence[Experiment], s: Scales) -> list[Parameters]:
+def _second_mode(_: Model, runs: Sequence[Observation], s: Scales) -> list[Parameters]:
     top = 0.45 / runs[0].sample_period
     return [{"share": 1e-4, "frequency": float(hertz), "damping_ratio": zeta}
             for hertz in np.geomspace(max(0.5, 4.0 / s.duration), top, 60)
@@ -238,7 +238,7 @@ def _one(name: str, size: Callable[[Scales], float]) -> Callable[..., list[Param
     return make
 
 
-def _cross(_: Model, runs: Sequence[Experiment], s: Scales) -> list[Parameters]:
+def _cross(_: Model, runs: Sequence[Observation], s: Scales) -> list[Parameters]:
     other = max(float(np.std(r.other)) for r in runs if r.other is not None)
     return [{"ratio": 1e-3 * s.motion / max(other, 1e-12), "stiffness": 0.0}]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dfm_stage.diagnosis.candidates import LATE, Scales, late_splits, shapes
-from dfm_stage.diagnosis.experiment import Experiment
 from dfm_stage.diagnosis.fit import Fit, fit
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.system import is_costly
 from dfm_stage.diagnosis.weighting import Weight, Weights, velocity_weights, white_weights
@@ -46,7 +46,7 @@ class Fits:
     are re-estimated."""
 
     model: Model
-    runs: Sequence[Experiment]
+    runs: Sequence[Observation]
     free: Names
     fits: dict[tuple[frozenset[str], int], Fit] = field(default_factory=dict)
     weights: Weights = ()

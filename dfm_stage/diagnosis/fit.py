@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.system import System
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.identification.coordinates import to_physical
@@ -62,7 +62,7 @@ def rms(parts: Sequence[Array]) -> float:
     return math.sqrt(total / max(sum(p.size for p in parts), 1))
 
 
-def fit(model: Model, runs: Sequence[Experiment], free: Sequence[str], weights: Weights, *,
+def fit(model: Model, runs: Sequence[Observation], free: Sequence[str], weights: Weights, *,
         earlier: dict[tuple[str, int], float] | None = None, dither: float = 0.0,
         iterations: int = 25, tolerance: float = 1e-2, exact: bool = False,
         allowance: float = math.inf) -> Fit:

@@ -24,9 +24,10 @@ from dfm_stage.diagnosis.candidates import (
     Shape,
     shapes,
 )
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.decisions import STEP_GRID
 from dfm_stage.diagnosis.fit import Fit, weighted_sensitivities
-from dfm_stage.diagnosis.spectra import STEP_GRID, frequency_peaks, position_peaks, read_off
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.spectra import frequency_peaks, position_peaks, read_off
 from dfm_stage.diagnosis.system import PER_RUN, System
 from dfm_stage.diagnosis.weighting import Weights
 from dfm_stage.model import Model
@@ -63,7 +64,7 @@ class Hit:
 class Screen:
     """Screens candidates against the residual of a fit."""
 
-    def __init__(self, base: Fit, runs: Sequence[Experiment], weights: Weights,
+    def __init__(self, base: Fit, runs: Sequence[Observation], weights: Weights,
                  dither: float, linear: Model | None = None) -> None:
         """`linear` is a model that moves alike and answers for one that is slow to simulate."""
         self.base, self.runs, self.weights, self.dither = base, tuple(runs), weights, dither

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.alike import counts_in, is_no_mode, same_steps, shares_class
 from dfm_stage.diagnosis.candidates import excluded
+from dfm_stage.diagnosis.decisions import FIRST, FURTHER
 from dfm_stage.diagnosis.effect_fits import LATER, SAME_LOOP, Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
@@ -20,8 +21,6 @@ from dfm_stage.model import Model
 
 Array = NDArray[np.float64]
 
-FIRST, FURTHER = 40.0, 60.0
-"""Fall in chi-square that names a first and any further effect."""
 ENOUGH = 0.2
 """A further effect must take this share of what is left above the noise: bits are no physics."""
 MOST = 4

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.coordinates import group
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 
@@ -59,7 +59,7 @@ def is_costly(name: str) -> bool:
 class System:
     """A one-axis `model` with `free` parameter addresses on `runs`."""
 
-    def __init__(self, model: Model, runs: Sequence[Experiment], free: Sequence[str],
+    def __init__(self, model: Model, runs: Sequence[Observation], free: Sequence[str],
                  dither: float = 0.0) -> None:
         self.runs, self.free = tuple(runs), tuple(free)
         self.dither = _dither(model, dither)
@@ -160,7 +160,7 @@ class System:
             yield Place("current.gain", index, 1.0)
             yield Place("current.offset", index, float(np.std(run.current)) or 1.0)
 
-    def _force(self, run: Experiment) -> float:
+    def _force(self, run: Observation) -> float:
         base = self.model.base
         return (abs(base.get("force_constant", 1.0)) * float(np.std(run.input))
                 or base["mass"] * 1e-3)

@@ -9,18 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.decisions import HIGH_BAND, LEAK, NOISE_ORDER, NOISE_SAMPLES, PERIODS
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.noise import fit_noise, whiten
 
 Array = NDArray[np.float64]
-
-PERIODS = 2
-"""Repetitions needed to tell noise from what repeats."""
-HIGH_BAND = 0.7
-"""Share of the Nyquist frequency above which only noise is expected in a first look."""
-ORDER = 40
-LEAK = 0.98
-"""Pole of the filter that turns position into velocity, above 3 Hz at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +64,7 @@ def weights_of(residuals: Sequence[Sequence[Array]]) -> Weights:
     return tuple(tuple(_autoregression(r, "residuals") for r in parts) for parts in residuals)
 
 
-def unrepeated(run: Experiment, residual: Array) -> Array | None:
+def unrepeated(run: Observation, residual: Array) -> Array | None:
     """What does not repeat in `residual` (N - skip,), scaled to the noise; None without periods.
 
     The trend over the periods' means is left out: it is drift, not noise.
@@ -102,5 +95,5 @@ def _autoregression(residual: Array, source: str) -> Weight:
     spread = float(np.std(residual))
     if spread == 0.0:
         return Weight(np.ones(1), 1e-300, source)
-    model = fit_noise(residual, min(ORDER, residual.size // 50))
+    model = fit_noise(residual, min(NOISE_ORDER, residual.size // NOISE_SAMPLES))
     return Weight(model.polynomial, max(model.sigma, 1e-9 * spread), source)
