@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,17 @@ from dfm_stage.identification.quantity import Quantity
 Array = NDArray[np.float64]
 
 
-class DropReason(Enum):
-    """Why an effect that paid on the fitted records is not kept."""
+Which = Literal["given", "retuned", "extended"]
 
-    NOT_EXERCISED = "found in a second look, and the held-out records do not exercise it"
-    NOT_HELD_OUT = "free in each run, and held-out records do not show it"
-    SURROGATES = "does no better on held-out records than its surrogates"
-    LINE_OF_INPUT = "a vibration at a line of the input, beside a remainder"
-    AT_BOUND = "a parameter is at its bound, and without an interval"
+
+# Why an effect that paid on the fitted records is not kept.
+DropReason = Enum("DropReason", [
+    "NOT_EXERCISED",  # found in a second look, and the held-out records do not exercise it
+    "NOT_HELD_OUT",   # free in each run, and held-out records do not show it
+    "SURROGATES",     # does no better on held-out records than its surrogates
+    "LINE_OF_INPUT",  # a vibration at a line of the input, beside a remainder
+    "AT_BOUND",       # a parameter is at its bound, and without an interval
+])
 
 
 @dataclass(frozen=True)
@@ -44,16 +47,15 @@ class Errors:
 
 @dataclass(frozen=True)
 class ModelEvidence:
-    """One model against all records: what it leaves, what that looks like, and its free
-    parameters by address (`stiffness`, `creep.gain`)."""
+    """One model against all records: what it leaves, and its free parameters by address
+    (`stiffness`, `creep.gain`). `findings` are of the fitted records by name, `description` of
+    what is more than noise in them, where anything is."""
 
     fitted: Errors
     held_out: Errors
     parameters: Mapping[str, Quantity] = field(default_factory=dict)
     findings: Mapping[str, tuple[Finding, ...]] = field(default_factory=dict)
-    """Of the fitted records, by the record's name."""
     description: Description | None = None
-    """Of what is more than noise, where there is any."""
 
     @property
     def remainder(self) -> bool:
@@ -64,22 +66,26 @@ class ModelEvidence:
 @dataclass(frozen=True)
 class RivalEvidence:
     """An effect in the place of another: what it costs in chi-square, alone and with its
-    parameters paid for, and how it predicts."""
+    parameters paid for, and how it predicts.
+
+    `distance_over_noise` is the length within which it yields, for an effect that has one.
+    `margin_by_blocks` is by how much it loses on held-out blocks, in block standard errors:
+    carried, not used yet.
+    """
 
     name: str
     cost: float
     price: float
     held_out: Errors
     distance_over_noise: float = math.inf
-    """Length within which it yields, over the noise, for an effect that has one."""
     margin_by_blocks: float | None = None
-    """By how much it loses on held-out blocks, in block standard errors. Carried, not used yet."""
 
 
 @dataclass(frozen=True)
 class EffectEvidence:
     """One effect of the hypothesis: parameters, the model without it, its rivals, and whether
-    held-out records exercise it."""
+    held-out records exercise it. `predictable_share` is the share of the predictable held-out
+    power that it takes: carried, not used yet."""
 
     name: str
     parameters: Mapping[str, Quantity]
@@ -87,7 +93,6 @@ class EffectEvidence:
     rivals: tuple[RivalEvidence, ...] = ()
     exercised: bool = True
     predictable_share: float | None = None
-    """Share of the predictable held-out power that it takes. Carried, not used yet."""
 
 
 @dataclass(frozen=True)
@@ -124,25 +129,30 @@ class Offset:
 
 @dataclass(frozen=True)
 class Noise:
-    """RMS of the noise, and what it was known from."""
+    """RMS of the noise by what the best model leaves, by which it is judged and which holds a
+    remainder, too; and by what does not repeat with a periodic input, which does not."""
 
     rms: float
     source: str
+    by_periods: float | None = None
+
+    @property
+    def floor(self) -> tuple[float, str]:
+        """The noise floor that is told, and what it is known from."""
+        return (self.rms, self.source) if self.by_periods is None else (self.by_periods, "periods")
 
 
 @dataclass(frozen=True)
-class Response:
-    """One record for the report: time (s) and reading (N,), and what three models leave of it;
-    empty where a model cannot be simulated."""
+class Comparison:
+    """One record for the report: time (s) and reading (N,), and what each model leaves of it
+    (N,), those that can be simulated."""
 
     name: str
     held_out: bool
     sample_period: float
     time: Array
     measured: Array
-    given: Array
-    retuned: Array
-    extended: Array
+    left: Mapping[Which, Array]
 
 
 @dataclass(frozen=True)
@@ -171,6 +181,14 @@ class Evidence:
 
     `given` is the model as it was given, `retuned` with its own parameters re-estimated,
     `extended` with the effects of the hypothesis added; without any, that is the retuned one.
+    `base_shares` are damping, stiffness and force constant over their given values, those that
+    were free. `joint` is the RMS over fitted and held-out records of one fit to both, where that
+    was needed. `limits` are the sizes that effects would have needed to be named. `warnings` are
+    of the records themselves; `split` says that no record was held out and a part of each was
+    instead, `cut_short` that the work grew beyond its limit.
+
+    Carried, not used yet: `witness`, what the force domain says by itself (effects with shares),
+    and `conventions` of the input, one for each record.
     """
 
     records: tuple[str, ...]
@@ -182,22 +200,14 @@ class Evidence:
     extended: ModelEvidence
     effects: tuple[EffectEvidence, ...] = ()
     base_shares: Mapping[str, float] = field(default_factory=dict)
-    """Damping, stiffness and force constant over their given values, those that were free."""
     joint: tuple[float, float] | None = None
-    """RMS over fitted and held-out records of one fit to both, where that was needed."""
     offset: Offset | None = None
     library: tuple[Candidate, ...] = ()
     limits: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
-    """Size that each effect would have needed to be named."""
-    responses: tuple[Response, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
     next_experiment: Proposal | None = None
     warnings: tuple[str, ...] = ()
-    """Of the records themselves."""
     split: bool = False
-    """Whether no record was held out, and a part of each was instead."""
     cut_short: bool = False
-    """Whether the work grew beyond its limit."""
     witness: Mapping[str, float] | None = None
-    """What the force domain says by itself: effects with shares. Carried, not used yet."""
     conventions: tuple[InputConvention, ...] | None = None
-    """Of the input, one for each record. Carried, not used yet."""

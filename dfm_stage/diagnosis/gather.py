@@ -13,6 +13,7 @@ from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import STEP_GRID
 from dfm_stage.diagnosis.evidence import (
     Candidate,
+    Comparison,
     EffectEvidence,
     Errors,
     Evidence,
@@ -21,8 +22,8 @@ from dfm_stage.diagnosis.evidence import (
     Noise,
     Offset,
     Proposal,
-    Response,
     RivalEvidence,
+    Which,
 )
 from dfm_stage.diagnosis.fit import Fit, quantities, rms
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
@@ -33,11 +34,11 @@ from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verdict import needs_joint_fit, verdict
 from dfm_stage.diagnosis.verification import Prediction, joint, predict
+from dfm_stage.diagnosis.weighting import unrepeated_rms
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import EFFECTS
 
 Array = NDArray[np.float64]
-NOTHING = np.zeros(0)
 
 
 def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
@@ -55,7 +56,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
                           description=retuned.description or extended.description)
     evidence = Evidence(
-        tuple(r.name for r in runs), runs[0].unit, Noise(weight.rms, weight.source),
+        tuple(r.name for r in runs), runs[0].unit,
+        Noise(weight.rms, weight.source, unrepeated_rms(runs[0], h.fit.residuals[0][0])),
         _motion(runs, h.bare), ModelEvidence(_errors(fitted_given), _errors(given)), retuned,
         extended, tuple(_effect(trial, h, name, extended.parameters) for name in h.names),
         base_shares={n: h.fit.model.base.get(n, 1.0) / abs(search.model.base[n])
@@ -63,7 +65,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
                      if n in search.free and search.model.base.get(n, 0.0) != 0.0},
         offset=_offset(h.bare) if "force_offset" in search.library else None,
         library=tuple(_library(trial)), limits=_limits(search),
-        responses=tuple(_responses(trial, h, fitted_given, seen)), warnings=tuple(warnings),
+        comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
         split=split, cut_short=search.cut_short)
     if needs_joint_fit(evidence):
         evidence = replace(evidence, joint=joint(
@@ -197,17 +199,17 @@ def _limits(search: Search) -> dict[str, dict[str, Quantity]]:
     return found
 
 
-def _responses(trial: Trial, h: Hypothesis, fitted: Prediction,
-               held: Sequence[Prediction]) -> Iterator[Response]:
+def _comparisons(trial: Trial, h: Hypothesis, fitted: Prediction,
+                 held: Sequence[Prediction]) -> Iterator[Comparison]:
     """What the given, the retuned and the extended model leave of every record."""
-    of_fitted = (fitted.residuals, h.bare.residuals, h.fit.residuals)
-    of_held = tuple(p.residuals for p in held)
-    for runs, left, is_held in ((trial.search.runs, of_fitted, False),
-                                (trial.held, of_held, True)):
+    which: tuple[Which, ...] = ("given", "retuned", "extended")
+    for runs, residuals, is_held in (
+            (trial.search.runs, (fitted.residuals, h.bare.residuals, h.fit.residuals), False),
+            (trial.held, [p.residuals for p in held], True)):
         for i, run in enumerate(runs):
-            given, retuned, extended = (each[i][0] if each else NOTHING for each in left)
-            yield Response(run.name, is_held, run.sample_period, run.time[run.skip:],
-                           run.output[run.skip:], given, retuned, extended)
+            left = {w: each[i][0] for w, each in zip(which, residuals, strict=True) if each}
+            yield Comparison(run.name, is_held, run.sample_period, run.time[run.skip:],
+                             run.output[run.skip:], left)
 
 
 def _next(trial: Trial, h: Hypothesis, evidence: Evidence) -> Proposal | None:

@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 
 from dfm_stage.diagnosis.decisions import (
     DRIFT,
+    DRIFT_LINES,
     EXCESS,
     FLATNESS,
     LINE,
@@ -87,7 +88,7 @@ def _repeating(run: Observation, residual: Array) -> list[Finding]:
 
 def _drift(residual: Array) -> Finding:
     power = np.abs(np.fft.rfft(residual * np.hanning(residual.size))) ** 2
-    near = power[6:60] if power.size > 80 else power[3:]
+    near = power[6:60] if power.size > DRIFT_LINES else power[3:]
     slow = float(np.mean(power[:3]) / max(float(np.median(near)) / math.log(2.0), 1e-300))
     return Finding("drift", slow, DRIFT, "power at the lowest frequencies over that above them")
 

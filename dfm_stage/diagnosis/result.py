@@ -7,17 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.diagnosis import wording
-from dfm_stage.diagnosis.evidence import Evidence, Response
+from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.diagnosis.verdict import Found, Kind, Verdict
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -72,23 +67,11 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """One run for the report: time (s), measured, and simulated before and after (N,)."""
-
-    name: str
-    held_out: bool
-    sample_period: float
-    time: Array
-    measured: Array
-    before: Array
-    after: Array
-
-
-@dataclass(frozen=True)
 class Diagnosis:
     """What was found. `model` is the extended model, `next_experiment` a mapping that
     `load_experiment` takes, or None. `detection_limits` are, where nothing was found, the sizes at
-    which each effect would have been named in half of such records."""
+    which each effect would have been named in half of such records, `shown` which of the models
+    compared is the one after."""
 
     verdict: Kind
     sentence: str
@@ -103,6 +86,7 @@ class Diagnosis:
     findings: Mapping[str, Sequence[Finding]] = field(default_factory=dict)
     detection_limits: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     comparisons: tuple[Comparison, ...] = ()
+    shown: Which = "given"
     seconds: float = 0.0
 
     @property
@@ -131,13 +115,11 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
     """Put evidence and verdict together; `model` is the one to go on with."""
     shown = e.extended if v.shown == "extended" else e.retuned
     effects = tuple(_named(e, found) for found in v.effects)
-    gap = Gap(e.unit, e.noise.rms, e.noise.source,
+    gap = Gap(e.unit, *e.noise.floor,
               (e.given.fitted.rms, e.retuned.fitted.rms, shown.fitted.rms),
               (e.given.held_out.rms, e.retuned.held_out.rms, shown.held_out.rms))
     rejected = (Rejected(r.name, r.held_out_rms, wording.rejection(r)) for r in v.rejected)
     proposal = e.next_experiment
-    compared = (_comparison(r, r.extended if v.shown == "extended" else r.retuned)
-                for r in e.responses)
     return Diagnosis(
         v.kind, wording.sentence(e, v), effects,
         {n: q for n, q in shown.parameters.items() if "." not in n}, tuple(rejected), gap,
@@ -145,7 +127,7 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
         None if proposal is None else wording.experiment(proposal), wording.warnings(e, v),
         _signed(model, effects, e.records), shown.findings,
         e.limits if v.kind in ("none", "not_excited", "retune") else {},
-        tuple(c for c in compared if c is not None))
+        e.comparisons, v.shown)
 
 
 def _named(e: Evidence, found: Found) -> NamedEffect:
@@ -168,15 +150,6 @@ def _signed(model: Model, effects: Sequence[NamedEffect], records: Sequence[str]
             model = model.with_effect(e.name, dict(use.parameters),
                                       {"diagnosed_from": list(records), "ci95": intervals})
     return model
-
-
-def _comparison(r: Response, after: Array) -> Comparison | None:
-    """None where a model cannot be simulated on a held-out record."""
-    if after.size == 0 or (r.held_out and r.given.size == 0):
-        return None
-    before = r.given if r.given.size else np.zeros(r.measured.size)
-    return Comparison(r.name, r.held_out, r.sample_period, r.time, r.measured,
-                      r.measured - before, r.measured - after)
 
 
 def _number(value: float | None) -> float | None:

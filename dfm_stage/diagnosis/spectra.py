@@ -10,7 +10,9 @@ from scipy.signal import butter, sosfiltfilt, welch
 
 from dfm_stage.diagnosis.decisions import (
     COARSER,
+    FEWEST_LEVELS,
     FILTER_HIGHEST,
+    FINEST_PATTERN,
     GAP_LEAST,
     LATTICE_MISS,
     MOTION_ABOVE,
@@ -51,7 +53,7 @@ def position_peaks(positions: Sequence[Array], residuals: Sequence[Array], count
     power = np.abs(np.fft.rfft(bins, 4 * BINS)) ** 2
     turns = np.arange(power.size) / (4.0 * travel * BINS / (BINS - 1))
     power[turns < cycles / travel] = 0.0
-    power[turns > 0.2 * BINS / travel] = 0.0
+    power[turns > FINEST_PATTERN * BINS / travel] = 0.0
     return [float(1.0 / turns[k]) for k in _peaks(power, 8, count) if power[k] > 0.0]
 
 
@@ -77,7 +79,7 @@ def lattice(values: Array) -> float | None:
     so that the larger ones are counted in steps without a slip.
     """
     levels = np.unique(values)
-    if levels.size < 3 or levels.size > values.size // 2:
+    if levels.size < FEWEST_LEVELS or levels.size > values.size // 2:
         return None
     gaps = np.diff(levels)
     gaps = gaps[gaps > GAP_LEAST * float(np.max(gaps))]

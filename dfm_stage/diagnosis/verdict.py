@@ -31,75 +31,65 @@ from dfm_stage.diagnosis.evidence import (
     EffectEvidence,
     Evidence,
     RivalEvidence,
+    Which,
 )
 
 Kind = Literal["none", "retune", "named", "ambiguous", "unknown", "not_excited"]
-Which = Literal["given", "retuned", "extended"]
 
 
-class Reason(Enum):
-    """The rule that decided."""
-
-    # the effects stand
-    GROSS_GAP = "they take most of a gross gap"
-    AT_FLOOR = "with them held-out records are predicted to the noise floor"
-    JOINT_FIT = "one set of values brings fitted and held-out records to the noise floor"
-    # the effects fall
-    BARELY_FITTED = "held-out records do not exercise them, and the fitted ones show little"
-    NOT_HELD_OUT = "they lower the fitted gap, not the held-out one"
-    NEAR = "they come near, but leave more than noise"
-    ABOVE_FLOOR = "they explain the fitted records, but not the held-out ones"
-    # there are none
-    REMAINDER = "more than noise is left, and no effect explains it"
-    REST = "the stage hardly moves above its noise"
-    OFFSET = "a constant that may be a force or an encoder zero"
-    RETUNED = "new values of the base parameters close the gap"
-    NOISE = "what is left is noise"
-
-
-class DoubtKind(Enum):
-    """What a reader must know of the effects beside the verdict."""
-
-    NOT_EXERCISED = "held-out records do not exercise them"
-    NOT_HELD_OUT = "they do not lower the held-out gap"
-    NEAR = "they leave more than noise"
-    AS_FAR_AS_KNOWN = "predicted as far as the parameters are known"
-    ABOVE_FLOOR = "held-out records are not explained"
+# The rule that decided.
+Reason = Enum("Reason", [
+    # the effects stand:
+    "GROSS_GAP",      # they take most of a gross gap
+    "AT_FLOOR",       # with them held-out records are predicted to the noise floor
+    "JOINT_FIT",      # one set of values brings fitted and held-out records to the noise floor
+    # the effects fall:
+    "BARELY_FITTED",  # held-out records do not exercise them, and the fitted ones show little
+    "NOT_HELD_OUT",   # they lower the fitted gap, not the held-out one
+    "NEAR",           # they come near, but leave more than noise
+    "ABOVE_FLOOR",    # they explain the fitted records, but not the held-out ones
+    # beside the effects:
+    "NOT_EXERCISED",  # held-out records do not exercise them
+    # there are none:
+    "REMAINDER",      # more than noise is left, and no effect explains it
+    "REST",           # the stage hardly moves above its noise
+    "OFFSET",         # a constant that may be a force or an encoder zero
+    "RETUNED",        # new values of the base parameters close the gap
+    "NOISE",          # what is left is noise
+])
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """A doubt about effects; `ratio` is the held-out RMS over the noise floor."""
+    """What a reader must know of effects beside the verdict; `ratio` is the held-out RMS over the
+    noise."""
 
-    kind: DoubtKind
+    reason: Reason
     names: tuple[str, ...]
     ratio: float = math.nan
 
 
-class RejectionKind(Enum):
-    """Why an effect of the library is not named."""
-
-    RIVAL = "another one in its place fits better"
-    EXCLUDED = "it is no candidate here"
-    DROPPED = "it failed a test"
-    NOT_HELD_OUT = "it is in the hypothesis, which did not pass"
-    NO_RESPONSE = "the data show none of it"
-    SHARE = "it could take but a share of the gap"
-    BELOW_LIMIT = "chi-square falls by less than the limit"
+# Why an effect of the library is not named, where it was not dropped.
+Rejected = Enum("Rejected", [
+    "RIVAL",          # another one in its place fits better
+    "EXCLUDED",       # it is no candidate here
+    "NOT_HELD_OUT",   # it is in the hypothesis, which did not pass
+    "NO_RESPONSE",    # the data show none of it
+    "SHARE",          # it could take but a share of the gap
+    "BELOW_LIMIT",    # chi-square falls by less than the limit
+])
 
 
 @dataclass(frozen=True)
 class Rejection:
-    """An effect that is not named. `value` is the cost in the place of `rival_of`, the share or
-    the fall in chi-square that its kind speaks of."""
+    """An effect that is not named. `value` is the cost, the share or the fall in chi-square that
+    its reason speaks of, `about` the effect that it would replace, or what excludes it."""
 
     name: str
-    kind: RejectionKind
+    reason: Rejected | DropReason
     value: float = math.nan
+    about: str = ""
     held_out_rms: float | None = None
-    rival_of: str = ""
-    dropped: DropReason | None = None
-    excluded: str = ""
 
 
 @dataclass(frozen=True)
@@ -173,26 +163,26 @@ def judge_hypothesis(e: Evidence) -> Outcome:
     if not names:
         return Outcome(False, Reason.NOISE)
     idle = tuple(x.name for x in e.effects if not x.exercised)
-    doubts = (Doubt(DoubtKind.NOT_EXERCISED, idle),) if idle else ()
+    doubts = (Doubt(Reason.NOT_EXERCISED, idle),) if idle else ()
     if idle and e.retuned.fitted.chi2 - e.extended.fitted.chi2 < 2.0 * FIRST:
         return Outcome(False, Reason.BARELY_FITTED, doubts)
     allowed = NOT_EXERCISED if idle else 0.0
     if not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed:
-        return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(DoubtKind.NOT_HELD_OUT, names),))
+        return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
     if _takes_most_of_a_gross_gap(e) and not _base_at_zero(e):
         return Outcome(True, Reason.GROSS_GAP, doubts)
     if e.extended.remainder:
-        return Outcome(False, Reason.NEAR, (Doubt(DoubtKind.NEAR, names),))
+        return Outcome(False, Reason.NEAR, (Doubt(Reason.NEAR, names),))
     limit = HELD_OUT_FLOOR * e.noise.rms
     if e.extended.held_out.rms <= limit:
         return Outcome(True, Reason.AT_FLOOR, doubts)
     ratio = e.extended.held_out.rms / e.noise.rms
     if e.joint is not None and e.joint[1] <= limit and (
             e.joint[0] <= JOINT_LOSS * e.extended.fitted.rms):
-        known = Doubt(DoubtKind.AS_FAR_AS_KNOWN, names, ratio)
+        known = Doubt(Reason.JOINT_FIT, names, ratio)
         return Outcome(True, Reason.JOINT_FIT, (*doubts, known))
     return Outcome(False, Reason.ABOVE_FLOOR,
-                   (*doubts, Doubt(DoubtKind.ABOVE_FLOOR, names, ratio)))
+                   (*doubts, Doubt(Reason.ABOVE_FLOOR, names, ratio)))
 
 
 def needs_joint_fit(e: Evidence) -> bool:
@@ -262,8 +252,8 @@ def _rejected(e: Evidence, named: set[str]) -> Iterator[Rejection]:
         for rival in effect.rivals:
             if rival.name not in named:
                 told.add(rival.name)
-                yield Rejection(rival.name, RejectionKind.RIVAL, rival.cost, rival.held_out.rms,
-                                rival_of=effect.name)
+                yield Rejection(rival.name, Rejected.RIVAL, rival.cost, effect.name,
+                                rival.held_out.rms)
     above = max(e.retuned.fitted.chi2 - e.retuned.fitted.count, 1.0)
     fitted = {x.name for x in e.effects}
     for candidate in e.library:
@@ -274,13 +264,13 @@ def _rejected(e: Evidence, named: set[str]) -> Iterator[Rejection]:
 def _not_named(c: Candidate, fitted: bool, above: float) -> Rejection:
     """Why a candidate is not named where chi-square is `above` the noise by so much."""
     if c.excluded is not None:
-        return Rejection(c.name, RejectionKind.EXCLUDED, excluded=c.excluded)
+        return Rejection(c.name, Rejected.EXCLUDED, about=c.excluded)
     if c.dropped is not None:
-        return Rejection(c.name, RejectionKind.DROPPED, dropped=c.dropped)
+        return Rejection(c.name, c.dropped)
     if fitted:
-        return Rejection(c.name, RejectionKind.NOT_HELD_OUT)
+        return Rejection(c.name, Rejected.NOT_HELD_OUT)
     if c.gain is None or c.gain <= 0.0:
-        return Rejection(c.name, RejectionKind.NO_RESPONSE)
+        return Rejection(c.name, Rejected.NO_RESPONSE)
     if above > FIRST and c.gain > FIRST:
-        return Rejection(c.name, RejectionKind.SHARE, min(c.gain / above, 1.0))
-    return Rejection(c.name, RejectionKind.BELOW_LIMIT, c.gain)
+        return Rejection(c.name, Rejected.SHARE, min(c.gain / above, 1.0))
+    return Rejection(c.name, Rejected.BELOW_LIMIT, c.gain)

@@ -64,20 +64,20 @@ def weights_of(residuals: Sequence[Sequence[Array]]) -> Weights:
     return tuple(tuple(_autoregression(r, "residuals") for r in parts) for parts in residuals)
 
 
-def unrepeated(run: Observation, residual: Array) -> Array | None:
-    """What does not repeat in `residual` (N - skip,), scaled to the noise; None without periods.
+def unrepeated_rms(run: Observation, residual: Array) -> float | None:
+    """RMS of what does not repeat with the input in `residual` (N - skip,): noise, whatever the
+    model leaves. None without periods.
 
-    The trend over the periods' means is left out: it is drift, not noise.
+    The means of the periods are left out: how they move is drift, not noise.
     """
     found = run.periodicity
-    if found is None:
-        return None
-    count = residual.size // found.period
-    if count < PERIODS:
+    count = 0 if found is None else min(residual.size // found.period, found.count)
+    if found is None or count < PERIODS:
         return None
     rows = residual[residual.size - count * found.period:].reshape(count, found.period)
-    apart = (rows - rows.mean(axis=0)) * np.sqrt(count / (count - 1.0))
-    return np.asarray((apart - apart.mean(axis=1, keepdims=True)).ravel())
+    apart = rows - rows.mean(axis=0)
+    apart -= apart.mean(axis=1, keepdims=True)
+    return float(np.sqrt(np.mean(apart**2) * count / (count - 1.0)))
 
 
 def high_band_rms(residual: Array) -> float:

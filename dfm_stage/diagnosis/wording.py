@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, MARGIN
 from dfm_stage.diagnosis.evidence import DropReason, Evidence, Proposal
-from dfm_stage.diagnosis.verdict import (
-    Doubt,
-    DoubtKind,
-    Found,
-    Rejection,
-    RejectionKind,
-    Verdict,
-)
+from dfm_stage.diagnosis.verdict import Found, Reason, Rejected, Rejection, Verdict
 from dfm_stage.model import EFFECTS
 
 SENTENCES = {
@@ -32,33 +25,31 @@ SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHAR
 CUT_SHORT = ("candidates that are slow to simulate were not all tried: the work grew beyond its "
              "limit; diagnose shorter records or fewer effects (--without)")
 DOUBTS = {
-    DoubtKind.NOT_EXERCISED: "the held-out records do not exercise {names}: what is said of it "
+    Reason.NOT_EXERCISED: "the held-out records do not exercise {names}: what is said of it "
     "rests on the fitted records",
-    DoubtKind.NOT_HELD_OUT: "{names}: lowers the fitted gap, not the held-out one",
-    DoubtKind.NEAR: "{names}: comes near, but leaves more than noise",
-    DoubtKind.AS_FAR_AS_KNOWN: "held-out data are predicted at {ratio:.1f} times the noise "
+    Reason.NOT_HELD_OUT: "{names}: lowers the fitted gap, not the held-out one",
+    Reason.NEAR: "{names}: comes near, but leaves more than noise",
+    Reason.JOINT_FIT: "held-out data are predicted at {ratio:.1f} times the noise "
     "floor, as far as the parameters are known",
-    DoubtKind.ABOVE_FLOOR: "{names}: explains the fitted records, but not the held-out ones"}
-DROPPED = {
+    Reason.ABOVE_FLOOR: "{names}: explains the fitted records, but not the held-out ones"}
+REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.NOT_EXERCISED: "found second, and the held-out records do not exercise it",
     DropReason.NOT_HELD_OUT: "is not in the held-out data",
     DropReason.SURROGATES: "lowers the held-out error no more than when shifted",
     DropReason.LINE_OF_INPUT: "stands at a line of the input, as the model's own error does",
-    DropReason.AT_BOUND: "its parameters run to the edge of their range"}
-REJECTED = {
-    RejectionKind.RIVAL: "in place of {rival_of}: chi-square {value:+.0f}",
-    RejectionKind.EXCLUDED: "{excluded}",
-    RejectionKind.DROPPED: "{dropped}",
-    RejectionKind.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
-    RejectionKind.NO_RESPONSE: "no response that the data show",
-    RejectionKind.SHARE: "could take {value:.0%} of the gap at best",
-    RejectionKind.BELOW_LIMIT: f"chi-square falls by {{value:.0f}}, below the limit {FIRST:g}"}
+    DropReason.AT_BOUND: "its parameters run to the edge of their range",
+    Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
+    Rejected.EXCLUDED: "{about}",
+    Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
+    Rejected.NO_RESPONSE: "no response that the data show",
+    Rejected.SHARE: "could take {value:.0%} of the gap at best",
+    Rejected.BELOW_LIMIT: f"chi-square falls by {{value:.0f}}, below the limit {FIRST:g}"}
 
 
 def sentence(e: Evidence, v: Verdict) -> str:
     """The verdict in one sentence."""
     if v.kind == "named":
-        ratio = e.extended.held_out.rms / max(e.noise.rms, 1e-300)
+        ratio = e.extended.held_out.rms / max(e.noise.floor[0], 1e-300)
         tail = "; a remainder stays" if v.remainder else ""
         return (f"The model lacks {_listed([f.name for f in v.effects])}: with it the held-out "
                 f"gap falls to {ratio:.2f} times the noise floor{tail}.")
@@ -87,18 +78,13 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
 def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
     """What a reader must know beside the verdict."""
     return (*e.warnings, *([SPLIT] if e.split else []), *([CUT_SHORT] if e.cut_short else []),
-            *map(_doubt, v.doubts))
-
-
-def _doubt(doubt: Doubt) -> str:
-    return DOUBTS[doubt.kind].format(names=" and ".join(doubt.names), ratio=doubt.ratio)
+            *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
+              for d in v.doubts))
 
 
 def rejection(r: Rejection) -> str:
     """Why an effect is not named."""
-    dropped = DROPPED[r.dropped] if r.dropped is not None else ""
-    return REJECTED[r.kind].format(rival_of=r.rival_of, value=r.value, excluded=r.excluded,
-                                   dropped=dropped)
+    return REJECTED[r.reason].format(value=r.value, about=r.about)
 
 
 def experiment(proposal: Proposal) -> dict[str, Any]:

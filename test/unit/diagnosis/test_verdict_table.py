@@ -27,9 +27,8 @@ from dfm_stage.diagnosis.evidence import (
 )
 from dfm_stage.diagnosis.remainder import Finding
 from dfm_stage.diagnosis.verdict import (
-    DoubtKind,
     Reason,
-    RejectionKind,
+    Rejected,
     needs_joint_fit,
     verdict,
 )
@@ -270,16 +269,16 @@ def test_classes_stand_with_their_effects_and_only_open_ones_are_undecided():
 @pytest.mark.parametrize(("met", "doubts"), [
     ("Coulomb friction, clear", []),
     ("held-out records do not exercise it, the fitted ones show it well",
-     [DoubtKind.NOT_EXERCISED]),
+     [Reason.NOT_EXERCISED]),
     ("held-out records do not exercise it, the fitted ones show little",
-     [DoubtKind.NOT_EXERCISED]),
-    ("lowers the fitted gap, not the held-out one", [DoubtKind.NOT_HELD_OUT]),
-    ("comes near, but a line is left", [DoubtKind.NEAR]),
+     [Reason.NOT_EXERCISED]),
+    ("lowers the fitted gap, not the held-out one", [Reason.NOT_HELD_OUT]),
+    ("comes near, but a line is left", [Reason.NEAR]),
     ("held out above the floor, but as far as the parameters are known",
-     [DoubtKind.AS_FAR_AS_KNOWN]),
-    ("values that serve both leave the held-out gap open", [DoubtKind.ABOVE_FLOOR])])
+     [Reason.JOINT_FIT]),
+    ("values that serve both leave the held-out gap open", [Reason.ABOVE_FLOOR])])
 def test_the_doubts_beside_the_verdict_where(met, doubts):
-    assert [d.kind for d in verdict(ROWS[met][0]).doubts] == doubts
+    assert [d.reason for d in verdict(ROWS[met][0]).doubts] == doubts
 
 
 def test_without_effects_there_is_nothing_to_doubt():
@@ -311,17 +310,17 @@ def test_an_effect_takes_its_share_of_the_gap_above_the_noise():
 
 
 @pytest.mark.parametrize(("candidate", "kind", "value"), [
-    (Candidate("creep", excluded="needs something"), RejectionKind.EXCLUDED, math.nan),
-    (Candidate("creep", gain=90.0, dropped=DropReason.AT_BOUND), RejectionKind.DROPPED,
+    (Candidate("creep", excluded="needs something"), Rejected.EXCLUDED, math.nan),
+    (Candidate("creep", gain=90.0, dropped=DropReason.AT_BOUND), DropReason.AT_BOUND,
      math.nan),
-    (Candidate("creep"), RejectionKind.NO_RESPONSE, math.nan),
-    (Candidate("creep", gain=-3.0), RejectionKind.NO_RESPONSE, math.nan),
-    (Candidate("creep", gain=39.0), RejectionKind.BELOW_LIMIT, 39.0),
-    (Candidate("creep", gain=250_000.0), RejectionKind.SHARE, 0.25),
-    (Candidate("creep", gain=2e6), RejectionKind.SHARE, 1.0)])
+    (Candidate("creep"), Rejected.NO_RESPONSE, math.nan),
+    (Candidate("creep", gain=-3.0), Rejected.NO_RESPONSE, math.nan),
+    (Candidate("creep", gain=39.0), Rejected.BELOW_LIMIT, 39.0),
+    (Candidate("creep", gain=250_000.0), Rejected.SHARE, 0.25),
+    (Candidate("creep", gain=2e6), Rejected.SHARE, 1.0)])
 def test_an_effect_of_the_library_is_rejected_with_its_reason(candidate, kind, value):
     (only,) = verdict(case(CLEAR, CLEAR, library=(candidate,))).rejected
-    assert (only.name, only.kind) == ("creep", kind)
+    assert (only.name, only.reason) == ("creep", kind)
     assert only.value == pytest.approx(value, nan_ok=True)
 
 
@@ -330,6 +329,6 @@ def test_rivals_are_rejected_once_and_what_did_not_pass_says_so():
         4e-7, remainder=True), library=(Candidate("presliding_friction", gain=1.0),
                                         Candidate("hysteresis", gain=1.0)))
     first, second = verdict(e).rejected
-    assert (first.name, first.kind, first.rival_of) == (
-        "presliding_friction", RejectionKind.RIVAL, "hysteresis")
-    assert (second.name, second.kind) == ("hysteresis", RejectionKind.NOT_HELD_OUT)
+    assert (first.name, first.reason, first.about) == (
+        "presliding_friction", Rejected.RIVAL, "hysteresis")
+    assert (second.name, second.reason) == ("hysteresis", Rejected.NOT_HELD_OUT)
