@@ -142,7 +142,7 @@ def _coloured(rng: np.random.Generator, index: int) -> Array:
 
 def covered(job: tuple[Array, Array, dict[str, float]]) -> tuple[list[bool], str]:
     """Estimate from one record; return per parameter whether its interval holds the truth."""
-    from dfm_stage.identification.model_fit import Run, fit_model
+    from dfm_stage.identification import Run, fit_model
     from dfm_stage.model import Model
 
     inputs, outputs, truth = job

@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dfm_stage.cli.colour import Tone, paint
 from dfm_stage.cli.command import (
@@ -41,34 +41,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run_command(lambda: _diagnose(options))
 
 
+OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("runs", {"nargs": "+", "metavar": "RUN",
+              "help": "bag folder, .mcap, .csv, .npz or .mat; several are fitted together"}),
+    ("--model", {"required": True, "metavar": "FILE",
+                 "help": "the model that should explain them: model.yaml or a name in "
+                 "config/models"}),
+    ("--holdout", {"action": "append", "default": [], "metavar": "RUN",
+                   "help": "a record to predict and never to fit, best of another kind; without "
+                   "one, the last 30 %% of each record"}),
+    ("--out", {"default": "diagnosed", "metavar": "DIR",
+               "help": "folder for diagnosis.json, model.yaml, report.html and "
+               "next_experiment.yaml (default: %(default)s)"}),
+    ("--axis", {"metavar": "NAME", "help": "axis, where a record has several"}),
+    *((name, {"action": "append", "default": [], "metavar": "NAME[,NAME]", "help": words})
+      for name, words in (
+          ("--library", "effects that may be named (default: all)"),
+          ("--without", "effects that may not be named"),
+          ("--free", "re-estimate these as well, for instance mass"),
+          ("--fix", "hold these at the model's values"))),
+    ("--run", {"metavar": "STAGE",
+               "help": "perform the next experiment on the node graph, with this model.yaml as "
+               "the stage, and diagnose again with the new bag"}),
+    ("--rounds", {"type": int, "default": 1, "metavar": "N",
+                  "help": "how often --run does so (default: %(default)s)"}),
+    ("--seed", {"type": int, "default": 0, "help": "fixes what is shuffled (default: 0)"}))
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("diagnose", __doc__, EPILOG)
-    parser.add_argument("runs", nargs="+", metavar="RUN",
-                        help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together")
-    parser.add_argument("--model", required=True, metavar="FILE",
-                        help="the model that should explain them: model.yaml or a name in "
-                        "config/models")
-    parser.add_argument("--holdout", action="append", default=[], metavar="RUN",
-                        help="a record to predict and never to fit, best of another kind; without "
-                        "one, the last 30 %% of each record")
-    parser.add_argument("--out", default="diagnosed", metavar="DIR",
-                        help="folder for diagnosis.json, model.yaml, report.html and "
-                        "next_experiment.yaml (default: %(default)s)")
-    parser.add_argument("--axis", metavar="NAME", help="axis, where a record has several")
-    parser.add_argument("--library", action="append", default=[], metavar="NAME[,NAME]",
-                        help="effects that may be named (default: all)")
-    parser.add_argument("--without", action="append", default=[], metavar="NAME[,NAME]",
-                        help="effects that may not be named")
-    parser.add_argument("--free", action="append", default=[], metavar="NAME[,NAME]",
-                        help="re-estimate these as well, for instance mass")
-    parser.add_argument("--fix", action="append", default=[], metavar="NAME[,NAME]",
-                        help="hold these at the model's values")
-    parser.add_argument("--run", metavar="STAGE",
-                        help="perform the next experiment on the node graph, with this model.yaml "
-                        "as the stage, and diagnose again with the new bag")
-    parser.add_argument("--rounds", type=int, default=1, metavar="N",
-                        help="how often --run does so (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="fixes what is shuffled (default: 0)")
+    for name, settings in OPTIONS:
+        parser.add_argument(name, **settings)
     add_column_options(parser)
     parser.add_argument("--json", action="store_true", help="print diagnosis.json, nothing else")
     parser.add_argument("--no-report", action="store_true", help="do not write report.html")
@@ -82,8 +85,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     out = output_folder(options.out)
     fitted, held = list(options.runs), list(options.holdout)
     found = _once(options, model, fitted, held, out)
-    rounds = options.rounds if options.run else 0
-    for number in range(1, rounds + 1):
+    for number in range(1, options.rounds + 1 if options.run else 0):
         if found.next_experiment is None:
             break
         bag = out / f"round_{number}"
@@ -142,8 +144,7 @@ def _next(found: Diagnosis, path: Path) -> None:
     from ruamel.yaml import YAML
 
     text = StringIO()
-    yaml = YAML()
-    yaml.dump(dict(found.next_experiment), text)
+    YAML().dump(dict(found.next_experiment), text)
     write_output(path, text.getvalue())
 
 

@@ -24,12 +24,10 @@ from dfm_stage.reporting import (
 )
 
 if TYPE_CHECKING:
-    from dfm_stage.diagnosis import Diagnosis, Trace
+    from dfm_stage.diagnosis import Comparison, Diagnosis
     from dfm_stage.reporting.table import Cell
 
 Array = NDArray[np.float64]
-WORDS = {"none": "nothing missing", "retune": "retune", "named": "named",
-         "ambiguous": "ambiguous", "unknown": "unknown", "not_excited": "not excited"}
 BINS = 40
 NO_GAP = 1.5
 
@@ -43,15 +41,12 @@ def write_report(found: Diagnosis, path: Path, records: Sequence[str], model: st
         If the folder cannot be written.
     """
     page = Page("Diagnosis")
-    page.lead(found.sentence, WORDS[found.verdict], TONES[found.verdict])
+    page.lead(found.sentence, "nothing missing" if found.verdict == "none" else
+              found.verdict.replace("_", " "), TONES[found.verdict])
     for warning in found.warnings:
         page.note(warning)
-    _gap(page, found)
-    _effects(page, found)
-    _traces(page, found)
-    _evidence(page, found)
-    _rejected(page, found)
-    _next(page, found)
+    for section in (_gap, _effects, _simulated, _evidence, _rejected, _next):
+        section(page, found)
     page.provenance({"Records": ", ".join(records), "Model": model,
                      "Sample period": format_quantity(found.model.sample_period, "s"),
                      "Time taken": f"{found.seconds:.0f} s"})
@@ -117,47 +112,50 @@ def _effects(page: Page, found: Diagnosis) -> None:
                [[n, Quantity(q.value, q.unit, q.ci95)] for n, q in found.base.items()])
 
 
-def _traces(page: Page, found: Diagnosis) -> None:
-    shown = [t for t in found.traces if not t.held_out][:1] + \
-        [t for t in found.traces if t.held_out][:1]
+def _compared(found: Diagnosis, held_out: bool) -> list[tuple[Comparison, Array, Array]]:
+    """Records with what the model leaves of them, given and as answered (N,)."""
+    return [(c, c.left["given"], c.left[found.shown]) for c in found.comparisons
+            if c.held_out == held_out and {"given", found.shown} <= set(c.left)]
+
+
+def _simulated(page: Page, found: Diagnosis) -> None:
+    shown = [*_compared(found, False)[:1], *_compared(found, True)[:1]]
     if shown:
         page.section("Measured against simulated", "Nothing but initial states and offsets are "
                      "adapted on held-out records.")
-    for trace in shown:
-        kind = "held out" if trace.held_out else "fitted"
-        page.figure(time_figure(trace.time, [
-            ("position", found.gap.unit, {"measured": trace.measured, "before": trace.before,
-                                          "after": trace.after}),
-            ("left before", found.gap.unit, {"before": trace.measured - trace.before}),
-            ("left after", found.gap.unit, {"after": trace.measured - trace.after})]),
-            f"{trace.name} ({kind}): position, and what is left over before and after")
+    for run, before, after in shown:
+        page.figure(time_figure(run.time, [
+            ("position", found.gap.unit, {
+                "measured": run.measured, "before": run.measured - before,
+                "after": run.measured - after}),
+            ("left before", found.gap.unit, {"before": before}),
+            ("left after", found.gap.unit, {"after": after})]),
+            f"{run.name} ({'held out' if run.held_out else 'fitted'}): position, and what is left "
+            "over before and after")
 
 
 def _evidence(page: Page, found: Diagnosis) -> None:
-    if not found.traces:
-        return
-    trace = found.traces[0]
-    page.section("Where it is", "The gap in frequency, over position and over speed, before and "
-                 "after. Flat curves at the noise are what a complete model leaves.")
-    page.figure(_localised(trace, found.gap.unit), f"The gap of {trace.name}, localised")
-    rows: list[list[Cell]] = [
-        [name, f.name.replace("_", " "), f.value, f.limit, "real" if f.real else "noise", f.text]
-        for name, each in found.findings.items() for f in each]
-    page.table(("record", "finding", "value", "limit", "", "meaning"), rows,
-               "What is left over by the best model, against what noise would give")
+    for run, before, after in _compared(found, False)[:1]:
+        page.section("Where it is", "The gap in frequency, over position and over speed, before "
+                     "and after. Flat curves at the noise are what a complete model leaves.")
+        page.figure(_localised(run, before, after, found.gap.unit),
+                    f"The gap of {run.name}, localised")
+        page.table(("record", "finding", "value", "limit", "", "meaning"), [
+            [name, f.name.replace("_", " "), f.value, f.limit, "real" if f.real else "noise",
+             f.text] for name, each in found.findings.items() for f in each],
+            "What is left over by the best model, against what noise would give")
 
 
-def _localised(trace: Trace, unit: str) -> Drawing:
-    before, after = trace.measured - trace.before, trace.measured - trace.after
-    speed = np.gradient(trace.measured, trace.sample_period)
+def _localised(run: Comparison, before: Array, after: Array, unit: str) -> Drawing:
+    speed = np.gradient(run.measured, run.sample_period)
     factor, shown = display_unit((float(np.max(np.abs(before))),), unit)
     abscissae = [(signal, *display_unit((float(np.max(np.abs(signal))),), its)) for signal, its in
-                 ((trace.measured, unit), (speed, f"{unit}/s"))]
+                 ((run.measured, unit), (speed, f"{unit}/s"))]
     figure, axes = new_figure(3, 5.6, squeeze=False)
     rows: list[list[Cell]] = []
     with page_style():
         for label, left, colour in (("before", before, "C0"), ("after", after, "C1")):
-            hertz, power = welch(left, 1.0 / trace.sample_period,
+            hertz, power = welch(left, 1.0 / run.sample_period,
                                  nperseg=min(4096, left.size // 2))
             axes[0, 0].loglog(hertz[1:], np.sqrt(power[1:]) * factor, color=colour, label=label)
             for row, (along, scale, _) in enumerate(abscissae, 1):
@@ -206,8 +204,8 @@ def _next(page: Page, found: Diagnosis) -> None:
     if found.next_experiment is None:
         return
     page.section("The next experiment", str(found.next_experiment.get("description", "")))
-    settings = found.next_experiment["axes"]["x"]["excitation"]
     page.table(("setting", "value"), [
         ["duration (s)", float(found.next_experiment["duration_s"])],
-        *([k, v if isinstance(v, (str, bool)) else float(v)] for k, v in settings.items())],
+        *([k, v if isinstance(v, (str, bool)) else float(v)] for k, v in
+          found.next_experiment["axes"]["x"]["excitation"].items())],
         "next_experiment.yaml, as the trajectory generator and diagnose --run take it")

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dfm_stage.diagnosis.decisions import AT_END
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.model import EFFECTS, Model
-
-AT_END = 0.999
-"""Share of the upper end of its range beyond which a parameter is at it."""
 
 
 def at_upper_end(found: Fit, names: Sequence[str]) -> bool:

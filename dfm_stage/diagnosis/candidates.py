@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
+from dfm_stage.diagnosis.decisions import MOST_TO_ONE
 from dfm_stage.identification.coordinates import late_parameters
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import Parameters
-
-MOST_TO_ONE = 0.9
-"""Share of the whole lateness that is given to one parameter when it is shared out anew."""
 
 
 def excluded(name: str, model: Model, at: Conditions) -> str | None:

@@ -9,8 +9,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dfm_stage.diagnosis.candidates import late_splits, starts
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.decisions import (
+    AROUND_STEPS,
+    MOST_STEPS,
+    NOISE_SHARES,
+    PER_PARAMETER,
+    POLISHED,
+    PROMISED,
+    ROUGH_NOISE,
+    STEPS_A_FIT,
+    STEPS_BEFORE_LINEAR,
+    STEPS_BEFORE_SLOW,
+)
 from dfm_stage.diagnosis.fit import Fit, fit
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.identification.system import is_nonlinear, rounding_step
 from dfm_stage.identification.weights import Weight, Weights, velocity_weights, white_weights
@@ -19,17 +31,6 @@ from dfm_stage.model.conditions import Conditions
 
 Names = tuple[str, ...]
 
-PER_PARAMETER = 12.0
-"""What a further parameter must bring at least for the larger of two models to be preferred."""
-BUDGET = 72e6
-"""Integration steps after which no further candidate that is slow to simulate is tried; after
-twice as many none with a force that is not linear, after three times every fit ends where it is."""
-EACH = 24e6
-"""Integration steps of a single fit at most."""
-TOLD = 1e-3
-"""Fall in chi-square a step at which a fit whose values are told ends: 0.03 standard errors."""
-SEATING = 8
-"""Steps of a fit of all else around new effects."""
 
 @dataclass
 class Fits:
@@ -37,14 +38,14 @@ class Fits:
     are re-estimated."""
 
     model: Model
-    runs: Sequence[Experiment]
+    runs: Sequence[Observation]
     free: Names
     fits: dict[tuple[frozenset[str], int], Fit] = field(default_factory=dict)
     weights: Weights = ()
-    stage: int = 0
+    weighing: int = 0
     noise: float = 0.0
     """RMS of the output's noise, over which a quantised reading is averaged."""
-    spent: float = 0.0
+    steps: float = 0.0
     cut_short: bool = False
 
     def conditions(self, model: Model) -> Conditions:
@@ -55,7 +56,7 @@ class Fits:
         """Fit the model as it is; sets the first weights."""
         motion = [max(float(np.std(r.output)), 1e-300) for r in self.runs]
         rough = tuple(tuple(
-            Weight(np.ones(1), 1e-3 * size, "") for size in
+            Weight(np.ones(1), ROUGH_NOISE * size, "") for size in
             (m, *(float(np.std(c)) for c in (r.current,) if c is not None)))
             for r, m in zip(self.runs, motion, strict=True))
         self.weights = rough
@@ -90,11 +91,11 @@ class Fits:
         """Compare fits by other weights from now on."""
         self.weights = weights
         self.noise = weights[0][0].rms if noise is None else noise
-        self.stage += 1
+        self.weighing += 1
 
     def keep(self, names: Iterable[str], found: Fit) -> Fit:
         """Remember a fit under the present weights."""
-        self.fits[frozenset(names), self.stage] = found
+        self.fits[frozenset(names), self.weighing] = found
         return found
 
     def fitted(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),
@@ -102,22 +103,22 @@ class Fits:
         """The fit with the effects `names` under the present weights; begins at `start`, to which
         the effects of `hits` are added. Parameters that come later are freed only where the
         others alone bring chi-square below `worth`."""
-        key = frozenset(names), self.stage
+        key = frozenset(names), self.weighing
         if key in self.fits:
             return self.fits[key]
         found = self._from(start.model, names, start, hits, worth)
-        expected = start.chi2 - 0.5 * sum(h.gain for h in hits[:1])
+        expected = start.chi2 - PROMISED * sum(h.gain for h in hits[:1])
         if start.system.springless:  # its base bends far to stand in for what is missing
             expected = -math.inf
         given = {n: v for n, v in self.model.base.items() if n in self.free}
-        for model, seated in ((start.model, True), (start.model.with_parameters(given), False)):
-            if not hits or found.chi2 < expected or self.spent >= BUDGET:
+        for model, others_first in ((start.model, True), (start.model.with_parameters(given), False)):
+            if not hits or found.chi2 < expected or self.steps >= STEPS_BEFORE_SLOW:
                 break
-            again = self._from(model, names, start, hits, worth, seated)
+            again = self._from(model, names, start, hits, worth, others_first)
             found = min(found, again, key=lambda f: f.chi2)
         return self.keep(names, found)
 
-    def instead(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
+    def in_place_of(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
         are the same motion (`Effect.twins`)."""
         use = current.model.effect(name)
@@ -125,8 +126,8 @@ class Fits:
         typical = starts(twin, self.conditions(current.model))[0]
         begin = Hit(twin, 0.0, {**typical, **EFFECTS[name].twins[twin](use.parameters)},
                     np.zeros((0, 0)), np.zeros(0))
-        found = self._from(current.model, names, current, [begin], math.inf, limit=2.0 * BUDGET)
-        known = self.fits.get((frozenset(names), self.stage))
+        found = self._from(current.model, names, current, [begin], math.inf, limit=STEPS_BEFORE_LINEAR)
+        known = self.fits.get((frozenset(names), self.weighing))
         return known if known is not None and known.chi2 <= found.chi2 else self.keep(names, found)
 
     def refitted(self, names: Sequence[str], start: Fit) -> Fit:
@@ -134,8 +135,8 @@ class Fits:
         return self.fitted(names, start)
 
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
-              worth: float, seated: bool = False, limit: float = BUDGET) -> Fit:
-        """`seated`: fit all else around the new effects first, and only then them, too. Begun
+              worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW) -> Fit:
+        """`others_first`: fit all else around the new effects first, and only then them, too. Begun
         together, a large effect may be traded away for what it displaces. Once the work is beyond
         `limit`, nothing slow is begun."""
         for use in model.effects:
@@ -147,15 +148,15 @@ class Fits:
             later += [f"{hit.name}.{n}" for n in EFFECTS[hit.name].freed_last]
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
-        slow = bool(later) or (self.spent > 2.0 * BUDGET
+        slow = bool(later) or (self.steps > STEPS_BEFORE_LINEAR
                                and any(is_nonlinear(use.name) for use in model.effects))
-        if hits and slow and self.spent > limit:
+        if hits and slow and self.steps > limit:
             self.cut_short = True
             return replace(start, chi2=math.inf)
-        if seated:
+        if others_first:
             new = {hit.name for hit in hits}
             around = tuple(n for n in free if n.partition(".")[0] not in new)
-            start = self._fit(model, around, start, iterations=SEATING, tolerance=1.0)
+            start = self._fit(model, around, start, iterations=AROUND_STEPS, tolerance=1.0)
             model = start.model
         found = self._fit(model, early, start, iterations=12 if later else 25,
                           tolerance=1.0 if later else 0.03)
@@ -175,9 +176,9 @@ class Fits:
         """A fit within what is left of the work that may be done."""
         found = fit(model, self.runs, free, self.weights, earlier=start.locals,
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
-                    allowance=min(max(3.0 * BUDGET - self.spent, 0.0), EACH))
-        self.spent += found.system.work
-        self.cut_short |= self.spent > 3.0 * BUDGET
+                    allowance=min(max(MOST_STEPS - self.steps, 0.0), STEPS_A_FIT))
+        self.steps += found.system.work
+        self.cut_short |= self.steps > MOST_STEPS
         return found
 
     def _with_noise(self, found: Fit, free: Names) -> Fit:
@@ -187,7 +188,7 @@ class Fits:
             return found
         trials = [self._fit(found.model.with_parameters({"noise": share * step}),
                             free, found, iterations=4)
-                  for share in (0.02, 0.035, 0.06, 0.085, 0.115, 0.15, 0.2)]
+                  for share in NOISE_SHARES]
         return min([found, *trials], key=lambda f: f.chi2)
 
     def parameters(self, model: Model) -> Names:
@@ -201,7 +202,7 @@ class Fits:
         if not names:
             return current
         found = self._fit(current.model, self.parameters(current.model), current, iterations=30,
-                          tolerance=TOLD, exact=True)
+                          tolerance=POLISHED, exact=True)
         return self.keep(names, found) if found.chi2 < current.chi2 else current
 
     def best(self, trials: Sequence[tuple[Names, Fit]]) -> tuple[Names, Fit]:

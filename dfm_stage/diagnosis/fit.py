@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.fit import Fit, rms, search
 from dfm_stage.identification.system import System
 from dfm_stage.identification.weights import Weights
@@ -17,14 +17,14 @@ STATES = ("position", "velocity")
 """Initial states that are estimated: what other modes held dies out in the lead-in."""
 
 
-def system_of(model: Model, runs: Sequence[Experiment], free: Sequence[str],
+def system_of(model: Model, runs: Sequence[Observation], free: Sequence[str],
               noise: float = 0.0) -> System:
     """A model on runs as the diagnosis fits it: a body without a spring feels an unknown constant
     force in each run."""
     return System(model, runs, free, noise=noise, states=STATES, pushed=True)
 
 
-def fit(model: Model, runs: Sequence[Experiment], free: Sequence[str], weights: Weights, *,
+def fit(model: Model, runs: Sequence[Observation], free: Sequence[str], weights: Weights, *,
         earlier: Mapping[tuple[str, int], float] | None = None, noise: float = 0.0,
         iterations: int = 25, tolerance: float = 1e-2, exact: bool = False,
         allowance: float = math.inf) -> Fit:

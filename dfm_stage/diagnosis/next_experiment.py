@@ -14,8 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.experiment import LEAD_IN, Experiment
+from dfm_stage.diagnosis.decisions import (
+    DURATION_S,
+    FINALISTS,
+    LONGEST_S,
+    MARGIN,
+    PERIOD_S,
+    SAFE,
+    TRAVEL,
+    TRIED_S,
+)
+from dfm_stage.diagnosis.evidence import Proposal
 from dfm_stage.diagnosis.fit import Fit, fit, system_of
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.weights import Weight, Weights
 from dfm_stage.model import EFFECTS, Model
@@ -23,42 +34,37 @@ from dfm_stage.trajectory import load_experiment
 
 Array = NDArray[np.float64]
 
-PERIOD_S, DURATION_S, LONGEST_S = 8.0, 48.0, 240.0
-TRIED_S = 16.0
-"""Length of the records that experiments are compared on."""
-FINALISTS = 3
-"""Experiments for which a rival's parameters are re-estimated."""
-TRAVEL = 1.1
-"""Travel that an experiment may take over the recorded one."""
-SAFE = 4.0
-"""Expected chi-square over the margin that the length of an experiment aims at."""
 
+def propose(parts: Sequence[str], best: Model, rivals: Sequence[Fit],
+            runs: Sequence[Observation], weight: Weight, free: Sequence[Sequence[str]],
+            noise: float = 0.0) -> Proposal | None:
+    """Return an experiment for what stays open; None where the drive is a current.
 
-def next_experiment(verdict: str, members: Sequence[str], best: Model, rivals: Sequence[Fit],
-                    runs: Sequence[Experiment], weight: Weight, free: Sequence[Sequence[str]],
-                    margin: float, dither: float = 0.0) -> dict[str, Any] | None:
-    """Return an experiment for what `verdict` leaves open; None if nothing.
-
-    `members` are the names that are not told apart, `rivals` the fits that compete with `best`,
-    each with its `free` parameters; `weight` is the noise, `margin` the chi-square that parts
-    rivals. It stays inside the voltage of the recorded runs, or what moves the stage by 1 mm
-    where they held none.
+    `parts` are the names that are not told apart, `rivals` the fits that compete with `best`,
+    each with its `free` parameters; `weight` is the noise. It stays inside the voltage of the
+    recorded runs, or what moves the stage by 1 mm where they held none.
     """
-    if verdict in ("none", "retune", "named") or best.drive == "current":
+    if best.drive == "current":
         return None
-    volts = _volts(best, runs)
-    specs = list(_experiments(best, volts))
-    if "cross_axis_coupling" not in members and rivals:
+    specs = list(_experiments(best, _volts(best, runs)))
+    if rivals and not any(n in EFFECTS and EFFECTS[n].couples for n in parts):
         travel = max(float(np.ptp(r.output)) for r in runs)
-        ranked = _ranked(specs, best, rivals, free, travel, weight, dither, runs[0].unit)
+        ranked = _ranked(specs, best, rivals, free, travel, weight, noise, runs[0].unit)
         if ranked:
             gain, spec = ranked[0]
-            return _worded(spec, gain, members, margin)
-    return {**specs[0], "description": " ".join(filter(None, (
-        specs[0]["description"], _hint(members)))).strip()}
+            duration = _duration(gain)
+            return Proposal({**spec, "duration_s": duration}, tuple(parts),
+                            gain * duration / DURATION_S)
+    return Proposal(specs[0], tuple(parts))
 
 
-def _volts(model: Model, runs: Sequence[Experiment]) -> float:
+def _duration(gain: float) -> float:
+    """Whole periods (s) in which a `gain` in chi-square per `DURATION_S` reaches the margin."""
+    wanted = SAFE * MARGIN * DURATION_S / max(gain, 1e-9)
+    return PERIOD_S * math.ceil(min(max(wanted, 0.5 * DURATION_S), LONGEST_S) / PERIOD_S)
+
+
+def _volts(model: Model, runs: Sequence[Observation]) -> float:
     largest = max(float(np.max(np.abs(r.input - np.mean(r.input)))) for r in runs)
     if largest <= 0.0:
         stiffness = model.base.get("stiffness", 0.0) or model.base["mass"] * 100.0
@@ -106,7 +112,7 @@ def _as_experiment(why: str, excitation: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
-            free: Sequence[Sequence[str]], travel: float, weight: Weight, dither: float,
+            free: Sequence[Sequence[str]], travel: float, weight: Weight, noise: float,
             unit: str) -> list[tuple[float, dict[str, Any]]]:
     """Experiments with the chi-square that they bring in `DURATION_S` between `best` and the
     rival that is hardest to tell from it, best first."""
@@ -114,10 +120,10 @@ def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
     trials = []
     for spec in specs:
         run = _tried(spec, best, unit)
-        moved = _response(best, run, dither)
+        moved = _response(best, run, noise)
         if moved is None or np.ptp(moved) > TRAVEL * travel:
             continue
-        apart = [_response(rival.model, run, dither) for rival in rivals]
+        apart = [_response(rival.model, run, noise) for rival in rivals]
         if any(a is None for a in apart):
             continue
         raw = min(float(np.sum(weight.apply(moved - a) ** 2)) for a in apart if a is not None)
@@ -125,68 +131,40 @@ def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
     trials.sort(key=lambda t: -t[0])
     found = []
     for _, spec, run, moved in trials[:FINALISTS]:
-        seen = Experiment(run.name, run.input, np.concatenate((np.zeros(run.skip), moved)),
-                          run.sample_period, unit)
-        gain = min(_apart(rival.model, names, seen, weights, dither)
+        seen = Observation(run.name, run.input, np.concatenate((np.zeros(run.skip), moved)),
+                           run.sample_period, unit=unit)
+        gain = min(_apart(rival.model, names, seen, weights, noise)
                    for rival, names in zip(rivals, free, strict=True))
         found.append((gain * DURATION_S / TRIED_S, spec))
     return sorted(found, key=lambda f: -f[0])
 
 
-def _tried(spec: dict[str, Any], model: Model, unit: str) -> Experiment:
+def _tried(spec: dict[str, Any], model: Model, unit: str) -> Observation:
     asked = load_experiment({**spec, "duration_s": TRIED_S})
     voltage = asked.excitation("x", model.sample_period).voltage
-    return Experiment("next", voltage, np.zeros(voltage.size), model.sample_period, unit,
-                      skip=LEAD_IN)
+    return Observation("next", voltage, np.zeros(voltage.size), model.sample_period,
+                       unit=unit)
 
 
-def _response(model: Model, run: Experiment, dither: float) -> Array | None:
+def _response(model: Model, run: Observation, noise: float) -> Array | None:
     """What the model answers (N - skip,), from rest; None where it cannot be simulated."""
-    system = system_of(model, [run], (), dither)
+    system = system_of(model, [run], (), noise)
     found = system.signals(0, system.start[None, :])[0][0]
     return found if np.all(np.isfinite(found)) else None
 
 
-def _apart(rival: Model, free: Sequence[str], run: Experiment, weights: Weights,
-           dither: float) -> float:
+def _apart(rival: Model, free: Sequence[str], run: Observation, weights: Weights,
+           noise: float) -> float:
     """Chi-square between `run` and the nearest that the rival comes to it: by one linear step,
     or where the effect is quick to simulate by a fit."""
-    system = system_of(rival, [run], free, dither)
+    system = system_of(rival, [run], free, noise)
     if not system.slow:
-        return fit(rival, [run], free, weights, noise=dither, iterations=8).chi2
-    x, light = system.start, system.barely_nonlinear(system.start)
+        return fit(rival, [run], free, weights, noise=noise, iterations=8).chi2
+    light = system.barely_nonlinear(system.start)
     criterion = Criterion(system, weights, slopes=lambda i, z, exact: system.sensitivities(
         i, z, exact, light))
-    white, jacobian = criterion.residual(x), criterion.jacobian(x)
+    white, jacobian = criterion.residual(system.start), criterion.jacobian(system.start)
     norms = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian[:, norms > 0.0] / norms[norms > 0.0]
     step = np.linalg.lstsq(scaled, white, rcond=1e-7)[0]
     return float(np.sum((white - scaled @ step) ** 2))
-
-
-def _worded(spec: dict[str, Any], gain: float, members: Sequence[str],
-            margin: float) -> dict[str, Any]:
-    """The experiment as long as it has to be, with what is expected of it."""
-    wanted = SAFE * margin * DURATION_S / max(gain, 1e-9)
-    duration = PERIOD_S * math.ceil(min(max(wanted, 0.5 * DURATION_S), LONGEST_S) / PERIOD_S)
-    expected = gain * duration / DURATION_S
-    names = " and ".join(m.replace("_", " ") for m in members)
-    said = (f"In {duration:g} s it is expected to part {names} by {expected:.0f} in chi-square "
-            f"(needed: {margin:g}).")
-    if expected < margin:
-        said = (f"No experiment within the recorded voltage and travel is expected to part "
-                f"{names}; this one comes nearest, with {expected:.1f} in chi-square "
-                f"(needed: {margin:g}) in {duration:g} s.")
-    words = " ".join(filter(None, (spec["description"], said, _hint(members))))
-    return {**spec, "description": words, "duration_s": duration}
-
-
-def _hint(members: Sequence[str]) -> str:
-    """What the library says would part the members."""
-    for name in members:
-        if name not in EFFECTS:
-            continue
-        for c in EFFECTS[name].classes:
-            if any(m in c.members for m in members if m != name):
-                return f"In general: {c.split_by}."
-    return ""

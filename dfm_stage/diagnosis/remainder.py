@@ -16,19 +16,28 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import lfilter
 
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.decisions import (
+    DRIFT,
+    DRIFT_LINES,
+    EXCESS,
+    FLATNESS,
+    LINE,
+    MEMORYLESS,
+    ONE_PARITY,
+    PATTERN,
+    PATTERN_TRAVEL,
+    PERIODS,
+    REPEATING_NOISE,
+    REPEATING_SPREAD,
+    SIZES_APART,
+)
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.spectra import position_peaks
 from dfm_stage.identification.noise import fit_noise
 from dfm_stage.identification.periods import local_mean
-from dfm_stage.identification.weights import PERIODS, high_band_rms
+from dfm_stage.identification.weights import high_band_rms
 
 Array = NDArray[np.float64]
-
-EXCESS = 2.0
-"""RMS over that of high frequencies above which a residual is more than coloured noise."""
-LINE = 32.0
-PATTERN = 40.0
-KURTOSIS = 0.35
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ class Finding:
         return self.value > self.limit
 
 
-def findings(run: Experiment, residual: Array, known_noise: float | None) -> list[Finding]:
+def findings(run: Observation, residual: Array, known_noise: float | None) -> list[Finding]:
     """Look at what is left of one run's output (N - skip,)."""
     floor = high_band_rms(residual)
     spread = float(np.std(residual))
@@ -60,7 +69,7 @@ def findings(run: Experiment, residual: Array, known_noise: float | None) -> lis
     return found
 
 
-def _repeating(run: Experiment, residual: Array) -> list[Finding]:
+def _repeating(run: Observation, residual: Array) -> list[Finding]:
     period = run.periodicity.period if run.periodicity is not None else 0
     count = residual.size // period if period else 0
     if count < PERIODS:
@@ -71,16 +80,17 @@ def _repeating(run: Experiment, residual: Array) -> list[Finding]:
     noise = np.sum(np.abs(spectra - mean) ** 2, axis=0) / (count - 1) / count
     ratio = np.abs(mean) ** 2 / np.maximum(local_mean(noise, 15), 1e-300)
     low = ratio[: max(40, ratio.size // 3)]
-    limit = 1.0 + 6.0 / math.sqrt(low.size) + 4.0 / math.sqrt(low.size * (count - 1))
+    limit = 1.0 + REPEATING_SPREAD / math.sqrt(low.size) + REPEATING_NOISE / math.sqrt(
+        low.size * (count - 1))
     return [Finding("repeating", float(np.mean(low)), limit,
                     "power that repeats with the input over power that does not")]
 
 
 def _drift(residual: Array) -> Finding:
     power = np.abs(np.fft.rfft(residual * np.hanning(residual.size))) ** 2
-    near = power[6:60] if power.size > 80 else power[3:]
+    near = power[6:60] if power.size > DRIFT_LINES else power[3:]
     slow = float(np.mean(power[:3]) / max(float(np.median(near)) / math.log(2.0), 1e-300))
-    return Finding("drift", slow, 25.0, "power at the lowest frequencies over that above them")
+    return Finding("drift", slow, DRIFT, "power at the lowest frequencies over that above them")
 
 
 def _line(residual: Array) -> Finding:
@@ -95,11 +105,11 @@ def _line(residual: Array) -> Finding:
                    f"{(at + 3) / width:.4g} of the sample rate")
 
 
-def _pattern(run: Experiment, residual: Array) -> Finding:
+def _pattern(run: Observation, residual: Array) -> Finding:
     position = run.output[run.skip:] - residual
     white = _white(residual)
     best = 0.0
-    if float(np.ptp(position)) < 10.0 * float(np.std(residual)):
+    if float(np.ptp(position)) < PATTERN_TRAVEL * float(np.std(residual)):
         return Finding("pattern", best, PATTERN, "too little motion to see errors of a scale")
     for period in position_peaks([position[-white.size:]], [white], 3):
         turn = np.exp(2j * np.pi * position[-white.size:] / period)
@@ -111,7 +121,7 @@ def _shape(residual: Array) -> Finding:
     white = _white(residual)
     scaled = white / max(float(np.std(white)), 1e-300)
     kurtosis = 3.0 - float(np.mean(scaled**4))
-    return Finding("flatness", kurtosis, KURTOSIS,
+    return Finding("flatness", kurtosis, FLATNESS,
                    "distribution flatter than normal, as rounding and periodic errors make it")
 
 
@@ -119,6 +129,22 @@ def _white(residual: Array) -> Array:
     model = fit_noise(residual, 20)
     white = np.asarray(lfilter(model.polynomial, [1.0], residual))[model.order:]
     return white / max(model.sigma, 1e-300)
+
+
+def unrepeated_rms(run: Observation, residual: Array) -> float | None:
+    """RMS of what does not repeat with the input in `residual` (N - skip,): noise, whatever the
+    model leaves. None without periods.
+
+    The means of the periods are left out: how they move is drift, not noise.
+    """
+    found = run.periodicity
+    count = 0 if found is None else min(residual.size // found.period, found.count)
+    if found is None or count < PERIODS:
+        return None
+    rows = residual[residual.size - count * found.period:].reshape(count, found.period)
+    apart = rows - rows.mean(axis=0)
+    apart -= apart.mean(axis=1, keepdims=True)
+    return float(np.sqrt(np.mean(apart**2) * count / (count - 1.0)))
 
 
 @dataclass(frozen=True)
@@ -138,7 +164,7 @@ class Description:
                 "frequency_hz": self.frequency_hz, "side": self.side}
 
 
-def describe(runs: Sequence[Experiment], residuals: Sequence[Sequence[Array]]) -> Description:
+def describe(runs: Sequence[Observation], residuals: Sequence[Sequence[Array]]) -> Description:
     """Describe what is left of all runs."""
     first = max(range(len(runs)), key=lambda i: float(np.std(residuals[i][0])))
     run, left = runs[first], residuals[first][0]
@@ -156,7 +182,7 @@ def _parity(position: Array, left: Array) -> str:
     odd = np.array([x, v, x**3, v**3, x * x * v, x * v * v, np.sign(v), np.abs(v) * v])
     even = np.array([np.ones_like(x), x * x, v * v, x * v, np.abs(v), x**4])
     powers = [_taken(columns, left) for columns in (odd, even)]
-    if max(powers) < 3.0 * min(powers):
+    if max(powers) < ONE_PARITY * min(powers):
         return "both"
     return "odd" if powers[0] > powers[1] else "even"
 
@@ -166,7 +192,7 @@ def _taken(columns: Array, left: Array) -> float:
     return float(np.sum((columns.T @ solved) ** 2)) + 1e-300
 
 
-def _memory(run: Experiment, position: Array, left: Array) -> bool:
+def _memory(run: Observation, position: Array, left: Array) -> bool:
     """Whether the residual depends on more than present motion, speed and input."""
     x, v = position - position.mean(), np.gradient(position)
     u = run.input[run.skip:]
@@ -175,15 +201,15 @@ def _memory(run: Experiment, position: Array, left: Array) -> bool:
     for c in scaled:
         present += [c, c * c, c**3, np.abs(c) * c, np.sign(c)]
     taken = _taken(np.array(present), left)
-    return taken < 0.5 * float(left @ left)
+    return taken < MEMORYLESS * float(left @ left)
 
 
-def _exponent(runs: Sequence[Experiment], residuals: Sequence[Sequence[Array]]) -> float | None:
+def _exponent(runs: Sequence[Observation], residuals: Sequence[Sequence[Array]]) -> float | None:
     """How the residual grows with amplitude, from two runs of different size."""
     sizes = [float(np.std(r.output)) for r in runs]
     lefts = [float(np.std(parts[0])) for parts in residuals]
     big, small = int(np.argmax(sizes)), int(np.argmin(sizes))
-    if sizes[small] <= 0.0 or sizes[big] < 1.5 * sizes[small] or lefts[small] <= 0.0:
+    if sizes[small] <= 0.0 or sizes[big] < SIZES_APART * sizes[small] or lefts[small] <= 0.0:
         return None
     return math.log(lefts[big] / lefts[small]) / math.log(sizes[big] / sizes[small])
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dfm_stage.diagnosis import wording
+from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
 from dfm_stage.diagnosis.remainder import Description, Finding
+from dfm_stage.diagnosis.verdict import Found, Kind, Verdict
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import Model
-
-Array = NDArray[np.float64]
-Verdict = Literal["none", "retune", "named", "ambiguous", "unknown", "not_excited"]
 
 
 @dataclass(frozen=True)
@@ -70,25 +67,13 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Trace:
-    """One run for the report: time (s), measured, and simulated before and after (N,)."""
-
-    name: str
-    held_out: bool
-    sample_period: float
-    time: Array
-    measured: Array
-    before: Array
-    after: Array
-
-
-@dataclass(frozen=True)
 class Diagnosis:
     """What was found. `model` is the extended model, `next_experiment` a mapping that
     `load_experiment` takes, or None. `detection_limits` are, where nothing was found, the sizes at
-    which each effect would have been named in half of such records."""
+    which each effect would have been named in half of such records, `shown` which of the models
+    compared is the one after."""
 
-    verdict: Verdict
+    verdict: Kind
     sentence: str
     effects: tuple[NamedEffect, ...]
     base: Mapping[str, Quantity]
@@ -100,7 +85,8 @@ class Diagnosis:
     model: Model
     findings: Mapping[str, Sequence[Finding]] = field(default_factory=dict)
     detection_limits: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
-    traces: tuple[Trace, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
+    shown: Which = "given"
     seconds: float = 0.0
 
     @property
@@ -123,6 +109,47 @@ class Diagnosis:
             "detection_limits": {name: {n: q.to_dict() for n, q in sizes.items()}
                                  for name, sizes in self.detection_limits.items()},
         }
+
+
+def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
+    """Put evidence and verdict together; `model` is the one to go on with."""
+    shown = e.extended if v.shown == "extended" else e.retuned
+    effects = tuple(_named(e, found) for found in v.effects)
+    gap = Gap(e.unit, *e.noise.floor,
+              (e.given.fitted.rms, e.retuned.fitted.rms, shown.fitted.rms),
+              (e.given.held_out.rms, e.retuned.held_out.rms, shown.held_out.rms))
+    rejected = (Rejected(r.name, r.held_out_rms, wording.rejection(r)) for r in v.rejected)
+    proposal = e.next_experiment
+    return Diagnosis(
+        v.kind, wording.sentence(e, v), effects,
+        {n: q for n, q in shown.parameters.items() if "." not in n}, tuple(rejected), gap,
+        shown.description if v.remainder else None,
+        None if proposal is None else wording.experiment(proposal), wording.warnings(e, v),
+        _signed(model, effects, e.records), shown.findings,
+        e.limits if v.kind in ("none", "not_excited", "retune") else {},
+        e.comparisons, v.shown)
+
+
+def _named(e: Evidence, found: Found) -> NamedEffect:
+    parameters = next((x.parameters for x in e.effects if x.name == found.name), None)
+    if parameters is None and e.offset is not None:
+        force, half = e.offset.value * e.offset.stiffness, 1.96 * e.offset.sigma \
+            * e.offset.stiffness
+        parameters = {"force": Quantity(force, "N", (force - half, force + half))}
+    return NamedEffect(found.name, found.members, parameters or {}, found.share,
+                       tuple(wording.effect_evidence(e, found)), found.loss)
+
+
+def _signed(model: Model, effects: Sequence[NamedEffect], records: Sequence[str]) -> Model:
+    """The model with the origin of what was found."""
+    for e in effects:
+        use = model.effect(e.name)
+        if use is not None:
+            intervals = {n: q.to_dict()["ci95"] for n, q in e.parameters.items()
+                         if q.ci95 is not None}
+            model = model.with_effect(e.name, dict(use.parameters),
+                                      {"diagnosed_from": list(records), "ci95": intervals})
+    return model
 
 
 def _number(value: float | None) -> float | None:

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.candidates import starts
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.decisions import COARSER, LEAST_TRAVEL, STEP_GRID, UNSEEN_PART
 from dfm_stage.diagnosis.fit import Fit, system_of
-from dfm_stage.diagnosis.spectra import STEP_GRID, frequency_peaks, position_peaks, read_off
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.spectra import frequency_peaks, position_peaks, read_off
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.weights import Weights
 from dfm_stage.model import EFFECTS, Model
@@ -27,8 +28,6 @@ from dfm_stage.model.effect import Parameters
 
 Array = NDArray[np.float64]
 
-LEAST_TRAVEL = 10.0
-"""Motion over noise below which errors of the scale cannot be seen."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Hit:
 class Screen:
     """Screens candidates against the residual of a fit."""
 
-    def __init__(self, base: Fit, runs: Sequence[Experiment], weights: Weights,
+    def __init__(self, base: Fit, runs: Sequence[Observation], weights: Weights,
                  noise: float, linear: Model | None = None) -> None:
         """`linear` is a model that moves alike and answers for one that is slow to simulate."""
         self.base, self.runs, self.weights, self.noise = base, tuple(runs), weights, noise
@@ -200,10 +199,6 @@ class Screen:
         return np.asarray(np.array(split).T)
 
 
-COARSER = 1.5
-"""A step counts where it is this much coarser than the encoder's resolution."""
-UNSEEN_PART = 1e-6
-"""Part of a response that is left beside the free parameters, below which it is rounding."""
 
 
 def _staircase(position: Array, residual: Array, step: float) -> float:

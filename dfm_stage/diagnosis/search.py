@@ -11,6 +11,28 @@ from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
+from dfm_stage.diagnosis.decisions import (
+    AKAIKE,
+    EXCHANGES,
+    FIRST,
+    FULL_SHARE,
+    FURTHER,
+    FURTHER_SHARE,
+    MOST_EFFECTS,
+    NOISE_MOVED,
+    PAIR_GAIN,
+    PAIR_MEMBER,
+    PROMISED,
+    RELATED_GAIN,
+    RESTART_ABOVE,
+    ROUNDED_GAIN,
+    ROUNDING_GAIN,
+    SHORT_LIST,
+    SHORT_LIST_GAIN,
+    TWIN_ABOVE,
+    UNRELATED_GAIN,
+    WORTH,
+)
 from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
@@ -20,29 +42,6 @@ from dfm_stage.identification.weights import weights_of
 from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
-
-FIRST, FURTHER = 40.0, 60.0
-"""Fall in chi-square that names a first and any further effect."""
-ENOUGH = 0.2
-"""A further effect must take this share of what is left above the noise: bits are no physics."""
-MOST = 4
-VALLEY = 1.03
-"""Chi-square per sample above which effects are looked for anew beside the others."""
-EXCHANGES = 3
-"""Times that a rival may take an effect's place, the noise weighed anew after each."""
-LOOP = 1.01
-"""Chi-square per sample above which the other kind of loop is tried in the place of one added."""
-SHORT_LIST = 4
-CLOSE = 0.8
-"""Candidates whose screened gain is this share of the best one's are fitted in full."""
-FULL = 0.985
-"""A fit that takes this share of what is above the noise needs no pairs beside it."""
-RELATED, STRANGER, COUNTED = 0.9, 0.97, 0.25
-"""Rivals whose screened gain is this share of an effect's loss are fitted in its place; counting
-in the steps of a periodic error, whose screened gain suffers from every error of the motion."""
-ROUGH = 0.02
-"""Fall in chi-square per sample that a further effect must bring beside a reading that counts in
-steps: what rounding leaves is not noise."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Rival:
 
     def price(self, named: Fit) -> float:
         """Its cost, parameters paid for (Akaike), in the place of what `named` fits."""
-        return self.cost + 2.0 * (len(self.fit.system.free) - len(named.system.free))
+        return self.cost + AKAIKE * (len(self.fit.system.free) - len(named.system.free))
 
 
 @dataclass
@@ -107,25 +106,25 @@ class Search(Fits):
                 self.hits[hit.name] = hit
         best_hits = list({h.name: h for h in reversed(hits)}.values())
         best_hits.sort(key=lambda h: -h.gain)
-        if not best_hits or best_hits[0].gain < 0.5 * limit:
+        if not best_hits or best_hits[0].gain < PROMISED * limit:
             return None
         top = best_hits[0].gain
-        if names and top < ENOUGH * (current.chi2 - current.white.size):
+        if names and top < FURTHER_SHARE * (current.chi2 - current.white.size):
             return None
-        listed = [h for h in best_hits if h.gain > CLOSE * top][:SHORT_LIST]
+        listed = [h for h in best_hits if h.gain > SHORT_LIST_GAIN * top][:SHORT_LIST]
         self.screens[frozenset(names)] = best_hits
         above = current.chi2 - current.white.size
         trials = self._singles(names, current, listed, above)
         taken = current.chi2 - self.best([(names, current), *trials])[1].chi2
-        if len(names) + 2 <= MOST and taken < FULL * above:
-            pairs = pair_gains([h for h in hits if h.gain > 0.02 * top], screen.residual, keep=3)
+        if len(names) + 2 <= MOST_EFFECTS and taken < FULL_SHARE * above:
+            pairs = pair_gains([h for h in hits if h.gain > PAIR_MEMBER * top], screen.residual, keep=3)
             trials += self._pairs(names, current, [
                 pair for gain, pair in pairs
-                if gain >= taken + FURTHER and gain >= 1.02 * taken], above)
+                if gain >= taken + FURTHER and gain >= PAIR_GAIN * taken], above)
         if not trials:
             return None
         best = self.best(trials)
-        if best[1].chi2 > VALLEY * best[1].white.size:
+        if best[1].chi2 > RESTART_ABOVE * best[1].white.size:
             best = best[0], self.keep(best[0], self.resplit(best[1]))
         added = len(best[0]) - len(names)
         if current.chi2 - best[1].chi2 < limit + FURTHER * (added - 1):
@@ -143,8 +142,8 @@ class Search(Fits):
             if at_upper_end(found, [hit.name]):
                 continue
             trials.append(((*names, hit.name), found))
-            worth = min(worth, found.chi2 + 0.2 * max(above, 0.0))
-            if current.chi2 - found.chi2 > FULL * above > FURTHER:
+            worth = min(worth, found.chi2 + WORTH * max(above, 0.0))
+            if current.chi2 - found.chi2 > FULL_SHARE * above > FURTHER:
                 break
         return trials
 
@@ -159,7 +158,7 @@ class Search(Fits):
             if at_upper_end(found, both[len(names):]):
                 continue
             trials.append((both, found))
-            if current.chi2 - found.chi2 > FULL * above:
+            if current.chi2 - found.chi2 > FULL_SHARE * above:
                 break
         return trials
 
@@ -167,7 +166,7 @@ class Search(Fits):
         """Fall in chi-square that a further effect must bring."""
         if not any(EFFECTS[n].rounds for n in names):
             return FURTHER
-        return max(FURTHER, ROUGH * current.white.size)
+        return max(FURTHER, ROUNDED_GAIN * current.white.size)
 
     def run(self) -> tuple[Names, Fit]:
         """Add effects until nothing helps; return them in the order they came, and the fit."""
@@ -179,41 +178,41 @@ class Search(Fits):
         return None if found is None else self._grown(*self.pruned(*found))
 
     def _grown(self, names: Names, current: Fit) -> tuple[Names, Fit]:
-        while current.ok and len(names) < MOST:
+        while current.ok and len(names) < MOST_EFFECTS:
             self.step("screening every effect")
             found = self.extend(names, current)
             if found is None:
-                moved = self.reseated(names, current)
+                moved = self.restarted(names, current)
                 if moved is None:
                     break
                 current = moved
                 continue
-            names, current = self.pruned(*self._other_loop(names, *found))
-            if any(abs(a.sigma / b.sigma - 1.0) > 0.03 for new, old in
+            names, current = self.pruned(*self._twin_instead(names, *found))
+            if any(abs(a.sigma / b.sigma - 1.0) > NOISE_MOVED for new, old in
                    zip(first_weights(current), self.weights, strict=True)
                    for a, b in zip(new, old, strict=True)):
                 self.weigh_at_first(current)
                 current = self.refitted(names, current)
         return names, current
 
-    def _other_loop(self, before: Names, names: Names, current: Fit) -> tuple[Names, Fit]:
+    def _twin_instead(self, before: Names, names: Names, current: Fit) -> tuple[Names, Fit]:
         """The other kind of loop for one just added that leaves more than noise, if it fits
         better: what is left of the wrong one would pass for further effects."""
-        if current.chi2 < LOOP * current.white.size:
+        if current.chi2 < TWIN_ABOVE * current.white.size:
             return names, current
         for name in names[len(before):]:
             rest = tuple(n for n in names if n != name)
-            for twin in self._twins(name, rest, current):
+            for twin in self._twin_rivals(name, rest, current):
                 if self.score(twin.fit) < self.score(current):
                     return (*rest, twin.name), twin.fit
         return names, current
 
-    def reseated(self, names: Names, current: Fit) -> Fit | None:
+    def restarted(self, names: Names, current: Fit) -> Fit | None:
         """A better fit of the same effects, each looked for anew beside the others; None if there
         is none. A first look, with others still in the residual, may have started a search in
         the wrong valley."""
         if not names or current.system.springless \
-                or current.chi2 < VALLEY * current.white.size:
+                or current.chi2 < RESTART_ABOVE * current.white.size:
             return None
         if current.system.nonlinear:
             exact = self._fit(current.model, self.parameters(current.model), current,
@@ -285,29 +284,29 @@ class Search(Fits):
         found: list[Rival] = []
         for hit in sorted((h for h in best if h.name not in self.barred),
                           key=lambda h: -h.gain):
-            least = RELATED if shares_class(hit.name, name) else STRANGER
+            least = RELATED_GAIN if shares_class(hit.name, name) else UNRELATED_GAIN
             if same_rounding(current.model, hit):
-                least = COUNTED
+                least = ROUNDING_GAIN
             wanted = hit.gain > least * own
             if hit.name == name or not wanted or len(found) >= SHORT_LIST \
                     or hit.name in EFFECTS[name].twins:
                 continue
             self.step(f"fitting {hit.name} in place of {name}")
             rival = self.fitted((*rest, hit.name), without, [hit],
-                                current.chi2 + 0.2 * max(loss, 0.0))
+                                current.chi2 + WORTH * max(loss, 0.0))
             if rival.ok and not at_upper_end(rival, [hit.name]):
                 found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
-        found += self._twins(name, rest, current)
+        found += self._twin_rivals(name, rest, current)
         return sorted(found, key=lambda r: r.cost)
 
-    def _twins(self, name: str, rest: Names, current: Fit) -> list[Rival]:
+    def _twin_rivals(self, name: str, rest: Names, current: Fit) -> list[Rival]:
         """Effects that can be the same loop as `name`, begun there: from the screen, which is
         linear, their fits seldom find it."""
         found = []
         for twin in EFFECTS[name].twins:
             if twin in self.library and twin not in (*rest, *self.barred):
                 self.step(f"fitting {twin} in place of {name}, from the same loop")
-                fit = self.instead(name, twin, (*rest, twin), current)
+                fit = self.in_place_of(name, twin, (*rest, twin), current)
                 if fit.ok:
                     found.append(Rival(twin, fit.chi2 - current.chi2, fit))
         return found

@@ -8,14 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt, welch
 
+from dfm_stage.diagnosis.decisions import (
+    COARSER,
+    FEWEST_LEVELS,
+    FILTER_HIGHEST,
+    FINEST_PATTERN,
+    GAP_LEAST,
+    LATTICE_MISS,
+    MOTION_ABOVE,
+)
+
 Array = NDArray[np.float64]
 
 BINS = 1 << 18
-STEP_GRID = 0.025
-"""Spacing of the grid on which the step of a reading is looked for, in steps over the travel."""
-ABOVE, HIGHEST, PADDING = 4.0, 0.7, 500
-"""Power over the noise that is motion; share of the Nyquist frequency up to which filtering pays;
-samples by which a filtered signal is continued at its ends."""
+PADDING = 500
+"""Samples by which a filtered signal is continued at its ends."""
 
 
 def frequency_peaks(residuals: Sequence[Array], sample_period: float, count: int = 3,
@@ -46,7 +53,7 @@ def position_peaks(positions: Sequence[Array], residuals: Sequence[Array], count
     power = np.abs(np.fft.rfft(bins, 4 * BINS)) ** 2
     turns = np.arange(power.size) / (4.0 * travel * BINS / (BINS - 1))
     power[turns < cycles / travel] = 0.0
-    power[turns > 0.2 * BINS / travel] = 0.0
+    power[turns > FINEST_PATTERN * BINS / travel] = 0.0
     return [float(1.0 / turns[k]) for k in _peaks(power, 8, count) if power[k] > 0.0]
 
 
@@ -57,9 +64,9 @@ def denoised(signal: Array) -> Array:
     """
     frequencies, power = welch(signal, nperseg=min(1024, signal.size // 4))
     noise = float(np.median(power[-power.size // 4:]))
-    moving = np.flatnonzero(power > ABOVE * noise)
+    moving = np.flatnonzero(power > MOTION_ABOVE * noise)
     edge = 1.5 * 2.0 * float(frequencies[moving[-1]]) if moving.size else 1.0
-    if edge >= HIGHEST:
+    if edge >= FILTER_HIGHEST:
         return signal
     return np.asarray(sosfiltfilt(butter(6, max(edge, 0.02), output="sos"), signal,
                                   padlen=min(PADDING, signal.size - 1)))
@@ -72,24 +79,24 @@ def lattice(values: Array) -> float | None:
     so that the larger ones are counted in steps without a slip.
     """
     levels = np.unique(values)
-    if levels.size < 3 or levels.size > values.size // 2:
+    if levels.size < FEWEST_LEVELS or levels.size > values.size // 2:
         return None
     gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-6 * float(np.max(gaps))]
+    gaps = gaps[gaps > GAP_LEAST * float(np.max(gaps))]
     step = reach = float(np.min(gaps))
     while reach < float(np.max(gaps)):
         reach *= 3.0
         near = gaps[gaps <= reach]
         step = float(np.sum(near) / np.sum(np.rint(near / step)))
     miss = np.abs(gaps / step - np.rint(gaps / step))
-    return step if float(np.mean(miss)) < 0.1 else None
+    return step if float(np.mean(miss)) < LATTICE_MISS else None
 
 
 def read_off(values: Array, resolution: float) -> float | None:
     """The step in which a reading (N,) counts, where it is coarser than the encoder's resolution:
     read off the data, not to be estimated."""
     step = lattice(values)
-    return step if step is not None and step > 1.5 * resolution else None
+    return step if step is not None and step > COARSER * resolution else None
 
 
 def _peaks(power: Array, apart: int, count: int) -> list[int]:

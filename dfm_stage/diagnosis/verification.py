@@ -9,10 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.experiment import Experiment
+from dfm_stage.diagnosis.decisions import (
+    NOT_EXERCISED,
+    OUTSTANDING,
+    PER_RUN_GAIN,
+    SELF_SIMILAR,
+    SURROGATES,
+)
 from dfm_stage.diagnosis.fit import Fit, fit, rms
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.weights import Weight, Weights
-from dfm_stage.model import Model
+from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
 
@@ -27,17 +34,17 @@ class Prediction:
     residuals: list[list[Array]]
 
 
-def predict(model: Model, runs: Sequence[Experiment], weights: Weights,
-            dither: float = 0.0) -> Prediction:
+def predict(model: Model, runs: Sequence[Observation], weights: Weights,
+            noise: float = 0.0) -> Prediction:
     """Simulate `model` on runs it has not seen; only initial states and offsets are free."""
-    found = fit(model, runs, (), weights, noise=dither, iterations=15)
+    found = fit(model, runs, (), weights, noise=noise, iterations=15)
     if not found.ok:
         return Prediction(math.inf, math.inf, 0, [])
     return Prediction(rms([parts[0] for parts in found.residuals]), found.chi2,
                       found.white.size, found.residuals)
 
 
-def weights_like(runs: Sequence[Experiment], known: Weights) -> Weights:
+def weights_like(runs: Sequence[Observation], known: Weights) -> Weights:
     """Weights of other runs with the same sensors: those of the first fitted run."""
     first = known[0]
     spare = next((ws[1] for ws in known if len(ws) > 1), None)
@@ -46,88 +53,76 @@ def weights_like(runs: Sequence[Experiment], known: Weights) -> Weights:
                  for run in runs)
 
 
-KNOCK_OFFS = 5
-
-
-SILENT = 20.0
-"""Chi-square of a contribution below which held-out records say nothing about an effect."""
-OUTSTANDING = 3.0
-"""How much more than at neighbouring frequencies a vibration must take: what a model leaves of a
-resonance stands at every line of the input."""
-NEIGHBOURS = (-2, -1, 1, 2)
-ITSELF = 0.9
-"""Correlation with its shifted self above which a contribution is no other than that."""
-CONFIRMED = 15.0
-"""Fall in held-out chi-square that an effect free in each run must bring."""
+LINES_BESIDE = (-2, -1, 1, 2)
+"""Lines of the input, counted from a vibration's own, at which its surrogates stand."""
 
 
 @dataclass(frozen=True)
-class KnockOff:
-    """Chi-square on held-out runs: of the effect's contribution, with it, without it, and of the
-    best of its knock-offs, from which it must stand out by the factor `outstanding`. Where it has
-    none of its own, `best` is infinite and it must lower chi-square by itself."""
+class SurrogateTest:
+    """Chi-square on held-out runs: of the effect's contribution, with it (`original`), without it,
+    and of the best of its surrogates, from which it must stand out by the factor `outstanding`.
+    Where it has no surrogate, `best` is infinite and it must lower chi-square by itself."""
 
     contribution: float
-    true: float
+    original: float
     without: float
     best: float
     outstanding: float = 1.0
 
     def passed(self, per_run: bool) -> bool | None:
-        """Whether the effect does better than its knock-offs; None where it does nothing here."""
-        if not per_run and self.contribution < SILENT:
+        """Whether the effect does better than its surrogates; None where it does nothing here."""
+        if not per_run and self.contribution < NOT_EXERCISED:
             return None
         if per_run or math.isinf(self.best):
-            gain = self.without - self.true
-            return gain > max(CONFIRMED, self.outstanding * (self.without - self.best))
-        return self.true < min(self.best, self.without)
+            gain = self.without - self.original
+            return gain > max(PER_RUN_GAIN, self.outstanding * (self.without - self.best))
+        return self.original < min(self.best, self.without)
 
 
-def spoiled(model: Model, name: str, runs: Sequence[Experiment], weights: Weights,
-            dither: float, seed: int) -> KnockOff:
-    """Compare an effect with knock-offs: its contribution to held-out runs, shifted in time.
+def surrogate_test(model: Model, name: str, runs: Sequence[Observation], weights: Weights,
+                   noise: float, seed: int) -> SurrogateTest:
+    """Compare an effect with surrogates: its contribution to held-out runs, shifted in time.
 
     Each has the contribution's size and spectrum and, moved by a quarter to three quarters of the
-    records, nothing to do with their motion. Of a vibration, whose phase is free in each record,
-    the knock-offs are vibrations of neighbouring frequencies. A constant has none: shifted, it is
-    itself.
+    records, nothing to do with their motion (Theiler et al., Physica D 58, 1992). Of a vibration,
+    whose phase is free in each record, the surrogates are vibrations of neighbouring frequencies.
+    A constant has none: shifted, it is itself.
     """
     rng = np.random.default_rng(seed)
-    found = fit(model, runs, (), weights, noise=dither, iterations=10)
-    without = model.without_effect(name)
-    bare = fit(without, runs, (), weights, noise=dither, iterations=10)
+    found = fit(model, runs, (), weights, noise=noise, iterations=10)
+    bare = fit(model.without_effect(name), runs, (), weights, noise=noise, iterations=10)
     if not (found.ok and bare.ok):
-        return KnockOff(math.inf, found.chi2, bare.chi2, math.inf)
-    if name == "periodic_disturbance":
-        return KnockOff(math.inf, found.chi2, bare.chi2, min(
-            fit(model.with_parameters({f"{name}.frequency": f}), runs, (), weights,
-                noise=dither, iterations=10).chi2 for f in _neighbours(model, runs)),
+        return SurrogateTest(math.inf, found.chi2, bare.chi2, math.inf)
+    if EFFECTS[name].frequency:
+        address = f"{name}.{EFFECTS[name].frequency}"
+        return SurrogateTest(math.inf, found.chi2, bare.chi2, min(
+            fit(model.with_parameters({address: f}), runs, (), weights, noise=noise,
+                iterations=10).chi2 for f in _neighbours(model.parameters()[address], runs)),
             outstanding=OUTSTANDING)
     contribution = bare.white - found.white
     quarter = contribution.size // 4
     power = float(contribution @ contribution)
     shifted = [np.roll(contribution, int(k))
-               for k in rng.integers(quarter, 3 * quarter, KNOCK_OFFS)]
-    others = [s for s in shifted if s @ contribution < ITSELF * power]
-    return KnockOff(power, found.chi2, bare.chi2, min(
+               for k in rng.integers(quarter, 3 * quarter, SURROGATES)]
+    others = [s for s in shifted if s @ contribution < SELF_SIMILAR * power]
+    return SurrogateTest(power, found.chi2, bare.chi2, min(
         (float(np.sum((bare.white - s) ** 2)) for s in others), default=math.inf))
 
 
-def _neighbours(model: Model, runs: Sequence[Experiment]) -> list[float]:
+def _neighbours(own: float, runs: Sequence[Observation]) -> list[float]:
     """Frequencies (Hz) beside that of a vibration, one and two lines of the input away."""
-    own = model.parameters()["periodic_disturbance.frequency"]
     run = runs[0]
     samples = run.periodicity.period if run.periodicity is not None else run.input.size // 8
     apart = 1.0 / (samples * run.sample_period)
-    return [own + k * apart for k in NEIGHBOURS if own + k * apart > 0.0] or [own + apart]
+    return [own + k * apart for k in LINES_BESIDE if own + k * apart > 0.0] or [own + apart]
 
 
-def joint(model: Model, free: Sequence[str], runs: Sequence[Experiment],
-          held: Sequence[Experiment], weights: Weights, held_weights: Weights,
-          earlier: Fit, dither: float) -> tuple[float, float]:
+def joint(model: Model, free: Sequence[str], runs: Sequence[Observation],
+          held: Sequence[Observation], weights: Weights, held_weights: Weights,
+          earlier: Fit, noise: float) -> tuple[float, float]:
     """RMS over fitted and over held-out runs when one set of parameters must serve both."""
     found = fit(model, [*runs, *held], free, (*weights, *held_weights),
-                earlier=earlier.locals, noise=dither, iterations=12)
+                earlier=earlier.locals, noise=noise, iterations=12)
     if not found.ok:
         return math.inf, math.inf
     parts = [p[0] for p in found.residuals]

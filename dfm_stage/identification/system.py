@@ -161,7 +161,7 @@ class System(Problem):
         values = self.model.parameters()
         if change is not None and own == change.fitted:
             parts = np.array([values[n] for n in absolute(effect, change.names)])
-            return absolute(effect, own), change.forward(parts)
+            return absolute(effect, own), np.asarray(change.forward(parts))
         return absolute(effect, own), np.array([values[n] for n in absolute(effect, own)])
 
     def _force(self, run: Run) -> float:

@@ -9,17 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.identification.decisions import HIGH_BAND, LEAK, NOISE_ORDER, NOISE_SAMPLES
 from dfm_stage.identification.noise import fit_noise, whiten
 
 Array = NDArray[np.float64]
-
-PERIODS = 2
-"""Repetitions needed to tell noise from what repeats."""
-HIGH_BAND = 0.7
-"""Share of the Nyquist frequency above which only noise is expected in a first look."""
-ORDER = 40
-LEAK = 0.98
-"""Pole of the filter that turns position into velocity, above 3 Hz at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +44,6 @@ class Weight:
 
 Weights = tuple[tuple[Weight, ...], ...]
 """Per run, per signal compared."""
-
-
-def weighted(residuals: Sequence[Sequence[Array]], weights: Weights) -> Array:
-    """All residuals white and in standard deviations, in a row."""
-    return np.concatenate([w.apply(r) for parts, ws in zip(residuals, weights, strict=True)
-                           for r, w in zip(parts, ws, strict=True)])
 
 
 def white_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
@@ -96,5 +83,5 @@ def _autoregression(residual: Array, source: str) -> Weight:
     spread = float(np.std(residual))
     if spread == 0.0:
         return Weight(np.ones(1), 1e-300, source)
-    model = fit_noise(residual, min(ORDER, residual.size // 50))
+    model = fit_noise(residual, min(NOISE_ORDER, residual.size // NOISE_SAMPLES))
     return Weight(model.polynomial, max(model.sigma, 1e-9 * spread), source)

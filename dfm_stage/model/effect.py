@@ -174,6 +174,16 @@ class Effect:
         return self.encode is not None
 
     @property
+    def couples(self) -> bool:
+        """Whether the motion of the neighbouring axis counts."""
+        return self.other_force is not None
+
+    @property
+    def frequency(self) -> str | None:
+        """The parameter (Hz) of a vibration of the effect's own; None where it has none."""
+        return self.wave.parameter if self.wave is not None and self.wave.over == "time" else None
+
+    @property
     def sizes(self) -> tuple[str, ...]:
         """Parameters that grow with the size of the effect."""
         return self.size or (self.parameters[0].name,)
@@ -254,6 +264,11 @@ class Effect:
         if self.wave.over == "time":
             return TURNED / (at.duration * max(abs(value), 1e-9))
         return TURNED * min(1.0, abs(value) / (at.travel or 1.0))
+
+    def yields_within(self, parameters: Mapping[str, float]) -> float:
+        """The distance (m) after a reversal within which the force changes; infinite where there
+        is none. Far below the noise it cannot be told from dry friction."""
+        return math.inf
 
     def is_rounding(self, parameters: Mapping[str, float], step: float) -> bool:
         """Whether it is but a harmonic of a reading that counts in `step`."""

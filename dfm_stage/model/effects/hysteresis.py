@@ -134,6 +134,10 @@ class Hysteresis(Effect):
         low = INVISIBLE * at.noise if parameter == "yield_displacement" else -math.inf
         return low, math.inf
 
+    def yields_within(self, parameters: Mapping[str, float]) -> float:
+        """The yield displacement."""
+        return parameters["yield_displacement"]
+
 
 INVISIBLE = 0.1
 """Yield displacement over the noise below which the loop is dry friction."""

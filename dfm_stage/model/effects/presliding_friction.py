@@ -93,6 +93,10 @@ class PreslidingFriction(Effect):
         low = INVISIBLE * at.noise if parameter == "distance" else -math.inf
         return low, math.inf
 
+    def yields_within(self, parameters: Mapping[str, float]) -> float:
+        """How far the bristles bend."""
+        return parameters["force"] / parameters["stiffness"]
+
 
 INVISIBLE = 0.1
 """Pre-sliding distance over the noise below which the bristles are dry friction."""

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from dfm_stage.cli.diagnose_report import write_report
-from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose, workflow
-from dfm_stage.diagnosis.verification import KnockOff
-from dfm_stage.identification.quantity import Quantity
+from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose
+from dfm_stage.diagnosis.verification import SurrogateTest
 from dfm_stage.model import EFFECTS, save_model
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -87,22 +86,6 @@ def test_left_out_of_the_library_it_becomes_unknown():
     assert found.description.parity == "odd"
 
 
-def test_what_only_stands_in_at_the_edge_of_its_range_is_not_named(monkeypatch):
-    intervals = {"both": {"creep.gain": (0.1, 0.2), "second_mode.damping_ratio": (-np.inf, np.inf),
-                          "stiffness": None}, "creep": {"creep.gain": (0.1, 0.3)}}
-    monkeypatch.setattr(workflow, "quantities", lambda fit: {
-        name: Quantity(1.0, "", ci95) for name, ci95 in intervals[fit].items()})
-
-    class OneFit:
-        def fitted(self, names, _):
-            return names[0]
-
-    dropped: dict[str, str] = {}
-    left = workflow._bounded(OneFit(), ("creep", "second_mode"), "both", dropped)
-    assert left == (("creep",), "creep")
-    assert "edge of their range" in dropped["second_mode"]
-
-
 def test_drag_is_not_taken_for_friction():
     found = _pair(lambda x, v: -8.0 * abs(v) * v)
     assert found.names == ("quadratic_damping",)
@@ -123,9 +106,9 @@ def test_a_constant_force_is_ambiguous_unless_the_zero_is_trusted():
 
 def test_a_drift_may_resemble_itself_shifted_and_a_vibration_may_not_resemble_its_neighbours():
     # of a slow ramp most is still there when it is shifted
-    assert KnockOff(4.7e6, true=4.8e4, without=4.8e6, best=7.0e5).passed(per_run=True)
-    assert not KnockOff(4.7e6, true=8.0e5, without=4.8e6, best=7.0e5).passed(per_run=True)
-    assert not KnockOff(4.7e6, true=4.8e4, without=4.8e6, best=7.0e5,
+    assert SurrogateTest(4.7e6, original=4.8e4, without=4.8e6, best=7.0e5).passed(per_run=True)
+    assert not SurrogateTest(4.7e6, original=8.0e5, without=4.8e6, best=7.0e5).passed(per_run=True)
+    assert not SurrogateTest(4.7e6, original=4.8e4, without=4.8e6, best=7.0e5,
                         outstanding=3.0).passed(per_run=True)
 
 

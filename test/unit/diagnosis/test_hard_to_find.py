@@ -11,17 +11,17 @@ import pytest
 from scipy.signal import chirp, cont2discrete, dlsim
 
 from dfm_stage.diagnosis import diagnose
-from dfm_stage.diagnosis.answer import MARGIN
 from dfm_stage.diagnosis.candidates import late_splits
+from dfm_stage.diagnosis.decisions import MARGIN
 from dfm_stage.diagnosis.effect_fits import SAME_LOOP
-from dfm_stage.diagnosis.experiment import Experiment, experiment
 from dfm_stage.diagnosis.fit import fit
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.observation import Observation, observe
 from dfm_stage.diagnosis.screen import Screen
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
-from dfm_stage.diagnosis.verification import KnockOff, weights_like
-from dfm_stage.diagnosis.weighting import white_weights
-from dfm_stage.diagnosis.workflow import _exchanged
+from dfm_stage.diagnosis.verification import SurrogateTest, weights_like
+from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Simulator
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -154,15 +154,15 @@ def test_a_constant_force_is_named_where_the_zero_is_trusted():
 
 
 def test_a_constant_is_judged_by_what_it_lowers():
-    assert KnockOff(1e4, 100.0, 1e4, np.inf).passed(per_run=False)
-    assert not KnockOff(1e4, 100.0, 110.0, np.inf).passed(per_run=False)
-    assert KnockOff(0.0, 100.0, 100.0, np.inf).passed(per_run=False) is None  # not exercised
+    assert SurrogateTest(1e4, 100.0, 1e4, np.inf).passed(per_run=False)
+    assert not SurrogateTest(1e4, 100.0, 110.0, np.inf).passed(per_run=False)
+    assert SurrogateTest(0.0, 100.0, 100.0, np.inf).passed(per_run=False) is None  # not exercised
 
 
 def test_an_effect_that_raises_the_held_out_gap_does_not_pass():
     """Though its shifted selves do still worse."""
-    assert not KnockOff(1.4e4, 3.1e4, 2.3e4, 3.6e4).passed(per_run=False)
-    assert KnockOff(1.4e4, 2.1e4, 2.3e4, 3.6e4).passed(per_run=False)
+    assert not SurrogateTest(1.4e4, 3.1e4, 2.3e4, 3.6e4).passed(per_run=False)
+    assert SurrogateTest(1.4e4, 2.1e4, 2.3e4, 3.6e4).passed(per_run=False)
 
 
 def test_the_step_of_a_reading_that_is_rounded_once_more():
@@ -174,7 +174,7 @@ def test_the_step_of_a_reading_that_is_rounded_once_more():
 
 def test_the_screen_starts_from_the_fitted_motion():
     feed = truth.multisine(6)
-    run = experiment(truth.record(feed, truth.move(feed), 27), truth.believed(), "x", "run")
+    run = observe(truth.record(feed, truth.move(feed), 27), truth.believed(), "x", "run")
     rough = white_weights([[run.output[run.skip:]]])
     found = fit(truth.believed(stiffness=4600.0, damping=2.0), [run],
                 ("stiffness", "damping", "force_constant"), rough)
@@ -202,7 +202,7 @@ def test_the_held_out_records_part_two_effects_that_fit_the_fitted_ones_alike():
     slow = np.minimum(time / 5.0, 1.0) ** 2 * np.sin(np.pi * time)  # k3 x^3 and droop x^2 F alike
     lively = truth.multisine(3, 2.0)
     model = truth.believed()
-    alike, apart = (experiment(truth.record(feed, hardening(feed), seed), model, None, None)
+    alike, apart = (observe(truth.record(feed, hardening(feed), seed), model, None, None)
                     for feed, seed in ((slow, 71), (lively, 72)))
     names = ("force_constant_droop", "cubic_stiffness")
     search = Search(model, [alike], ("damping", "stiffness", "force_constant"), library=names)
@@ -212,9 +212,9 @@ def test_the_held_out_records_part_two_effects_that_fit_the_fitted_ones_alike():
     rival = Rival("cubic_stiffness", cubic.chi2 - droop.chi2, cubic)
     assert abs(rival.cost) < MARGIN
 
-    def chosen(held: Experiment) -> tuple[str, ...]:
-        weights = weights_like([held], search.weights)
-        return _exchanged(search, names[:1], droop, {names[0]: [rival]}, [held], weights)[0]
+    def chosen(held: Observation) -> tuple[str, ...]:
+        trial = Trial(search, [held], held_weights=weights_like([held], search.weights))
+        return trial.exchange_rival(Hypothesis(names[:1], droop, bare, {names[0]: [rival]})).names
 
     assert chosen(alike) == ("force_constant_droop",)
     assert chosen(apart) == ("cubic_stiffness",)
@@ -223,7 +223,7 @@ def test_the_held_out_records_part_two_effects_that_fit_the_fitted_ones_alike():
 def test_a_model_that_cannot_be_simulated_without_an_effect_has_no_rivals_and_no_other_valley():
     """In a far valley the fit without an effect may fail; then there is nothing to screen."""
     feed = truth.multisine(6)
-    run = experiment(truth.record(feed, truth.move(feed, lambda x, _: -1e7 * x**3), 31),
+    run = observe(truth.record(feed, truth.move(feed, lambda x, _: -1e7 * x**3), 31),
                      truth.believed(), "x", "run")
     names = ("damping", "stiffness", "force_constant")
     search = Search(truth.believed(), [run], names, library=("quadratic_stiffness",))
@@ -240,7 +240,7 @@ def test_a_model_that_cannot_be_simulated_without_an_effect_has_no_rivals_and_no
 def test_rivals_that_keep_taking_turns_are_all_compared_with_the_last_of_them(monkeypatch):
     """Each weighing of the noise may prefer the other one; whoever comes last has rivals, too."""
     feed = truth.multisine(6)
-    run = experiment(truth.record(feed, truth.move(feed, lambda x, _: -1e5 * x**3), 31),
+    run = observe(truth.record(feed, truth.move(feed, lambda x, _: -1e5 * x**3), 31),
                      truth.believed(), "x", "run")
     names = ("cubic_stiffness", "force_constant_droop")
     search = Search(truth.believed(), [run], ("damping", "stiffness"), library=names)

@@ -1,4 +1,4 @@
-"""One recorded run as the diagnosis takes it: what went in, what came out, what is known of it."""
+"""What was observed in one run: what went in, what came out, and what is known of it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.diagnosis.decisions import (
+    DIED_OUT,
+    FITTED_SHARE,
+    LEAD_IN,
+    SAME_PERIOD,
+    SHORTEST,
+    SHORTEST_PERIOD,
+)
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
 from dfm_stage.identification.periods import Periodicity, find_period
@@ -17,20 +25,14 @@ from dfm_stage.recording import Record
 
 Array = NDArray[np.float64]
 
-LEAD_IN = 40
-"""Samples simulated but not compared: what the amplifier held before the record began dies out."""
-SHORTEST = 400
-
 
 @dataclass(frozen=True, kw_only=True)
-class Experiment(Run):
-    """One axis of one record.
+class Observation(Run):
+    """A run with what the diagnosis knows of it besides.
 
-    `input` (N,) V or A, held from sample k on; `output` (N,) in `unit`, before input k acts;
-    `current` (N,) A and `other` (N,) position of the neighbouring axis, its noise filtered out,
-    where recorded. The first
-    `skip` samples are simulated and not compared. `start_s` is the time of the first sample since
-    the record began.
+    `output` (N,) is in `unit`; `other` has its noise filtered out. `reference` (N,) is what the
+    stage was to follow, where recorded. `start_s` is the time of the first sample since the record
+    began.
     """
 
     unit: str = "m"
@@ -44,7 +46,7 @@ class Experiment(Run):
         """Seconds (N,) since the record began."""
         return np.asarray(self.start_s + self.sample_period * np.arange(self.input.size))
 
-    def part(self, start: int, stop: int, lead: int = LEAD_IN) -> Experiment:
+    def part(self, start: int, stop: int, lead: int = LEAD_IN) -> Observation:
         """Return samples `start` to `stop`, simulated from `lead` samples before."""
         first = max(0, start - lead)
         cut = slice(first, stop)
@@ -62,8 +64,8 @@ class Experiment(Run):
             start_s=self.start_s + first * self.sample_period)
 
 
-def experiment(record: Record, model: Model, axis: str | None = None,
-               name: str | None = None) -> Experiment:
+def observe(record: Record, model: Model, axis: str | None = None,
+            name: str | None = None) -> Observation:
     """Return one axis of a record, with the position of the neighbour that acts on it.
 
     Raises
@@ -74,7 +76,7 @@ def experiment(record: Record, model: Model, axis: str | None = None,
     chosen = _axis_name(record, axis)
     data = record.axis(chosen)
     called = name or record.provenance.source
-    if abs(record.sample_period / model.sample_period - 1.0) > 1e-6:
+    if abs(record.sample_period / model.sample_period - 1.0) > SAME_PERIOD:
         raise DiagnosisError(f"{called}: sampled every {record.sample_period:g} s, but the model "
                              f"steps by {model.sample_period:g} s; resample the record or set "
                              "sample_period in the model")
@@ -94,10 +96,10 @@ def experiment(record: Record, model: Model, axis: str | None = None,
     others = [n for n in record.axes if n != chosen]
     other = _usable(record.axes[others[0]].position if len(others) == 1 else None)
     quiet = None if other is None else denoised(other)
-    return Experiment(called, np.asarray(data.input, float), np.asarray(data.position, float),
-                      record.sample_period, unit=unit, current=_usable(data.current), other=quiet,
-                      reference=_usable(data.reference),
-                      periodicity=_periodicity(data.extra.get("excitation"), data.input))
+    return Observation(called, np.asarray(data.input, float), np.asarray(data.position, float),
+                       record.sample_period, unit=unit, current=_usable(data.current),
+                       other=quiet, reference=_usable(data.reference),
+                       periodicity=_periodicity(data.extra.get("excitation"), data.input))
 
 
 def _axis_name(record: Record, axis: str | None) -> str:
@@ -120,13 +122,13 @@ def _periodicity(excitation: Array | None, applied: Array) -> Periodicity | None
     for signal in (applied, excitation):
         if signal is not None and np.ptp(signal) > 0.0:
             found = find_period(signal, tolerance=1e-6)
-            if found is not None and found.period >= 100:
+            if found is not None and found.period >= SHORTEST_PERIOD:
                 return found
     return None
 
 
-def split_by_time(runs: Sequence[Experiment],
-                  share: float = 0.7) -> tuple[list[Experiment], list[Experiment]]:
+def split_by_time(runs: Sequence[Observation],
+                  share: float = FITTED_SHARE) -> tuple[list[Observation], list[Observation]]:
     """Return parts of each run to fit and the rest to predict.
 
     The last part is held out; of a motion that has died out by then, an early part that still
@@ -149,6 +151,6 @@ def split_by_time(runs: Sequence[Experiment],
 
 
 def _dies_out(output: Array, cut: int) -> bool:
-    """Whether the part from `cut` on has a hundredth of the motion's power."""
+    """Whether the part from `cut` on has hardly any of the motion's power."""
     centred = output - np.median(output[cut:])
-    return float(np.mean(centred[cut:] ** 2)) < 0.01 * float(np.mean(centred**2))
+    return float(np.mean(centred[cut:] ** 2)) < DIED_OUT * float(np.mean(centred**2))

@@ -1,0 +1,276 @@
+"""Numbers that decide in the diagnosis, each with what it was set on."""
+
+from __future__ import annotations
+
+from dfm_stage.decisions import decision
+
+_KEPT = "not documented; kept from \"{}\" (2026-11-21)"
+FIRST_FORM = _KEPT.format("diagnose: screen, fit and verify which effect a model lacks")
+HELD_OUT_FORM = _KEPT.format("held-out records that do not exercise an effect are told apart")
+NEIGHBOUR_FORM = _KEPT.format("a vibration must stand out from its neighbours")
+SECOND_LOOK_FORM = _KEPT.format("a diagnosis goes on after a dropped effect")
+READING_FORM = _KEPT.format("Blind trials: a case is limited by its processor time")
+RANKED_FORM = _KEPT.format("The next experiment is the one on which rivals would differ most")
+SEARCH_FORM = FIRST_FORM
+BOUND = "processor time: no diagnosis of 60,000 samples above 60 s"
+MOTOR_BENCH = "the recorded motor bench, looked at while it was set: not a blind result"
+
+# -- the verdict ---------------------------------------------------------------------------------
+
+FIRST = decision(
+    "FIRST", 40.0, "chi-square", meaning="Fall that names a first effect.",
+    set_on="derivation: with up to five parameters a tail of 1.5e-7; over about a thousand "
+    "looks a family-wise level of 2e-4 for Gaussian noise")
+FURTHER = decision(
+    "FURTHER", 60.0, "chi-square", meaning="Fall that names any further effect.",
+    set_on=FIRST_FORM)
+MARGIN = decision(
+    "MARGIN", 16.0, "chi-square", meaning="By this much a rival must lose, fitted and held out "
+    "together, or it joins the class; a better one takes the effect's place.", set_on=FIRST_FORM)
+RETUNE_GAIN = decision(
+    "RETUNE_GAIN", 60.0, "chi-square",
+    meaning="Fall that makes new values of the base parameters worth telling.",
+    set_on=FIRST_FORM)
+RETUNE_RATIO = decision(
+    "RETUNE_RATIO", 1.002, "1", meaning="Fitted RMS with the given values over that with new "
+    "ones, above which they are worth telling.", set_on=FIRST_FORM)
+HELD_OUT_FLOOR = decision(
+    "HELD_OUT_FLOOR", 1.2, "1",
+    meaning="Held-out RMS over the noise floor up to which a model explains everything.",
+    set_on=FIRST_FORM)
+JOINT_LOSS = decision(
+    "JOINT_LOSS", 1.05, "1", meaning="Fitted RMS of a fit to all records over that of the fit "
+    "to the fitted ones, up to which one set of values serves both.", set_on=FIRST_FORM)
+GROSS_GAP = decision(
+    "GROSS_GAP", 0.05, "1", meaning="A gap above this share of the motion is gross: what takes "
+    "most of it is named even where a remainder stays.", set_on=MOTOR_BENCH)
+MOST_OF_GAP = decision(
+    "MOST_OF_GAP", 0.9, "1", meaning="Share of a gross gap's held-out power that is most of it.",
+    set_on=MOTOR_BENCH)
+BASE_AT_ZERO = decision(
+    "BASE_AT_ZERO", 1e-9, "1", meaning="Damping, stiffness or force constant below this share of "
+    "the given value is at zero: no such stage.",
+    set_on=_KEPT.format("no gross gap is named with the stage's damping at nothing"))
+PRESLIDING_DISTANCE = decision(
+    "PRESLIDING_DISTANCE", 3.0, "1", meaning="Pre-sliding distance over the noise below which "
+    "it cannot be seen: such a rival is dry friction.",
+    set_on=_KEPT.format("effects looked for anew beside others"))
+AT_REST = decision(
+    "AT_REST", 12.0, "1", meaning="Motion over noise below which a record shows no effect.",
+    set_on=FIRST_FORM)
+AT_REST_INPUT = decision(
+    "AT_REST_INPUT", 30.0, "1", meaning="The same where the input is constant.",
+    set_on=FIRST_FORM)
+OFFSET_SIGMAS = decision(
+    "OFFSET_SIGMAS", 6.0, "standard errors",
+    meaning="A constant offset below this is not told, without a trusted encoder_zero.",
+    set_on=FIRST_FORM)
+OFFSET_NOISE = decision(
+    "OFFSET_NOISE", 0.1, "1", meaning="A constant offset below this share of the noise is not "
+    "told.", set_on=FIRST_FORM)
+
+# -- held-out records ----------------------------------------------------------------------------
+
+NOT_EXERCISED = decision(
+    "NOT_EXERCISED", 20.0, "chi-square", meaning="Contribution below which held-out records say "
+    "nothing about an effect.", set_on=HELD_OUT_FORM)
+SURROGATES = decision(
+    "SURROGATES", 5, "1", meaning="Surrogates of an effect: its contribution shifted in time.",
+    set_on=FIRST_FORM)
+SELF_SIMILAR = decision(
+    "SELF_SIMILAR", 0.9, "1", meaning="Correlation of a contribution with its shifted self above "
+    "which that is no surrogate.", set_on=SECOND_LOOK_FORM)
+PER_RUN_GAIN = decision(
+    "PER_RUN_GAIN", 15.0, "chi-square", meaning="Fall in held-out chi-square that an effect "
+    "without surrogates, or free in each run, must bring.",
+    set_on=_KEPT.format("effects that held-out records refute are dropped one by one"))
+OUTSTANDING = decision(
+    "OUTSTANDING", 3.0, "1", meaning="A vibration must take this many times what vibrations at "
+    "neighbouring lines take.", set_on=NEIGHBOUR_FORM)
+
+# -- what is left over ---------------------------------------------------------------------------
+
+EXCESS = decision(
+    "EXCESS", 2.0, "1", meaning="RMS over that of high frequencies, or over the noise that the "
+    "model gives, above which a residual is more than noise.", set_on=FIRST_FORM)
+REPEATING_SPREAD = decision(
+    "REPEATING_SPREAD", 6.0, "standard deviations",
+    meaning="Power that repeats with the input over power that does not may exceed 1 by this "
+    "many, the number of lines known.", set_on=FIRST_FORM)
+REPEATING_NOISE = decision(
+    "REPEATING_NOISE", 4.0, "standard deviations",
+    meaning="The same for the error of the power that does not repeat.", set_on=FIRST_FORM)
+DRIFT = decision(
+    "DRIFT", 25.0, "1", meaning="Power at the lowest frequencies over that above them, above "
+    "which a residual drifts.", set_on=FIRST_FORM)
+DRIFT_LINES = decision(
+    "DRIFT_LINES", 80, "lines", meaning="Length of a spectrum up to which all of its lines are "
+    "compared with the lowest, not those next to them alone.", set_on=FIRST_FORM)
+LINE = decision(
+    "LINE", 32.0, "1", meaning="Power of the highest line over its neighbourhood's, above which "
+    "it is no noise.", set_on=FIRST_FORM)
+PATTERN = decision(
+    "PATTERN", 40.0, "1", meaning="Power tied to position, in units of white noise, above which "
+    "the scale is in error.", set_on=FIRST_FORM)
+PATTERN_TRAVEL = decision(
+    "PATTERN_TRAVEL", 10.0, "1", meaning="Travel over the residual's RMS below which errors of "
+    "the scale are not looked for.", set_on=HELD_OUT_FORM)
+FLATNESS = decision(
+    "FLATNESS", 0.35, "1", meaning="Kurtosis below that of the normal distribution by this much "
+    "is that of rounding or of periodic errors.", set_on=FIRST_FORM)
+ONE_PARITY = decision(
+    "ONE_PARITY", 3.0, "1", meaning="Power of odd over even parts, or the reverse, above which a "
+    "remainder is of one parity.", set_on=FIRST_FORM)
+MEMORYLESS = decision(
+    "MEMORYLESS", 0.5, "1", meaning="Share of a remainder's power that present motion, speed and "
+    "input must explain for it to have no memory.", set_on=FIRST_FORM)
+SIZES_APART = decision(
+    "SIZES_APART", 1.5, "1", meaning="Motion of two records must differ by this factor to tell "
+    "an exponent of amplitude.", set_on=FIRST_FORM)
+
+AS_GIVEN = decision(
+    "AS_GIVEN", 1e-6, "1", meaning="Half of the relative interval of a parameter that was found "
+    "by search and is known exactly.", set_on=FIRST_FORM)
+
+# -- the search ----------------------------------------------------------------------------------
+
+NOISE_SHARES = (0.02, 0.035, 0.06, 0.085, 0.115, 0.15, 0.2)
+"""RMS of the noise before rounding, over the step, that are tried."""
+
+
+def _search(name: str, value: float, unit: str, meaning: str, set_on: str = SEARCH_FORM) -> float:
+    return decision(name, value, unit, meaning=meaning, set_on=set_on)
+
+
+PER_PARAMETER = _search("PER_PARAMETER", 12.0, "chi-square", "What a further parameter must bring "
+                        "for the larger of two models to be preferred in the search.")
+AKAIKE = _search("AKAIKE", 2.0, "chi-square", "What a parameter costs where rivals are compared.",
+                 "derivation: Akaike's information criterion")
+FURTHER_SHARE = _search("FURTHER_SHARE", 0.2, "1", "Share of what is left above the noise that a "
+                        "further effect must take: bits are no physics.")
+MOST_EFFECTS = decision("MOST_EFFECTS", 4, "1", meaning="Effects that are added at most.",
+                        set_on=SEARCH_FORM)
+PROMISED = _search("PROMISED", 0.5, "1", "Share of a limit that the screen must promise for a fit; "
+                   "share of the promise below which a fit begins anew.")
+SHORT_LIST = decision("SHORT_LIST", 4, "1", meaning="Candidates, and rivals of one effect, that "
+                      "are fitted at most.", set_on=SEARCH_FORM)
+SHORT_LIST_GAIN = _search("SHORT_LIST_GAIN", 0.8, "1", "Share of the best screened gain from which "
+                          "a candidate is fitted.")
+FULL_SHARE = _search("FULL_SHARE", 0.985, "1", "Share of what is above the noise that one fit must "
+                     "take for no other to be tried beside it.")
+WORTH = _search("WORTH", 0.2, "1", "Share of the gap by which a fit may be worse than the best for "
+                "its last parameters to be freed.")
+PAIR_MEMBER = _search("PAIR_MEMBER", 0.02, "1", "Share of the best screened gain from which a "
+                      "candidate is screened in pairs.")
+PAIR_GAIN = _search("PAIR_GAIN", 1.02, "1", "Screened gain of a pair over the fitted one of the "
+                    "best single effect, from which it is fitted.")
+RESTART_ABOVE = _search("RESTART_ABOVE", 1.03, "1", "Chi-square a sample above which effects are "
+                        "looked for anew beside the others.")
+TWIN_ABOVE = _search("TWIN_ABOVE", 1.01, "1", "Chi-square a sample above which the twin of an "
+                     "effect just added is tried in its place.")
+EXCHANGES = decision("EXCHANGES", 3, "1", meaning="Times that a rival may take an effect's place.",
+                     set_on=SEARCH_FORM)
+NOISE_MOVED = _search("NOISE_MOVED", 0.03, "1", "Relative change of the noise from which fits are "
+                      "weighed anew.")
+RELATED_GAIN = _search("RELATED_GAIN", 0.9, "1", "Screened gain of a rival of the same class, over "
+                       "the effect's own, from which it is fitted in its place.")
+UNRELATED_GAIN = _search("UNRELATED_GAIN", 0.97, "1", "The same for a rival of no common class.")
+ROUNDING_GAIN = _search("ROUNDING_GAIN", 0.25, "1", "The same for a rounding beside a periodic "
+                        "error of its step: its gain suffers from every error of the motion.")
+ROUNDED_GAIN = _search("ROUNDED_GAIN", 0.02, "chi-square/sample", "Fall that a further effect must "
+                       "bring beside a rounding: what it leaves is not noise.")
+ROUGH_NOISE = _search("ROUGH_NOISE", 1e-3, "1", "Noise over the motion before anything is known "
+                      "of it.")
+POLISHED = _search("POLISHED", 1e-3, "chi-square", "Fall a step at which a fit whose values are "
+                   "told ends.", "derivation: 0.03 standard errors")
+AROUND_STEPS = decision("AROUND_STEPS", 8, "1", meaning="Iterations of a fit of all else around "
+                        "new effects.", set_on=SEARCH_FORM)
+LEAST_TRAVEL = _search("LEAST_TRAVEL", 10.0, "1", "Motion over noise below which errors of the "
+                       "scale are not screened.")
+UNSEEN_PART = _search("UNSEEN_PART", 1e-6, "1", "Part of a response that the free parameters do "
+                      "not follow, below which it is rounding.")
+AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from which a parameter "
+                 "is at it.")
+MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that one parameter "
+                      "gets when it is shared out anew.")
+STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 72e6, "steps", "Integration steps after which no "
+                            "further candidate that is slow to simulate is tried.", BOUND)
+STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 144e6, "steps", "The same for any with a "
+                              "nonlinear force.", BOUND)
+MOST_STEPS = _search("MOST_STEPS", 216e6, "steps", "Integration steps after which every fit ends "
+                     "where it is.", BOUND)
+STEPS_A_FIT = _search("STEPS_A_FIT", 24e6, "steps", "Integration steps of one fit at most.", BOUND)
+
+# -- noise ---------------------------------------------------------------------------------------
+
+PERIODS = decision(
+    "PERIODS", 2, "1", meaning="Repetitions needed to tell noise from what repeats.",
+    set_on="derivation: the fewest that leave a difference")
+
+# -- readings ------------------------------------------------------------------------------------
+
+STEP_GRID = decision(
+    "STEP_GRID", 0.025, "1", meaning="Spacing of the grid on which the step of a reading is "
+    "looked for, in steps over the travel.", set_on=READING_FORM)
+MOTION_ABOVE = decision(
+    "MOTION_ABOVE", 4.0, "1", meaning="Power over the noise that is motion of a neighbouring "
+    "axis.", set_on=READING_FORM)
+FILTER_HIGHEST = decision(
+    "FILTER_HIGHEST", 0.7, "1", meaning="Share of the Nyquist frequency up to which filtering "
+    "that motion pays.", set_on=READING_FORM)
+FINEST_PATTERN = decision(
+    "FINEST_PATTERN", 0.2, "1/bin", meaning="Highest frequency of a pattern over position that "
+    "is looked for.", set_on=FIRST_FORM)
+FEWEST_LEVELS = decision(
+    "FEWEST_LEVELS", 3, "1", meaning="Different readings needed to make out a step.",
+    set_on=FIRST_FORM)
+GAP_LEAST = decision(
+    "GAP_LEAST", 1e-6, "1", meaning="Gaps between readings below this share of the largest are "
+    "rounding of the file.", set_on=SECOND_LOOK_FORM)
+LATTICE_MISS = decision(
+    "LATTICE_MISS", 0.1, "steps", meaning="Mean distance of gaps from whole steps below which a "
+    "reading counts in steps.", set_on=SECOND_LOOK_FORM)
+COARSER = decision(
+    "COARSER", 1.5, "1", meaning="Step over the encoder's resolution above which a reading counts "
+    "more coarsely than it.", set_on=SECOND_LOOK_FORM)
+
+# -- records -------------------------------------------------------------------------------------
+
+LEAD_IN = decision(
+    "LEAD_IN", 40, "samples", meaning="Simulated but not compared: what the amplifier held "
+    "before the record began dies out.", set_on=FIRST_FORM)
+SHORTEST = decision(
+    "SHORTEST", 400, "samples", meaning="Shortest record that is diagnosed.", set_on=FIRST_FORM)
+SHORTEST_PERIOD = decision(
+    "SHORTEST_PERIOD", 100, "samples", meaning="Shortest period of an excitation that is used.",
+    set_on=FIRST_FORM)
+SAME_PERIOD = decision(
+    "SAME_PERIOD", 1e-6, "1", meaning="Relative difference of two sampling periods that are the "
+    "same.", set_on=FIRST_FORM)
+FITTED_SHARE = decision(
+    "FITTED_SHARE", 0.7, "1", meaning="Part of a record that is fitted where none is held out.",
+    set_on=FIRST_FORM)
+DIED_OUT = decision(
+    "DIED_OUT", 0.01, "1", meaning="Power in the last part of a record over that of all of it, "
+    "below which the motion has died out and an early part is held out.", set_on=HELD_OUT_FORM)
+
+# -- the next experiment -------------------------------------------------------------------------
+
+TRAVEL = decision(
+    "TRAVEL", 1.1, "1", meaning="Travel that an experiment may take over the recorded one.",
+    set_on=RANKED_FORM)
+FINALISTS = decision(
+    "FINALISTS", 3, "1", meaning="Experiments for which a rival's parameters are re-estimated.",
+    set_on=RANKED_FORM)
+SAFE = decision(
+    "SAFE", 4.0, "1", meaning="Expected chi-square over the margin that the length of an "
+    "experiment aims at.", set_on=RANKED_FORM)
+TRIED_S = decision(
+    "TRIED_S", 16.0, "s", meaning="Length of the records that experiments are compared on.",
+    set_on=RANKED_FORM)
+PERIOD_S = decision(
+    "PERIOD_S", 8.0, "s", meaning="Period of a proposed multisine.", set_on=FIRST_FORM)
+DURATION_S = decision(
+    "DURATION_S", 48.0, "s", meaning="Usual length of a proposed experiment.", set_on=FIRST_FORM)
+LONGEST_S = decision(
+    "LONGEST_S", 240.0, "s", meaning="Longest experiment that is proposed.", set_on=RANKED_FORM)

@@ -1,0 +1,214 @@
+"""All that a verdict needs, as plain values: every fit, prediction and comparison is done.
+
+Nothing here can simulate; `gather` fills it from a search, a test writes it by hand. RMS values
+are in the unit of the output, chi-squares under the weights of the final noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.diagnosis.remainder import Description, Finding
+from dfm_stage.identification.quantity import Quantity
+
+Array = NDArray[np.float64]
+
+
+Which = Literal["given", "retuned", "extended"]
+
+
+# Why an effect that paid on the fitted records is not kept.
+DropReason = Enum("DropReason", [
+    "NOT_EXERCISED",  # found in a second look, and the held-out records do not exercise it
+    "NOT_HELD_OUT",   # free in each run, and held-out records do not show it
+    "SURROGATES",     # does no better on held-out records than its surrogates
+    "LINE_OF_INPUT",  # a vibration at a line of the input, beside a remainder
+    "AT_BOUND",       # a parameter is at its bound, and without an interval
+])
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What a model leaves of some records: RMS and chi-square of `count` weighted samples, and
+    the RMS of its change from sample to sample. Infinite where it cannot be simulated."""
+
+    rms: float
+    chi2: float
+    count: int = 0
+    change_rms: float = math.inf
+
+
+@dataclass(frozen=True)
+class ModelEvidence:
+    """One model against all records: what it leaves, and its free parameters by address
+    (`stiffness`, `creep.gain`). `findings` are of the fitted records by name, `description` of
+    what is more than noise in them, where anything is."""
+
+    fitted: Errors
+    held_out: Errors
+    parameters: Mapping[str, Quantity] = field(default_factory=dict)
+    findings: Mapping[str, tuple[Finding, ...]] = field(default_factory=dict)
+    description: Description | None = None
+
+    @property
+    def remainder(self) -> bool:
+        """Whether it leaves more than noise."""
+        return any(f.real for each in self.findings.values() for f in each)
+
+
+@dataclass(frozen=True)
+class RivalEvidence:
+    """An effect in the place of another: what it costs in chi-square, alone and with its
+    parameters paid for, and how it predicts.
+
+    `distance_over_noise` is the length within which it yields, for an effect that has one.
+    `margin_by_blocks` is by how much it loses on held-out blocks, in block standard errors:
+    carried, not used yet.
+    """
+
+    name: str
+    cost: float
+    price: float
+    held_out: Errors
+    distance_over_noise: float = math.inf
+    margin_by_blocks: float | None = None
+
+
+@dataclass(frozen=True)
+class EffectEvidence:
+    """One effect of the hypothesis: parameters, the model without it, its rivals, and whether
+    held-out records exercise it. `predictable_share` is the share of the predictable held-out
+    power that it takes: carried, not used yet."""
+
+    name: str
+    parameters: Mapping[str, Quantity]
+    without: ModelEvidence
+    rivals: tuple[RivalEvidence, ...] = ()
+    exercised: bool = True
+    predictable_share: float | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect of the library: why it is no candidate here, the fall in chi-square that the
+    screen promised, and why it was dropped after it had been fitted."""
+
+    name: str
+    excluded: str | None = None
+    gain: float | None = None
+    dropped: DropReason | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How much the stage moved: the largest RMS of a record, and of its change from sample to
+    sample, in the output's unit."""
+
+    rms: float
+    change_rms: float
+    constant_input: bool = False
+    springless: bool = False
+
+
+@dataclass(frozen=True)
+class Offset:
+    """A constant in the reading that the model does not have, with its standard error, the
+    stiffness (N/m) that makes a force of it, and the effect that this force is."""
+
+    effect: str
+    value: float
+    sigma: float
+    stiffness: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """RMS of the noise by what the best model leaves, by which it is judged and which holds a
+    remainder, too; and by what does not repeat with a periodic input, which does not."""
+
+    rms: float
+    source: str
+    by_periods: float | None = None
+
+    @property
+    def floor(self) -> tuple[float, str]:
+        """The noise floor that is told, and what it is known from."""
+        return (self.rms, self.source) if self.by_periods is None else (self.by_periods, "periods")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One record for the report: time (s) and reading (N,), and what each model leaves of it
+    (N,), those that can be simulated."""
+
+    name: str
+    held_out: bool
+    sample_period: float
+    time: Array
+    measured: Array
+    left: Mapping[Which, Array]
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An experiment as `load_experiment` takes it, but for what is expected of it: `parts` are the
+    effects that it is to tell apart, by `expected` in chi-square (None: not simulated)."""
+
+    experiment: Mapping[str, Any]
+    parts: tuple[str, ...] = ()
+    expected: float | None = None
+
+
+@dataclass(frozen=True)
+class InputConvention:
+    """How the input of a record acts between samples. Carried, not used yet."""
+
+    record: str
+    input_hold: str
+    input_shift_samples: Quantity
+    estimated: bool
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The evidence of one diagnosis.
+
+    `given` is the model as it was given, `retuned` with its own parameters re-estimated,
+    `extended` with the effects of the hypothesis added; without any, that is the retuned one.
+    `base_shares` are damping, stiffness and force constant over their given values, those that
+    were free. `joint` is the RMS over fitted and held-out records of one fit to both, where that
+    was needed. `limits` are the sizes that effects would have needed to be named. `warnings` are
+    of the records themselves; `split` says that no record was held out and a part of each was
+    instead, `cut_short` that the work grew beyond its limit.
+
+    Carried, not used yet: `witness`, what the force domain says by itself (effects with shares),
+    and `conventions` of the input, one for each record.
+    """
+
+    records: tuple[str, ...]
+    unit: str
+    noise: Noise
+    motion: Motion
+    given: ModelEvidence
+    retuned: ModelEvidence
+    extended: ModelEvidence
+    effects: tuple[EffectEvidence, ...] = ()
+    base_shares: Mapping[str, float] = field(default_factory=dict)
+    joint: tuple[float, float] | None = None
+    offset: Offset | None = None
+    library: tuple[Candidate, ...] = ()
+    limits: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
+    comparisons: tuple[Comparison, ...] = ()
+    next_experiment: Proposal | None = None
+    warnings: tuple[str, ...] = ()
+    split: bool = False
+    cut_short: bool = False
+    witness: Mapping[str, float] | None = None
+    conventions: tuple[InputConvention, ...] | None = None

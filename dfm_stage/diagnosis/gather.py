@@ -1,0 +1,225 @@
+"""Gather the evidence of a diagnosis: whatever must be fitted, simulated or compared is, here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dfm_stage.diagnosis.candidates import excluded
+from dfm_stage.diagnosis.decisions import AS_GIVEN, STEP_GRID
+from dfm_stage.diagnosis.evidence import (
+    Candidate,
+    Comparison,
+    EffectEvidence,
+    Errors,
+    Evidence,
+    ModelEvidence,
+    Motion,
+    Noise,
+    Offset,
+    Proposal,
+    RivalEvidence,
+    Which,
+)
+from dfm_stage.diagnosis.fit import Fit, rms
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.next_experiment import propose
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.remainder import Finding, describe, findings, unrepeated_rms
+from dfm_stage.diagnosis.search import Rival, Search
+from dfm_stage.diagnosis.spectra import lattice
+from dfm_stage.diagnosis.verdict import needs_joint_fit, verdict
+from dfm_stage.diagnosis.verification import Prediction, joint, predict
+from dfm_stage.identification.quantity import Quantity
+from dfm_stage.identification.system import rounding_step
+from dfm_stage.model import EFFECTS
+
+Array = NDArray[np.float64]
+
+
+def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
+           split: bool = False) -> Evidence:
+    """Do all that the verdict needs; nothing is fitted or simulated after it.
+
+    `warnings` are those of the records; `split` says that parts of these are held out.
+    """
+    search, held = trial.search, (trial.held, trial.held_weights)
+    runs, weight = search.runs, search.weights[0][0]
+    given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
+    seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
+    retuned, extended = _of_model(runs, h.bare, seen[1]), _of_model(runs, h.fit, seen[2])
+    if not h.names:  # the same model, weighed anew where an effect was dropped
+        retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
+                          description=retuned.description or extended.description)
+    evidence = Evidence(
+        tuple(r.name for r in runs), runs[0].unit,
+        Noise(weight.rms, weight.source, unrepeated_rms(runs[0], h.fit.residuals[0][0])),
+        _motion(runs, h.bare), ModelEvidence(_errors(fitted_given), _errors(given)), retuned,
+        extended, tuple(_effect(trial, h, name, extended.parameters) for name in h.names),
+        base_shares={n: h.fit.model.base.get(n, 1.0) / abs(search.model.base[n])
+                     for n in ("damping", "stiffness", "force_constant")
+                     if n in search.free and search.model.base.get(n, 0.0) != 0.0},
+        offset=_offset(h.bare, search.library),
+        library=tuple(_library(trial)), limits=_limits(search),
+        comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
+        split=split, cut_short=search.cut_short)
+    if needs_joint_fit(evidence):
+        evidence = replace(evidence, joint=joint(
+            h.fit.model, search.parameters(h.fit.model), runs, trial.held, search.weights,
+            trial.held_weights, h.fit, search.noise))
+    return replace(evidence, next_experiment=_next(trial, h, evidence))
+
+
+def _errors(seen: Prediction) -> Errors:
+    return Errors(seen.rms, seen.chi2, seen.count, _change_rms(seen.residuals))
+
+
+def _change_rms(residuals: Sequence[Sequence[Array]]) -> float:
+    """RMS from sample to sample; infinite without residuals."""
+    return rms([np.diff(parts[0]) for parts in residuals]) if residuals else math.inf
+
+
+def _motion(runs: Sequence[Observation], bare: Fit) -> Motion:
+    return Motion(max(float(np.std(r.output)) for r in runs),
+                  max(float(np.std(np.diff(r.output))) for r in runs),
+                  all(float(np.ptp(r.input)) == 0.0 for r in runs), bare.system.springless)
+
+
+def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction) -> ModelEvidence:
+    fitted = Errors(found.rms, found.chi2, found.white.size, _change_rms(found.residuals))
+    if not found.ok:
+        return ModelEvidence(fitted, _errors(seen))
+    evidence = ModelEvidence(fitted, _errors(seen), _values(found), _findings(runs, found))
+    return replace(evidence, description=describe(runs, found.residuals)
+                   if evidence.remainder else None)
+
+
+def _findings(runs: Sequence[Observation], found: Fit) -> dict[str, tuple[Finding, ...]]:
+    rounded = rounding_step(found.model) is not None
+    noise = None if rounded else found.model.base.get("noise")
+    return {run.name: tuple(findings(run, parts[0], noise))
+            for run, parts in zip(runs, found.residuals, strict=True)}
+
+
+def _values(found: Fit) -> dict[str, Quantity]:
+    """Free parameters: the intervals about the values that the model has."""
+    values = found.model.parameters()
+    return {n: replace(q, value=float(values.get(n, q.value)))
+            for n, q in found.quantities().items()}
+
+
+def _effect(trial: Trial, h: Hypothesis, name: str,
+            values: Mapping[str, Quantity]) -> EffectEvidence:
+    search, fit = trial.search, h.fit
+    rest = tuple(n for n in h.names if n != name)
+    without = search.fitted(rest, fit)
+    seen = trial.predicted(without.model)
+    rivals = (_rival(trial, h, r) for r in h.rivals.get(name, ()))
+    return EffectEvidence(
+        name, _own(trial, h, name, values),
+        ModelEvidence(Errors(without.rms, without.chi2, without.white.size), _errors(seen)),
+        tuple(rivals), name not in h.not_exercised)
+
+
+def _own(trial: Trial, h: Hypothesis, name: str,
+         values: Mapping[str, Quantity]) -> dict[str, Quantity]:
+    """The parameters of one effect; one that a fit held has the interval of its search."""
+    model = h.fit.model
+    use = model.effect(name)
+    assert use is not None  # noqa: S101 (it was added by the search)
+    own: dict[str, Quantity] = {}
+    for parameter, value in use.parameters.items():
+        address = f"{name}.{parameter}"
+        half = value * _searched_to(trial, address, value)
+        held = Quantity(value, model.parameter(address).unit, (value - half, value + half))
+        own[parameter] = replace(values.get(address, held), value=float(value))
+    return own
+
+
+def _searched_to(trial: Trial, address: str, value: float) -> float:
+    """Half the relative interval of a parameter that was found by search and held.
+
+    A step read off the set of values that occur is known to their own rounding over the travel;
+    any other to the grid it was looked for on.
+    """
+    if not EFFECTS[address.partition(".")[0]].rounds:
+        return AS_GIVEN
+    output = trial.search.runs[0].output
+    travel = max(float(np.ptp(output)), value)
+    seen = lattice(output)
+    if seen is not None and math.isclose(seen, value):
+        return max(AS_GIVEN, trial.search.model.base.get("encoder_resolution", 0.0) / travel)
+    return STEP_GRID * value / travel
+
+
+def _rival(trial: Trial, h: Hypothesis, rival: Rival) -> RivalEvidence:
+    use = rival.fit.model.effect(rival.name)
+    distance = math.inf if use is None else EFFECTS[rival.name].yields_within(use.parameters)
+    return RivalEvidence(rival.name, rival.cost, rival.price(h.fit),
+                         _errors(trial.predicted(rival.fit.model)),
+                         distance / trial.search.weights[0][0].rms)
+
+
+def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:
+    """The mean of the runs' offsets, where on a linear spring it may be a force."""
+    system = bare.system
+    names = [n for n in library if EFFECTS[n].adds_to == "constant_force"]
+    if not bare.ok or system.trusted or system.springless or not names:
+        return None
+    places = [k for k, u in enumerate(system.unknowns) if u.name == "offset"]
+    gram = bare.jacobian.T @ bare.jacobian
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    covariance = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale,
+                                                                                       scale)
+    sigmas = np.sqrt(np.diag(covariance)[places])
+    weight = float(np.sum(sigmas**-2.0))
+    return Offset(names[0], float(np.sum(bare.x[places] / sigmas**2) / weight), weight ** -0.5,
+                  bare.model.base.get("stiffness", 0.0))
+
+
+def _library(trial: Trial) -> Iterator[Candidate]:
+    at = trial.search.conditions(trial.search.model)
+    for name in trial.search.library:
+        hit = trial.search.hits.get(name)
+        yield Candidate(name, excluded(name, trial.search.model, at),
+                        None if hit is None else hit.gain, trial.dropped.get(name))
+
+
+def _limits(search: Search) -> dict[str, dict[str, Quantity]]:
+    """Size that each effect would have needed to be named, with its unit."""
+    found = {}
+    for name, sizes in search.smallest.items():
+        model = search.model.with_effect(name, EFFECTS[name].defaults)
+        found[name] = {n: Quantity(v, model.parameter(f"{name}.{n}").unit)
+                       for n, v in sizes.items()}
+    return found
+
+
+def _comparisons(trial: Trial, h: Hypothesis, fitted: Prediction,
+                 held: Sequence[Prediction]) -> Iterator[Comparison]:
+    """What the given, the retuned and the extended model leave of every record."""
+    which: tuple[Which, ...] = ("given", "retuned", "extended")
+    for runs, residuals, is_held in (
+            (trial.search.runs, (fitted.residuals, h.bare.residuals, h.fit.residuals), False),
+            (trial.held, [p.residuals for p in held], True)):
+        for i, run in enumerate(runs):
+            left = {w: each[i][0] for w, each in zip(which, residuals, strict=True) if each}
+            yield Comparison(run.name, is_held, run.sample_period, run.time[run.skip:],
+                             run.output[run.skip:], left)
+
+
+def _next(trial: Trial, h: Hypothesis, evidence: Evidence) -> Proposal | None:
+    """An experiment for what the verdict leaves open."""
+    found = verdict(evidence)
+    if found.kind in ("none", "retune", "named"):
+        return None
+    search = trial.search
+    best = h.fit.model if found.kind == "ambiguous" else search.model
+    rivals = [r.fit for each in h.rivals.values() for r in each
+              if r.name in found.undecided]
+    return propose(found.undecided, best, rivals, trial.search.runs, search.weights[0][0],
+                   [search.parameters(rival.model) for rival in rivals], search.noise)

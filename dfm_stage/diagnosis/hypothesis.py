@@ -1,0 +1,157 @@
+"""A hypothesis is a set of missing effects with its fit; here it is found and put to the test.
+
+Whatever fails is dropped with its reason, and the search goes on without it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from dfm_stage.diagnosis.decisions import MARGIN
+from dfm_stage.diagnosis.effect_fits import Names
+from dfm_stage.diagnosis.evidence import DropReason
+from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.remainder import findings
+from dfm_stage.diagnosis.search import Rival, Search
+from dfm_stage.diagnosis.verification import Prediction, predict, surrogate_test, weights_like
+from dfm_stage.identification.periods import find_period
+from dfm_stage.identification.weights import Weights
+from dfm_stage.model import EFFECTS, Model
+
+Rivals = Mapping[str, Sequence[Rival]]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Effects that the model lacks, in the order found, their fit and the one without any, for
+    each effect the rivals fitted in its place, and those that held-out records do not exercise."""
+
+    names: Names
+    fit: Fit
+    bare: Fit
+    rivals: Rivals = field(default_factory=dict)
+    not_exercised: Names = ()
+
+    def without(self, name: str, search: Search) -> Hypothesis:
+        """The same without one effect, refitted."""
+        rest = tuple(n for n in self.names if n != name)
+        return replace(self, names=rest, fit=search.fitted(rest, self.fit))
+
+
+@dataclass
+class Trial:
+    """Finds a hypothesis with `search` and tests it on the records `held`.
+
+    `dropped` is what failed and why; `seed` fixes the surrogates.
+    """
+
+    search: Search
+    held: Sequence[Observation]
+    seed: int = 0
+    held_weights: Weights = ()
+    dropped: dict[str, DropReason] = field(default_factory=dict)
+
+    def run(self, names: Names, found: Fit) -> Hypothesis:
+        """Test what a search found and what it finds after each drop; return what is left."""
+        search = self.search
+        while True:
+            names, found, bare = search.settle(names, found)
+            search.step("comparing rivals")
+            names, found, rivals = search.compare(names, found)
+            h = Hypothesis(names, found, bare, rivals)
+            self.held_weights = weights_like(self.held, search.weights)
+            search.step("predicting held-out records")
+            h = self.exchange_rival(h)
+            h = replace(h, fit=search.polished(h.names, h.fit))
+            for test in (self.surrogate_tests, self.line_of_input, self.at_bound):
+                h = test(h)
+            second = self.second_look(h)
+            if second is None:
+                return h
+            names, found = second
+
+    def second_look(self, h: Hypothesis) -> tuple[Names, Fit] | None:
+        """Search on without what was dropped in this round; None if nothing was, or nothing
+        helps."""
+        if self.search.barred == set(self.dropped):
+            return None
+        self.search.barred = set(self.dropped)
+        self.search.step("screening what is left")
+        return self.search.second(h.names, h.fit)
+
+    def predicted(self, model: Model) -> Prediction:
+        """What a model with effects leaves of the held-out records."""
+        return predict(model, self.held, self.held_weights, self.search.noise)
+
+    def exchange_rival(self, h: Hypothesis) -> Hypothesis:
+        """Put a rival in the place of an effect that fits as well, where the held-out records part
+        them: fitted and held out together it must be better by the margin."""
+        for name in h.names:
+            close = [r for r in h.rivals[name] if r.price(h.fit) <= MARGIN]
+            if not close:
+                continue
+            own = self.predicted(h.fit.model).chi2
+            scores = [r.price(h.fit) + self.predicted(r.fit.model).chi2 for r in close]
+            if min(scores) >= own - MARGIN:
+                continue
+            better = close[scores.index(min(scores))]
+            kept: dict[str, Sequence[Rival]] = {
+                n: [replace(r, cost=r.fit.chi2 - better.fit.chi2) for r in found]
+                for n, found in h.rivals.items() if n != name}
+            kept[better.name] = [Rival(name, -better.cost, h.fit)]
+            names = tuple(better.name if n == name else n for n in h.names)
+            return replace(h, names=names, fit=better.fit, rivals=kept)
+        return h
+
+    def surrogate_tests(self, h: Hypothesis) -> Hypothesis:
+        """Drop effects that do no better on held-out runs than their surrogates.
+
+        Those that held-out runs do not exercise stay, noted as such, but not where they were
+        found in place of dropped ones: fitted records alone were wrong before.
+        """
+        not_exercised = []
+        for name in h.names:
+            passed = surrogate_test(h.fit.model, name, self.held, self.held_weights,
+                                    self.search.noise, self.seed).passed(
+                                        bool(EFFECTS[name].per_run))
+            if passed is None and not self.search.barred:
+                not_exercised.append(name)
+            elif not passed:
+                self.dropped[name] = (
+                    DropReason.NOT_EXERCISED if passed is None else DropReason.NOT_HELD_OUT
+                    if EFFECTS[name].per_run else DropReason.SURROGATES)
+                return self.surrogate_tests(h.without(name, self.search))
+        return replace(h, not_exercised=tuple(not_exercised))
+
+    def line_of_input(self, h: Hypothesis) -> Hypothesis:
+        """Drop a vibration at a line of the input where the model leaves more than noise: it may
+        be no more than the model's own error there."""
+        run = self.search.runs[0]
+        name = next((n for n in h.names if EFFECTS[n].frequency), "")
+        if not name or len(h.names) == 1:
+            return h
+        repeated = run.periodicity or find_period(run.input)  # measured, it repeats but for noise
+        if repeated is None:
+            return h
+        lines = h.fit.model.parameters()[f"{name}.{EFFECTS[name].frequency}"] * (
+            repeated.period * run.sample_period)
+        nearest = 0.5 * repeated.period / run.input.size
+        left = findings(run, h.fit.residuals[0][0], None)
+        if abs(lines - round(lines)) > nearest or not any(f.real for f in left):
+            return h
+        self.dropped[name] = DropReason.LINE_OF_INPUT
+        return h.without(name, self.search)
+
+    def at_bound(self, h: Hypothesis) -> Hypothesis:
+        """Drop effects of which a parameter has no interval: the fit ran to the bound of what the
+        effect can be, and stands for something else there."""
+        values = h.fit.quantities()
+        for name in reversed(h.names):
+            own = [q for address, q in values.items() if address.startswith(f"{name}.")]
+            if any(q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own):
+                self.dropped[name] = DropReason.AT_BOUND
+                return self.at_bound(h.without(name, self.search))
+        return h

@@ -1,0 +1,276 @@
+"""From evidence to one verdict: a pure function of values and of the table of decisions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+from dfm_stage.diagnosis.decisions import (
+    AT_REST,
+    AT_REST_INPUT,
+    BASE_AT_ZERO,
+    FIRST,
+    GROSS_GAP,
+    HELD_OUT_FLOOR,
+    JOINT_LOSS,
+    MARGIN,
+    MOST_OF_GAP,
+    NOT_EXERCISED,
+    OFFSET_NOISE,
+    OFFSET_SIGMAS,
+    PRESLIDING_DISTANCE,
+    RETUNE_GAIN,
+    RETUNE_RATIO,
+)
+from dfm_stage.diagnosis.evidence import (
+    Candidate,
+    DropReason,
+    EffectEvidence,
+    Evidence,
+    RivalEvidence,
+    Which,
+)
+
+Kind = Literal["none", "retune", "named", "ambiguous", "unknown", "not_excited"]
+
+
+# The rule that decided.
+Reason = Enum("Reason", [
+    # the effects stand:
+    "GROSS_GAP",      # they take most of a gross gap
+    "AT_FLOOR",       # with them held-out records are predicted to the noise floor
+    "JOINT_FIT",      # one set of values brings fitted and held-out records to the noise floor
+    # the effects fall:
+    "BARELY_FITTED",  # held-out records do not exercise them, and the fitted ones show little
+    "NOT_HELD_OUT",   # they lower the fitted gap, not the held-out one
+    "NEAR",           # they come near, but leave more than noise
+    "ABOVE_FLOOR",    # they explain the fitted records, but not the held-out ones
+    # beside the effects:
+    "NOT_EXERCISED",  # held-out records do not exercise them
+    # there are none:
+    "REMAINDER",      # more than noise is left, and no effect explains it
+    "REST",           # the stage hardly moves above its noise
+    "OFFSET",         # a constant that may be a force or an encoder zero
+    "RETUNED",        # new values of the base parameters close the gap
+    "NOISE",          # what is left is noise
+])
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What a reader must know of effects beside the verdict; `ratio` is the held-out RMS over the
+    noise."""
+
+    reason: Reason
+    names: tuple[str, ...]
+    ratio: float = math.nan
+
+
+# Why an effect of the library is not named, where it was not dropped.
+Rejected = Enum("Rejected", [
+    "RIVAL",          # another one in its place fits better
+    "EXCLUDED",       # it is no candidate here
+    "NOT_HELD_OUT",   # it is in the hypothesis, which did not pass
+    "NO_RESPONSE",    # the data show none of it
+    "SHARE",          # it could take but a share of the gap
+    "BELOW_LIMIT",    # chi-square falls by less than the limit
+])
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """An effect that is not named. `value` is the cost, the share or the fall in chi-square that
+    its reason speaks of, `about` the effect that it would replace, or what excludes it."""
+
+    name: str
+    reason: Rejected | DropReason
+    value: float = math.nan
+    about: str = ""
+    held_out_rms: float | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect found: its class, its share of the gap's power, and the rise in chi-square
+    without it."""
+
+    name: str
+    members: tuple[str, ...]
+    share: float
+    loss: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the evidence says.
+
+    `effects` stand in the order in which they shrank the gap. `undecided` are the names that the
+    data do not tell apart, `shown` the model whose gap is told, `model` the one to go on with.
+    """
+
+    kind: Kind
+    reason: Reason
+    effects: tuple[Found, ...] = ()
+    undecided: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
+    rejected: tuple[Rejection, ...] = ()
+    remainder: bool = False
+    shown: Which = "retuned"
+    model: Which = "given"
+
+
+def verdict(e: Evidence) -> Verdict:
+    """Judge the evidence."""
+    outcome = judge_hypothesis(e)
+    names = {x.name for x in e.effects}
+    if outcome.stands:
+        classes = {x.name: _class(e, x) for x in e.effects}
+        found = sorted((_found(e, x, classes[x.name]) for x in e.effects), key=lambda f: -f.loss)
+        undecided = tuple(m for members in classes.values() for m in members if len(members) > 1)
+        return Verdict("ambiguous" if undecided else "named", outcome.reason, tuple(found),
+                       undecided, outcome.doubts, tuple(_rejected(e, names)),
+                       e.extended.remainder, "extended", "extended")
+    offset = _offset(e)
+    rules: tuple[tuple[bool, Kind, Reason], ...] = (
+        (e.retuned.remainder, "unknown", Reason.REMAINDER),
+        (_at_rest(e), "not_excited", Reason.REST),
+        (offset is not None, "ambiguous", Reason.OFFSET),
+        (_retuned(e), "retune", Reason.RETUNED),
+        (True, "none", Reason.NOISE))
+    kind, reason = next((kind, reason) for holds, kind, reason in rules if holds)
+    told = (offset,) if offset is not None and kind == "ambiguous" else ()
+    return Verdict(kind, reason, told, told[0].members if told else (), outcome.doubts,
+                   tuple(_rejected(e, {f.name for f in told})), e.retuned.remainder, "retuned",
+                   "retuned" if kind == "retune" else "given")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Whether held-out data and what is left over bear out the effects of the hypothesis, by
+    which rule, and what is doubtful."""
+
+    stands: bool
+    reason: Reason
+    doubts: tuple[Doubt, ...] = ()
+
+
+def judge_hypothesis(e: Evidence) -> Outcome:
+    """Judge the effects of the hypothesis together; without any there is nothing to judge."""
+    names = tuple(x.name for x in e.effects)
+    if not names:
+        return Outcome(False, Reason.NOISE)
+    idle = tuple(x.name for x in e.effects if not x.exercised)
+    doubts = (Doubt(Reason.NOT_EXERCISED, idle),) if idle else ()
+    if idle and e.retuned.fitted.chi2 - e.extended.fitted.chi2 < 2.0 * FIRST:
+        return Outcome(False, Reason.BARELY_FITTED, doubts)
+    allowed = NOT_EXERCISED if idle else 0.0
+    if not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed:
+        return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
+    if _takes_most_of_a_gross_gap(e) and not _base_at_zero(e):
+        return Outcome(True, Reason.GROSS_GAP, doubts)
+    if e.extended.remainder:
+        return Outcome(False, Reason.NEAR, (Doubt(Reason.NEAR, names),))
+    limit = HELD_OUT_FLOOR * e.noise.rms
+    if e.extended.held_out.rms <= limit:
+        return Outcome(True, Reason.AT_FLOOR, doubts)
+    ratio = e.extended.held_out.rms / e.noise.rms
+    if e.joint is not None and e.joint[1] <= limit and (
+            e.joint[0] <= JOINT_LOSS * e.extended.fitted.rms):
+        known = Doubt(Reason.JOINT_FIT, names, ratio)
+        return Outcome(True, Reason.JOINT_FIT, (*doubts, known))
+    return Outcome(False, Reason.ABOVE_FLOOR,
+                   (*doubts, Doubt(Reason.ABOVE_FLOOR, names, ratio)))
+
+
+def needs_joint_fit(e: Evidence) -> bool:
+    """Whether the verdict hangs on one fit to fitted and held-out records that is not there."""
+    return e.joint is None and judge_hypothesis(e).reason is Reason.ABOVE_FLOOR
+
+
+def _takes_most_of_a_gross_gap(e: Evidence) -> bool:
+    """In position; without a spring in velocity, since whatever small force there is drifts, and
+    only against the retuned model."""
+    if e.motion.springless:
+        motion, gap = e.motion.change_rms, e.retuned.fitted.change_rms
+        first, after = e.retuned.held_out.change_rms, e.extended.held_out.change_rms
+    else:
+        motion, gap = e.motion.rms, min(e.retuned.fitted.rms, e.given.fitted.rms)
+        first = min(e.retuned.held_out.rms, e.given.held_out.rms)
+        after = e.extended.held_out.rms
+    taken = 1.0 - (after / max(first, 1e-300)) ** 2
+    return gap > GROSS_GAP * motion and taken > MOST_OF_GAP
+
+
+def _base_at_zero(e: Evidence) -> bool:
+    """Whether the fit pushed damping, stiffness or the actuator to nothing: no such stage."""
+    return any(share <= BASE_AT_ZERO for share in e.base_shares.values())
+
+
+def _class(e: Evidence, effect: EffectEvidence) -> tuple[str, ...]:
+    """The effect and the rivals that the data do not part from it."""
+    return (effect.name, *(r.name for r in effect.rivals if _not_parted(e, r)))
+
+
+def _not_parted(e: Evidence, rival: RivalEvidence) -> bool:
+    if rival.distance_over_noise < PRESLIDING_DISTANCE or rival.price > MARGIN:
+        return False
+    return rival.price + rival.held_out.chi2 - e.extended.held_out.chi2 <= MARGIN
+
+
+def _found(e: Evidence, effect: EffectEvidence, members: tuple[str, ...]) -> Found:
+    loss = effect.without.fitted.chi2 - e.extended.fitted.chi2
+    share = loss / max(e.retuned.fitted.chi2 - e.extended.fitted.count, 1.0)
+    return Found(effect.name, members, min(max(share, 0.0), 1.0), loss)
+
+
+def _offset(e: Evidence) -> Found | None:
+    """A constant that is clear and that the model does not have."""
+    o = e.offset
+    if o is None or abs(o.value) < OFFSET_SIGMAS * o.sigma or (
+            abs(o.value) < OFFSET_NOISE * e.noise.rms):
+        return None
+    return Found(o.effect, (o.effect, "encoder_zero"), 1.0, (o.value / o.sigma) ** 2)
+
+
+def _at_rest(e: Evidence) -> bool:
+    over_noise = AT_REST_INPUT if e.motion.constant_input else AT_REST
+    return e.motion.rms < over_noise * e.noise.rms
+
+
+def _retuned(e: Evidence) -> bool:
+    given, retuned = e.given.fitted, e.retuned.fitted
+    return given.chi2 - retuned.chi2 > RETUNE_GAIN and given.rms > RETUNE_RATIO * retuned.rms
+
+
+def _rejected(e: Evidence, named: set[str]) -> Iterator[Rejection]:
+    """Every effect that is not named: rivals first, then the library in its order."""
+    told = set(named)
+    for effect in e.effects:
+        for rival in effect.rivals:
+            if rival.name not in named:
+                told.add(rival.name)
+                yield Rejection(rival.name, Rejected.RIVAL, rival.cost, effect.name,
+                                rival.held_out.rms)
+    above = max(e.retuned.fitted.chi2 - e.retuned.fitted.count, 1.0)
+    fitted = {x.name for x in e.effects}
+    for candidate in e.library:
+        if candidate.name not in told:
+            yield _not_named(candidate, candidate.name in fitted, above)
+
+
+def _not_named(c: Candidate, fitted: bool, above: float) -> Rejection:
+    """Why a candidate is not named where chi-square is `above` the noise by so much."""
+    if c.excluded is not None:
+        return Rejection(c.name, Rejected.EXCLUDED, about=c.excluded)
+    if c.dropped is not None:
+        return Rejection(c.name, c.dropped)
+    if fitted:
+        return Rejection(c.name, Rejected.NOT_HELD_OUT)
+    if c.gain is None or c.gain <= 0.0:
+        return Rejection(c.name, Rejected.NO_RESPONSE)
+    if above > FIRST and c.gain > FIRST:
+        return Rejection(c.name, Rejected.SHARE, min(c.gain / above, 1.0))
+    return Rejection(c.name, Rejected.BELOW_LIMIT, c.gain)

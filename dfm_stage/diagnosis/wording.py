@@ -1,0 +1,119 @@
+"""A verdict and its evidence in words: every sentence of a diagnosis stands here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, MARGIN
+from dfm_stage.diagnosis.evidence import DropReason, Evidence, Proposal
+from dfm_stage.diagnosis.verdict import Found, Reason, Rejected, Rejection, Verdict
+from dfm_stage.model import EFFECTS
+
+SENTENCES = {
+    "unknown": "The gap is real, and no effect of the library explains it on data it was not "
+    "fitted to.",
+    "retune": "No physics is missing: the gap closes when the model's own parameters are "
+    "re-estimated.",
+    "not_excited": "These data could not have shown a missing effect: the stage hardly moves "
+    "above its noise.",
+    "none": "Nothing is missing: what the model leaves over is noise."}
+PARTED = ("on a linear spring a constant force and an encoder zero are the same; give "
+          "encoder_zero in the model if it is known")
+SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHARE)} % of each "
+         "record are held out; a record of another kind would be a harder test")
+CUT_SHORT = ("candidates that are slow to simulate were not all tried: the work grew beyond its "
+             "limit; diagnose shorter records or fewer effects (--without)")
+DOUBTS = {
+    Reason.NOT_EXERCISED: "the held-out records do not exercise {names}: what is said of it "
+    "rests on the fitted records",
+    Reason.NOT_HELD_OUT: "{names}: lowers the fitted gap, not the held-out one",
+    Reason.NEAR: "{names}: comes near, but leaves more than noise",
+    Reason.JOINT_FIT: "held-out data are predicted at {ratio:.1f} times the noise "
+    "floor, as far as the parameters are known",
+    Reason.ABOVE_FLOOR: "{names}: explains the fitted records, but not the held-out ones"}
+REJECTED: Mapping[Rejected | DropReason, str] = {
+    DropReason.NOT_EXERCISED: "found second, and the held-out records do not exercise it",
+    DropReason.NOT_HELD_OUT: "is not in the held-out data",
+    DropReason.SURROGATES: "lowers the held-out error no more than when shifted",
+    DropReason.LINE_OF_INPUT: "stands at a line of the input, as the model's own error does",
+    DropReason.AT_BOUND: "its parameters run to the edge of their range",
+    Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
+    Rejected.EXCLUDED: "{about}",
+    Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
+    Rejected.NO_RESPONSE: "no response that the data show",
+    Rejected.SHARE: "could take {value:.0%} of the gap at best",
+    Rejected.BELOW_LIMIT: f"chi-square falls by {{value:.0f}}, below the limit {FIRST:g}"}
+
+
+def sentence(e: Evidence, v: Verdict) -> str:
+    """The verdict in one sentence."""
+    if v.kind == "named":
+        ratio = e.extended.held_out.rms / max(e.noise.floor[0], 1e-300)
+        tail = "; a remainder stays" if v.remainder else ""
+        return (f"The model lacks {_listed([f.name for f in v.effects])}: with it the held-out "
+                f"gap falls to {ratio:.2f} times the noise floor{tail}.")
+    if v.kind == "ambiguous":
+        kinds = "; ".join(" or ".join(map(_spoken, f.members)) for f in v.effects)
+        return f"Something is missing that these data do not tell apart: {kinds}."
+    return SENTENCES[v.kind]
+
+
+def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
+    """What speaks for one effect found."""
+    seen = next((x for x in e.effects if x.name == found.name), None)
+    if seen is None:
+        value = e.offset.value if e.offset is not None else 0.0
+        yield f"the readings lie {value:.3g} {e.unit} from where the model has them"
+        yield PARTED
+        return
+    yield f"chi-square rises by {found.loss:.0f} without it (limit {FIRST:g})"
+    yield (f"held-out RMS {seen.without.held_out.rms:.3g} {e.unit} without it, "
+           f"{e.extended.held_out.rms:.3g} {e.unit} with it")
+    yield f"{EFFECTS[found.name].meaning}: {EFFECTS[found.name].equation}"
+    for rival in seen.rivals[:2]:
+        yield f"{rival.name} in its place costs {rival.cost:.0f} in chi-square"
+
+
+def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
+    """What a reader must know beside the verdict."""
+    return (*e.warnings, *([SPLIT] if e.split else []), *([CUT_SHORT] if e.cut_short else []),
+            *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
+              for d in v.doubts))
+
+
+def rejection(r: Rejection) -> str:
+    """Why an effect is not named."""
+    return REJECTED[r.reason].format(value=r.value, about=r.about)
+
+
+def experiment(proposal: Proposal) -> dict[str, Any]:
+    """The next experiment with what is expected of it."""
+    said = ""
+    if proposal.expected is not None:
+        names, expected = _listed(proposal.parts), proposal.expected
+        duration = proposal.experiment["duration_s"]
+        said = (f"In {duration:g} s it is expected to part {names} by {expected:.0f} in "
+                f"chi-square (needed: {MARGIN:g}).") if expected >= MARGIN else (
+            f"No experiment within the recorded voltage and travel is expected to part {names}; "
+            f"this one comes nearest, with {expected:.1f} in chi-square (needed: {MARGIN:g}) in "
+            f"{duration:g} s.")
+    words = (proposal.experiment["description"], said, _hint(proposal.parts))
+    return {**proposal.experiment, "description": " ".join(filter(None, words))}
+
+
+def _hint(names: Sequence[str]) -> str:
+    """What the library says would part the effects."""
+    for name in names:
+        for c in EFFECTS[name].classes if name in EFFECTS else ():
+            if any(m in c.members for m in names if m != name):
+                return f"In general: {c.split_by}."
+    return ""
+
+
+def _spoken(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(map(_spoken, names))

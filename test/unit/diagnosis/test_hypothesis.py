@@ -1,0 +1,126 @@
+"""Steps that put a hypothesis to the test, each with a search that answers from a table."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis import hypothesis
+from dfm_stage.diagnosis.evidence import DropReason
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.search import Rival
+from dfm_stage.diagnosis.verification import SurrogateTest
+from dfm_stage.identification.periods import Periodicity
+from dfm_stage.identification.quantity import Quantity
+
+PASSED, FAILED = SurrogateTest(1e4, 100.0, 1e4, 5e3), SurrogateTest(1e4, 5e3, 1e4, 100.0)
+IDLE = SurrogateTest(1.0, 100.0, 100.0, np.inf)
+
+
+class OneFit:
+    """A search whose fits are the names that were fitted."""
+
+    def __init__(self, barred=()):
+        self.barred, self.dither, self.runs, self.said = set(barred), 0.0, [], []
+        self.step = self.said.append
+
+    def fitted(self, names, _):
+        return SimpleNamespace(model=None, names=names)
+
+
+def start(*names, **more) -> Hypothesis:
+    fit = SimpleNamespace(model=None, names=names)
+    return Hypothesis(names, fit, SimpleNamespace(model=None), **more)
+
+
+def with_tests(monkeypatch, results):
+    monkeypatch.setattr(hypothesis, "surrogate_test",
+                        lambda _model, name, *_: results[name])
+
+
+def test_an_effect_that_does_no_better_than_its_surrogates_is_dropped_and_the_rest_refitted(
+        monkeypatch):
+    with_tests(monkeypatch, {"creep": PASSED, "coulomb_friction": FAILED})
+    trial = Trial(OneFit(), [])
+    left = trial.surrogate_tests(start("coulomb_friction", "creep"))
+    assert left.names == left.fit.names == ("creep",)
+    assert trial.dropped == {"coulomb_friction": DropReason.SURROGATES}
+
+
+def test_an_effect_free_in_each_run_is_dropped_for_what_it_does_not_lower(monkeypatch):
+    with_tests(monkeypatch, {"thermal_drift": SurrogateTest(1e4, 100.0, 110.0, np.inf)})
+    trial = Trial(OneFit(), [])
+    assert trial.surrogate_tests(start("thermal_drift")).names == ()
+    assert trial.dropped == {"thermal_drift": DropReason.NOT_HELD_OUT}
+
+
+@pytest.mark.parametrize(("barred", "kept"), [((), ("creep",)), (("hysteresis",), ())])
+def test_an_effect_not_exercised_stays_in_the_first_look_only(monkeypatch, barred, kept):
+    with_tests(monkeypatch, {"creep": IDLE})
+    trial = Trial(OneFit(barred), [])
+    left = trial.surrogate_tests(start("creep"))
+    assert left.names == left.not_exercised == kept
+    assert trial.dropped == ({} if kept else {"creep": DropReason.NOT_EXERCISED})
+
+
+def test_an_effect_at_its_bound_is_dropped(monkeypatch):
+    intervals = {("creep", "second_mode"): {"creep.gain": (0.1, 0.2), "stiffness": None,
+                                            "second_mode.damping_ratio": (-np.inf, np.inf)},
+                 ("creep",): {"creep.gain": (0.1, 0.3)}}
+    monkeypatch.setattr(hypothesis, "quantities", lambda fit: {
+        name: Quantity(1.0, "", ci95) for name, ci95 in intervals[fit.names].items()})
+    trial = Trial(OneFit(), [])
+    assert trial.at_bound(start("creep", "second_mode")).names == ("creep",)
+    assert trial.dropped == {"second_mode": DropReason.AT_BOUND}
+
+
+@pytest.mark.parametrize(("hertz", "noisy", "kept"), [
+    (5.0, False, False),  # at a line, and more than noise is left: the model's own error
+    (5.0, True, True),    # at a line, and nothing else is left: a vibration
+    (5.25, False, True)])  # between lines
+def test_a_vibration_at_a_line_of_the_input_is_dropped_beside_a_remainder(hertz, noisy, kept):
+    rng = np.random.default_rng(4)
+    time = 1e-3 * np.arange(8000)
+    left = rng.standard_normal(8000) + (0.0 if noisy else 20.0) * np.sin(2 * np.pi * 5.0 * time)
+    run = SimpleNamespace(periodicity=Periodicity(2000, 0, 4), sample_period=1e-3, skip=0,
+                          input=time, output=left)
+    search = OneFit()
+    search.runs = [run]
+    model = SimpleNamespace(parameters=lambda: {"periodic_disturbance.frequency": hertz})
+    h = Hypothesis(("creep", "periodic_disturbance"),
+                   SimpleNamespace(model=model, residuals=[[left]]), SimpleNamespace())
+    trial = Trial(search, [])
+    assert trial.line_of_input(h).names == (h.names if kept else ("creep",))
+    assert trial.dropped == ({} if kept else {"periodic_disturbance": DropReason.LINE_OF_INPUT})
+
+
+def _fit(chi2: float, held: float) -> SimpleNamespace:
+    return SimpleNamespace(chi2=chi2, model=held, system=SimpleNamespace(free=()))
+
+
+@pytest.mark.parametrize(("held", "chosen"), [(80.0, "hysteresis"), (90.0, "creep")])
+def test_a_rival_takes_an_effects_place_where_it_is_better_by_the_margin(monkeypatch, held,
+                                                                        chosen):
+    monkeypatch.setattr(hypothesis, "predict",
+                        lambda model, *_: SimpleNamespace(chi2=model))
+    own, other = _fit(1000.0, 100.0), _fit(1002.0, held)
+    rivals = {"creep": [Rival("hysteresis", 2.0, other)]}
+    h = Trial(OneFit(), []).exchange_rival(Hypothesis(("creep",), own, own, rivals))
+    assert h.names == (chosen,)
+    if chosen != "creep":
+        assert h.fit is other
+        assert [(r.name, r.cost, r.fit) for r in h.rivals["hysteresis"]] == [("creep", -2.0, own)]
+
+
+def test_a_second_look_is_taken_only_after_a_drop():
+    search = OneFit()
+    search.second = lambda names, fit: (("back_emf", *names), fit)
+    trial = Trial(search, [])
+    h = start("creep")
+    assert trial.second_look(h) is None
+    trial.dropped["hysteresis"] = DropReason.SURROGATES
+    assert trial.second_look(h) == (("back_emf", "creep"), h.fit)
+    assert search.barred == {"hysteresis"}
+    assert trial.second_look(h) is None
