@@ -150,16 +150,16 @@ FURTHER_SHARE = _search("FURTHER_SHARE", 0.2, "1", "Share of what is left above 
                         "further effect must take: bits are no physics.")
 MOST_EFFECTS = decision("MOST_EFFECTS", 4, "1", meaning="Effects that are added at most.",
                         set_on=SEARCH_FORM)
-PROMISED = _search("PROMISED", 0.5, "1", "Share of a limit that the screen must promise for a fit; "
-                   "share of the promise below which a fit begins anew.")
+PROMISED = _search("PROMISED", 0.5, "1", "Share of a limit that the screen must promise for a "
+                   "fit; share of the promise below which a fit begins anew.")
 SHORT_LIST = decision("SHORT_LIST", 4, "1", meaning="Candidates, and rivals of one effect, that "
                       "are fitted at most.", set_on=SEARCH_FORM)
-SHORT_LIST_GAIN = _search("SHORT_LIST_GAIN", 0.8, "1", "Share of the best screened gain from which "
-                          "a candidate is fitted.")
-FULL_SHARE = _search("FULL_SHARE", 0.985, "1", "Share of what is above the noise that one fit must "
-                     "take for no other to be tried beside it.")
-WORTH = _search("WORTH", 0.2, "1", "Share of the gap by which a fit may be worse than the best for "
-                "its last parameters to be freed.")
+SHORT_LIST_GAIN = _search("SHORT_LIST_GAIN", 0.8, "1", "Share of the best screened gain from "
+                          "which a candidate is fitted.")
+FULL_SHARE = _search("FULL_SHARE", 0.985, "1", "Share of what is above the noise that one fit "
+                     "must take for no other to be tried beside it.")
+WORTH = _search("WORTH", 0.2, "1", "Share of the gap by which a fit may be worse than the best "
+                "for its last parameters to be freed.")
 PAIR_MEMBER = _search("PAIR_MEMBER", 0.02, "1", "Share of the best screened gain from which a "
                       "candidate is screened in pairs.")
 PAIR_GAIN = _search("PAIR_GAIN", 1.02, "1", "Screened gain of a pair over the fitted one of the "
@@ -172,13 +172,13 @@ EXCHANGES = decision("EXCHANGES", 3, "1", meaning="Times that a rival may take a
                      set_on=SEARCH_FORM)
 NOISE_MOVED = _search("NOISE_MOVED", 0.03, "1", "Relative change of the noise from which fits are "
                       "weighed anew.")
-RELATED_GAIN = _search("RELATED_GAIN", 0.9, "1", "Screened gain of a rival of the same class, over "
-                       "the effect's own, from which it is fitted in its place.")
+RELATED_GAIN = _search("RELATED_GAIN", 0.9, "1", "Screened gain of a rival of the same class, "
+                       "over the effect's own, from which it is fitted in its place.")
 UNRELATED_GAIN = _search("UNRELATED_GAIN", 0.97, "1", "The same for a rival of no common class.")
 ROUNDING_GAIN = _search("ROUNDING_GAIN", 0.25, "1", "The same for a rounding beside a periodic "
                         "error of its step: its gain suffers from every error of the motion.")
-ROUNDED_GAIN = _search("ROUNDED_GAIN", 0.02, "chi-square/sample", "Fall that a further effect must "
-                       "bring beside a rounding: what it leaves is not noise.")
+ROUNDED_GAIN = _search("ROUNDED_GAIN", 0.02, "chi-square/sample", "Fall that a further effect "
+                       "must bring beside a rounding: what it leaves is not noise.")
 ROUGH_NOISE = _search("ROUGH_NOISE", 1e-3, "1", "Noise over the motion before anything is known "
                       "of it.")
 POLISHED = _search("POLISHED", 1e-3, "chi-square", "Fall a step at which a fit whose values are "
@@ -189,8 +189,8 @@ LEAST_TRAVEL = _search("LEAST_TRAVEL", 10.0, "1", "Motion over noise below which
                        "scale are not screened.")
 UNSEEN_PART = _search("UNSEEN_PART", 1e-6, "1", "Part of a response that the free parameters do "
                       "not follow, below which it is rounding.")
-AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from which a parameter "
-                 "is at it.")
+AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from which a "
+                 "parameter is at it.")
 MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that one parameter "
                       "gets when it is shared out anew.")
 STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 72e6, "steps", "Integration steps after which no "

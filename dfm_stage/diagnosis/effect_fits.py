@@ -111,7 +111,8 @@ class Fits:
         if start.system.springless:  # its base bends far to stand in for what is missing
             expected = -math.inf
         given = {n: v for n, v in self.model.base.items() if n in self.free}
-        for model, others_first in ((start.model, True), (start.model.with_parameters(given), False)):
+        anew = start.model.with_parameters(given)
+        for model, others_first in ((start.model, True), (anew, False)):
             if not hits or found.chi2 < expected or self.steps >= STEPS_BEFORE_SLOW:
                 break
             again = self._from(model, names, start, hits, worth, others_first)
@@ -126,7 +127,8 @@ class Fits:
         typical = starts(twin, self.conditions(current.model))[0]
         begin = Hit(twin, 0.0, {**typical, **EFFECTS[name].twins[twin](use.parameters)},
                     np.zeros((0, 0)), np.zeros(0))
-        found = self._from(current.model, names, current, [begin], math.inf, limit=STEPS_BEFORE_LINEAR)
+        found = self._from(current.model, names, current, [begin], math.inf,
+                           limit=STEPS_BEFORE_LINEAR)
         known = self.fits.get((frozenset(names), self.weighing))
         return known if known is not None and known.chi2 <= found.chi2 else self.keep(names, found)
 
@@ -136,8 +138,8 @@ class Fits:
 
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW) -> Fit:
-        """`others_first`: fit all else around the new effects first, and only then them, too. Begun
-        together, a large effect may be traded away for what it displaces. Once the work is beyond
+        """`others_first`: fit all else around the new effects first, and only then them, too.
+        Begun together, a large effect may be traded away for what it displaces. Once the work is beyond
         `limit`, nothing slow is begun."""
         for use in model.effects:
             if use.name not in names and self.model.effect(use.name) is None:

@@ -117,7 +117,8 @@ class Search(Fits):
         trials = self._singles(names, current, listed, above)
         taken = current.chi2 - self.best([(names, current), *trials])[1].chi2
         if len(names) + 2 <= MOST_EFFECTS and taken < FULL_SHARE * above:
-            pairs = pair_gains([h for h in hits if h.gain > PAIR_MEMBER * top], screen.residual, keep=3)
+            pairs = pair_gains([h for h in hits if h.gain > PAIR_MEMBER * top], screen.residual,
+                               keep=3)
             trials += self._pairs(names, current, [
                 pair for gain, pair in pairs
                 if gain >= taken + FURTHER and gain >= PAIR_GAIN * taken], above)
