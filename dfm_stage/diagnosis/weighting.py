@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.diagnosis.decisions import HIGH_BAND, LEAK, NOISE_ORDER, NOISE_SAMPLES, PERIODS
-from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.decisions import HIGH_BAND, LEAK, NOISE_ORDER, NOISE_SAMPLES
 from dfm_stage.identification.noise import fit_noise, whiten
 
 Array = NDArray[np.float64]
@@ -62,22 +61,6 @@ def velocity_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
 def weights_of(residuals: Sequence[Sequence[Array]]) -> Weights:
     """Weights from residuals that hold nothing but noise."""
     return tuple(tuple(_autoregression(r, "residuals") for r in parts) for parts in residuals)
-
-
-def unrepeated_rms(run: Observation, residual: Array) -> float | None:
-    """RMS of what does not repeat with the input in `residual` (N - skip,): noise, whatever the
-    model leaves. None without periods.
-
-    The means of the periods are left out: how they move is drift, not noise.
-    """
-    found = run.periodicity
-    count = 0 if found is None else min(residual.size // found.period, found.count)
-    if found is None or count < PERIODS:
-        return None
-    rows = residual[residual.size - count * found.period:].reshape(count, found.period)
-    apart = rows - rows.mean(axis=0)
-    apart -= apart.mean(axis=1, keepdims=True)
-    return float(np.sqrt(np.mean(apart**2) * count / (count - 1.0)))
 
 
 def high_band_rms(residual: Array) -> float:
