@@ -167,16 +167,6 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class InputConvention:
-    """How the input of a record acts between samples. Carried, not used yet."""
-
-    record: str
-    input_hold: str
-    input_shift_samples: Quantity
-    estimated: bool
-
-
-@dataclass(frozen=True)
 class Evidence:
     """The evidence of one diagnosis.
 
@@ -189,7 +179,7 @@ class Evidence:
     instead, `cut_short` that the work grew beyond its limit.
 
     Carried, not used yet: `witness`, what the force domain says by itself (effects with shares),
-    and `conventions` of the input, one for each record.
+    and the `conventions` of the input, one for each record, as diagnosis.json is to hold them.
     """
 
     records: tuple[str, ...]
@@ -211,4 +201,4 @@ class Evidence:
     split: bool = False
     cut_short: bool = False
     witness: Mapping[str, float] | None = None
-    conventions: tuple[InputConvention, ...] | None = None
+    conventions: tuple[Mapping[str, Any], ...] | None = None

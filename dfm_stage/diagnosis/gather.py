@@ -29,12 +29,13 @@ from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.remainder import Finding, describe, findings, unrepeated_rms
+from dfm_stage.diagnosis.remainder import Finding, describe, findings
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verdict import needs_joint_fit, verdict
 from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.identification.quantity import Quantity
+from dfm_stage.identification.residuals import noise_floor_from_periods
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.model import EFFECTS
 
@@ -49,6 +50,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
     """
     search, held = trial.search, (trial.held, trial.held_weights)
     runs, weight = search.runs, search.weights[0][0]
+    repeats = runs[0].periodicity
     given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
     seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
     retuned, extended = _of_model(runs, h.bare, seen[1]), _of_model(runs, h.fit, seen[2])
@@ -57,7 +59,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
                           description=retuned.description or extended.description)
     evidence = Evidence(
         tuple(r.name for r in runs), runs[0].unit,
-        Noise(weight.rms, weight.source, unrepeated_rms(runs[0], h.fit.residuals[0][0])),
+        Noise(weight.rms, weight.source, noise_floor_from_periods(
+            h.fit.residuals[0][0], repeats.period) if repeats is not None else None),
         _motion(runs, h.bare), ModelEvidence(_errors(fitted_given), _errors(given)), retuned,
         extended, tuple(_effect(trial, h, name, extended.parameters) for name in h.names),
         base_shares={n: h.fit.model.base.get(n, 1.0) / abs(search.model.base[n])

@@ -131,22 +131,6 @@ def _white(residual: Array) -> Array:
     return white / max(model.sigma, 1e-300)
 
 
-def unrepeated_rms(run: Observation, residual: Array) -> float | None:
-    """RMS of what does not repeat with the input in `residual` (N - skip,): noise, whatever the
-    model leaves. None without periods.
-
-    The means of the periods are left out: how they move is drift, not noise.
-    """
-    found = run.periodicity
-    count = 0 if found is None else min(residual.size // found.period, found.count)
-    if found is None or count < PERIODS:
-        return None
-    rows = residual[residual.size - count * found.period:].reshape(count, found.period)
-    apart = rows - rows.mean(axis=0)
-    apart -= apart.mean(axis=1, keepdims=True)
-    return float(np.sqrt(np.mean(apart**2) * count / (count - 1.0)))
-
-
 @dataclass(frozen=True)
 class Description:
     """What an unexplained remainder looks like, in the words of diagnosis.json."""

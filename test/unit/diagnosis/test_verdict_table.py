@@ -150,6 +150,8 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "lowers the fitted gap, not the held-out one": (
         case(CLEAR, left(1e-6, held=1e-6, remainder=True), left(held=2e-6), (FRICTION,)),
         "unknown", (), Reason.REMAINDER),
+    "no better on held-out records": (
+        case(CLEAR, left(1e-6, held=0.0), left(0.0), (FRICTION,)), "none", (), Reason.NOISE),
     "comes near, but a line is left": (
         found(FRICTION, after=left(4e-7, remainder=True)), "unknown", (), Reason.REMAINDER),
     "held out 1.19 times the floor": (

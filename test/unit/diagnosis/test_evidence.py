@@ -1,0 +1,126 @@
+"""Evidence from real searches: complete when gathered, made of plain values."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import importlib.util
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dfm_stage.cli.diagnose_report import write_report
+from dfm_stage.diagnosis import fit as fitting
+from dfm_stage.diagnosis import gather as gathering
+from dfm_stage.diagnosis import system
+from dfm_stage.diagnosis.evidence import Evidence
+from dfm_stage.diagnosis.gather import gather
+from dfm_stage.diagnosis.hypothesis import Trial
+from dfm_stage.diagnosis.observation import observe
+from dfm_stage.diagnosis.result import told
+from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.verdict import verdict
+from dfm_stage.model import Simulator
+
+_spec = importlib.util.spec_from_file_location("diagnosis_truth",
+                                               Path(__file__).with_name("truth.py"))
+assert _spec is not None
+assert _spec.loader is not None
+truth = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(truth)
+
+FEW = ("cubic_stiffness", "force_constant_droop", "quadratic_damping")
+
+
+def searched(extra=None, feed=None) -> tuple[Trial, Evidence, object]:
+    train, held = truth.multisine(1) if feed is None else feed, truth.scan()
+    runs = [observe(truth.record(u, truth.move(u, extra), seed), truth.believed(), None, name)
+            for u, seed, name in ((train, 11, "train"), (held, 12, "held"))]
+    search = Search(truth.believed(), runs[:1], ("damping", "stiffness", "force_constant"),
+                    library=FEW)
+    trial = Trial(search, runs[1:])
+    hypothesis = trial.run(*search.run())
+    return trial, gather(trial, hypothesis, ["a warning"]), hypothesis
+
+
+@pytest.fixture(scope="module")
+def cubic():
+    return searched(lambda x, v: -4e6 * x**3)
+
+
+def test_nothing_fits_or_simulates_once_the_evidence_is_there(cubic, monkeypatch, tmp_path):
+    _, evidence, hypothesis = cubic
+
+    def forbidden(*_, **__):
+        raise AssertionError("the evidence was complete")
+
+    for place, name in ((Simulator, "run"), (Simulator, "__init__"), (system.System, "__init__"),
+                        (system.System, "simulate"), (fitting, "fit"), (fitting, "minimise"),
+                        (gathering, "predict"), (gathering, "joint"), (gathering, "propose"),
+                        (Search, "fitted"), (Search, "_fit")):
+        monkeypatch.setattr(place, name, forbidden)
+    found = told(evidence, verdict(evidence), hypothesis.fit.model)
+    write_report(found, tmp_path / "report.html", ["run"], "believed")
+    assert found.names == ("cubic_stiffness",)
+    assert found.effects[0].parameters["k3"].value == pytest.approx(4e6, rel=0.02)
+    assert "Measured against simulated" in (tmp_path / "report.html").read_text("utf-8")
+
+
+def values_in(thing: object) -> Iterator[object]:
+    yield thing
+    inner = (vars(thing).values() if dataclasses.is_dataclass(thing) else
+             thing.values() if isinstance(thing, Mapping) else
+             thing if isinstance(thing, (tuple, list)) else ())
+    for each in inner:
+        yield from values_in(each)
+
+
+def test_evidence_is_made_of_plain_values(cubic):
+    from dfm_stage.diagnosis import evidence as module
+    from dfm_stage.diagnosis import remainder
+    from dfm_stage.identification import quantity
+
+    plain = (int, float, str, bool, type(None), enum.Enum, np.ndarray, tuple, list, dict)
+    ours = {module.__name__, remainder.__name__, quantity.__name__}
+    odd = {type(v) for v in values_in(cubic[1])
+           if not isinstance(v, plain) and type(v).__module__ not in ours}
+    assert odd == set()
+
+
+def test_the_numbers_gathered_are_those_of_the_records(cubic):
+    trial, e, hypothesis = cubic
+    run, held = trial.search.runs[0], trial.held[0]
+    assert e.records == ("train",)
+    assert e.motion.rms == pytest.approx(np.std(run.output))
+    assert e.extended.held_out.rms == pytest.approx(truth.NOISE, rel=0.05)
+    assert e.noise.rms == pytest.approx(truth.NOISE, rel=0.05)
+    compared = {c.name: c for c in e.comparisons}
+    assert set(compared["held"].left) == {"given", "retuned", "extended"}
+    assert np.sqrt(np.mean(compared["train"].left["extended"] ** 2)) == pytest.approx(
+        e.extended.fitted.rms)
+    simulated = Simulator(hypothesis.fit.model).run(held.input).position[held.skip:]
+    left = compared["held"].measured - simulated
+    assert np.std(left - compared["held"].left["extended"]) < 0.2 * truth.NOISE  # starts at rest
+    (effect,) = e.effects
+    assert effect.exercised
+    assert effect.without.held_out.rms == pytest.approx(e.retuned.held_out.rms, rel=1e-6)
+    assert e.base_shares.keys() == {"damping", "stiffness", "force_constant"}
+    assert all(0.9 < share < 1.1 for share in e.base_shares.values())
+    assert e.warnings == ("a warning",)
+
+
+def test_the_floor_of_a_periodic_record_holds_no_remainder():
+    """A force that no effect of the library makes repeats with the input, and is no noise."""
+    _, e, _ = searched(lambda x, v: 2e4 * x * x)
+    value, source = e.noise.floor
+    assert source == "periods"
+    assert value == pytest.approx(truth.NOISE, rel=0.03)
+    assert e.noise.rms > 2.0 * value
+
+
+def test_without_periods_the_floor_is_what_the_best_model_leaves():
+    _, e, _ = searched(feed=truth.scan(0.7))
+    assert e.noise.floor == (e.noise.rms, "residuals")
+    assert e.effects == ()
