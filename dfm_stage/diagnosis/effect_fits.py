@@ -139,8 +139,8 @@ class Fits:
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW) -> Fit:
         """`others_first`: fit all else around the new effects first, and only then them, too.
-        Begun together, a large effect may be traded away for what it displaces. Once the work is beyond
-        `limit`, nothing slow is begun."""
+        Begun together, a large effect may be traded away for what it displaces. Once the work is
+        beyond `limit`, nothing slow is begun."""
         for use in model.effects:
             if use.name not in names and self.model.effect(use.name) is None:
                 model = model.without_effect(use.name)
