@@ -56,7 +56,7 @@ def group(model: Model, names: Sequence[str]) -> list[Coordinates]:
         groups.append(_lag_and_delay(lags[0], delays[0], model.sample_period))
     taken = {n for g in groups for n in g.names}
     for use in model.effects:
-        change = EFFECTS[use.name].fit
+        change = EFFECTS[use.name].coordinates
         if change is None or any(n not in names or n in taken for n in change.names):
             continue
         count = len(change.names)

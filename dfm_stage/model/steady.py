@@ -40,7 +40,7 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
         work[at_state:at_state + len(point)] = point
         work[at_history:at_history + back] = past
         restart(layout, work)
-        run(plan.on, which, theta, work, inputs, force, other, _NOWHERE, nothing)
+        run(which, theta, work, inputs, force, other, _NOWHERE, nothing)
         reached: Array = work[at_state:at_state + len(point)].copy()
         return reached
 
@@ -50,7 +50,7 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
     first = layout[slots.AT_DISCRETE]
     propagator = work[first:first + n * (n + 7)].reshape(n, n + 7)[:, :n]
     left = np.eye(n) - np.linalg.matrix_power(propagator, len(inputs))
-    outcome, begin = SETTLED, np.zeros(n + slots.BRISTLES)
+    outcome, begin = SETTLED, np.zeros(n + int(layout[slots.BRISTLES]))
     largest = np.abs(left).max(axis=1, keepdims=True)
     if np.all(np.isfinite(left)) and np.all(largest > 0.0) \
             and np.linalg.cond(left / largest) < LARGEST_CONDITION:

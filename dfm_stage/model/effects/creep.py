@@ -62,9 +62,9 @@ EFFECT = Effect(
                     "higher frequencies"),
         Equivalence(("creep", "thermal_drift"), "one step only", "steps in both directions"),
     ),
-    fit=Reparametrisation(("stiffness", "creep.stiffness", "creep.time_constant"),
-                          ("unrelaxed_stiffness", "creep.rate", "creep.time_constant"),
+    fit=Reparametrisation(("stiffness", ".stiffness", ".time_constant"),
+                          ("unrelaxed_stiffness", ".rate", ".time_constant"),
                           _forward, _backward),
-    states=("creep",),
+    states=(".",),
     stamp=stamp,
 )

@@ -57,8 +57,8 @@ EFFECT = Effect(
                          "motion much smaller than the period",
                          "motion across several periods"),),
     fit=Reparametrisation(
-        ("encoder_periodic_error.amplitude", "encoder_periodic_error.phase"),
-        ("encoder_periodic_error.in_phase", "encoder_periodic_error.quadrature"),
+        (".amplitude", ".phase"),
+        (".in_phase", ".quadrature"),
         _forward, _backward),
     sense=sense,
 )

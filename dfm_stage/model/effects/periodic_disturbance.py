@@ -62,10 +62,11 @@ EFFECT = Effect(
     shown_by="any record, at rest too, at a frequency that is not excited",
     optional=("phase",),
     fit=Reparametrisation(
-        ("periodic_disturbance.amplitude", "periodic_disturbance.phase"),
-        ("periodic_disturbance.in_phase", "periodic_disturbance.quadrature"),
+        (".amplitude", ".phase"),
+        (".in_phase", ".quadrature"),
         _forward, _backward),
-    states=("periodic_disturbance.force", "periodic_disturbance.quadrature"),
+    frequency="frequency",
+    states=(".force", ".quadrature"),
     stamp=stamp,
     start=start,
 )

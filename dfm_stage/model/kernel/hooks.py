@@ -1,101 +1,212 @@
-"""The effects' hooks, chained into one compiled function each.
+"""The effects' hooks, compiled one by one and called by the address of their machine code.
 
-A chain is written out as text, one line per effect, compiled when it is first needed and never
-cached itself: the entry points that call it carry its machine code. `on` is the bit mask of
-effects, in registry order. Effects that are off cost a test of one bit.
+The kernel is compiled once and holds no effect. `layout` has a table for each kind of hook with
+one entry for each effect that is on: the address, where its parameters begin in `theta`, and its
+first state. Each hook is machine code of its own, kept on disk under a hash of all it is made of,
+so that an effect costs the same however many others there are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+from numba import carray, types
+from numpy.typing import NDArray
+
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.kernel.compiled import inlined, lean
+from dfm_stage.model.kernel.compiled import callback, inlined, lean
+from dfm_stage.model.kernel.memory import POINTER, at, caller, pointer, values_at
 from dfm_stage.model.kernel.slots import (
-    BIT,
-    BRISTLE_NAMES,
-    FIRST_PARAMETER,
-    LAYOUT_FIXED,
-    POLYNOMIAL,
-    STATE_NAMES,
+    ACTUATOR_FORCES,
+    BRISTLE_STEPS,
+    CODE,
+    ENCODES,
+    ENTRY,
+    FIRST,
+    FORCES,
+    OTHER_FORCES,
+    OWN,
+    ROWS,
+    SENSES,
+    STARTS,
 )
-from dfm_stage.model.registry import EFFECTS
 
+Array = NDArray[np.float64]
+Layout = NDArray[np.int64]
 Hook = Callable[..., Any]
-Force = Callable[..., float]
+_number, _index = types.float64, types.int64
+_FORCE = _number(_number, _number, _number, POINTER)
+_BRISTLE = _number(_number, _number, _number, _number, POINTER, POINTER)
+_STAMP = types.void(POINTER, POINTER, _index, _index, POINTER)
+_START = types.void(POINTER, _index, _index, POINTER)
+_ENCODE = _number(_number, _number, POINTER)
+_OTHER = _number(POINTER)
 
 
-def _with(hook: str) -> list[Effect]:
-    return [effect for effect in EFFECTS.values() if getattr(effect, hook) is not None]
+def _force(hook: Hook, values: Hook) -> Hook:
+    def force(x: float, v: float, actuator: float, p: Any) -> float:
+        return float(hook(x, v, actuator, values(p)))
+
+    return force
 
 
-@lru_cache
-def _compiled(effect: str, hook: str) -> Hook:
-    function: Hook = getattr(EFFECTS[effect], hook)
-    return lean(function) if hook == "advance" else inlined(function)
+def _bristle(hook: Hook, force: Hook, values: Hook) -> Hook:
+    def step(z: float, dx: float, v0: float, v1: float, p: Any, total: Any) -> float:
+        """Move z on by dx, add the force then to `total` (N), return z."""
+        own = values(p)
+        if dx != 0.0:
+            z = hook(z, dx, v0, v1, own)
+        total[0] += force(z, v1, own)
+        return z
+
+    return step
 
 
-def _chain(arguments: str, hook: str, effects: Iterable[Effect], step: Callable[[Effect], str],
-           start: str = "", result: str = "") -> Hook:
-    """A function of `arguments` that does `step` for every effect that is on.
+def _stamp(hook: Hook, values: Hook) -> Hook:
+    def stamp(a: Any, rows: Any, n: int, first: int, p: Any) -> None:
+        hook(carray(a, (n, n + 1)), carray(rows, (ROWS, n + 1)), first, values(p))
 
-    In the text of a step, HOOK stands for the effect's hook and P for its parameters.
-    """
-    lines, scope = [f"def chain({arguments}):", f"    {start or 'pass'}"], {}
-    for effect in effects:
-        first = FIRST_PARAMETER[effect.name]
-        taken = "".join(f"theta[{first + i}], " for i in range(len(effect.parameters)))
-        text = step(effect).replace("HOOK", effect.name).replace("P)", f"({taken}))")
-        lines += [f"    if on >> {BIT[effect.name]} & 1:", f"        {text}"]
-        scope[effect.name] = _compiled(effect.name, hook)
-    exec("\n".join([*lines, f"    return {result}"]), scope)  # noqa: S102 (text of our own)
-    return inlined(scope["chain"])
+    return stamp
 
 
-def _summed(hook: str, arguments: str, effects: Iterable[Effect]) -> Force:
-    """chain(on, theta, *arguments) -> sum of hook(*arguments, p)"""
-    return _chain(f"on, theta, {arguments}", hook, effects,
-                  lambda _: f"total += HOOK({arguments}, P)", "total = 0.0", "total")
+def _start(hook: Hook, values: Hook) -> Hook:
+    def start(state: Any, n: int, first: int, p: Any) -> None:
+        hook(carray(state, (n,)), first, values(p))
+
+    return start
 
 
-def _states(hook: str, arguments: str, effects: Iterable[Effect]) -> Hook:
-    """chain(on, layout, theta, *arguments): hook(*arguments, first, p) changes its arguments"""
-    def step(effect: Effect) -> str:
-        first = LAYOUT_FIXED + STATE_NAMES.index(effect.states[0])
-        return f"HOOK({arguments}, layout[{first}], P)"
+def _encode(hook: Hook, values: Hook) -> Hook:
+    def encode(reading: float, dither: float, p: Any) -> float:
+        return float(hook(reading, dither, values(p)))
 
-    return _chain(f"on, layout, theta, {arguments}", hook, effects, step)
+    return encode
 
 
-_STAMPED = _with("stamp")
-_BRISTLED = [EFFECTS[name] for name in BRISTLE_NAMES]
-_FORCES = _with("force")
-stamp_modes = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "modes"])
-stamp_amplifier = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "amplifier"])
-stamp_mechanics = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "mechanics"])
-start_states = _states("start", "state", _with("start"))
-point_force = _summed("force", "x, v, d", _FORCES)
-spring_force = _summed("force", "x, v, d", [e for e in _FORCES if POLYNOMIAL >> BIT[e.name] & 1])
-actuator_force = _summed("force", "x, v, d", [e for e in _FORCES if e.side == "actuator"])
-sense_error = _summed("sense", "x, t, other", _with("sense"))
-other_stiffness: Force = _chain("on, theta", "other_force", _with("other_force"),
-                                lambda _: "total += HOOK(P)", "total = 0.0", "total")
+def _other_force(hook: Hook, values: Hook) -> Hook:
+    def other_force(p: Any) -> float:
+        return float(hook(values(p)))
 
-bristle_force: Force = _chain(
-    "on, theta, work, z, v", "bristle_force", _BRISTLED,
-    lambda e: f"total += HOOK(work[z + {BRISTLE_NAMES.index(e.name)}], v, P)",
-    "total = 0.0", "total")
-"""chain(on, theta, work, z, v) -> N, with the states at work[z:]"""
+    return other_force
 
-bristle_steps = _chain(
-    "on, theta, work, z, dx, v0, v1, after", "advance", _BRISTLED,
-    lambda e: (f"work[after + {(i := BRISTLE_NAMES.index(e.name))}] = "
-               f"HOOK(work[z + {i}], dx, v0, v1, P)"))
-"""chain(on, theta, work, z, dx, v0, v1, after): work[after:] is work[z:] moved on by dx"""
 
-encode_mean: Force = _chain("on, theta, reading, dither", "encode", _with("encode"),
-                            lambda _: "reading = HOOK(reading, dither, P)", "",
-                            "reading")
-"""chain(on, theta, reading, dither) -> m, the mean of the rounded reading"""
+_MADE: dict[str, tuple[Any, Callable[..., Hook]]] = {
+    "force": (_FORCE, _force), "sense": (_FORCE, _force), "advance": (_BRISTLE, _bristle),
+    "stamp": (_STAMP, _stamp), "start": (_START, _start), "encode": (_ENCODE, _encode),
+    "other_force": (_OTHER, _other_force)}
+
+
+def address(effect: Effect, kind: str) -> int:
+    """The address of the machine code of one hook of an effect; compiled when first asked for."""
+    hooks = [getattr(effect, kind)]
+    if kind == "advance":
+        hooks.append(effect.bristle_force)
+    return int(_code(kind, len(effect.parameters), *hooks).address)
+
+
+@lru_cache(maxsize=None)
+def _code(kind: str, parameters: int, *hooks: Hook) -> Any:
+    signature, make = _MADE[kind]
+    return callback(make(*(lean(hook) for hook in hooks), values_at(parameters)), signature,
+                    (kind, parameters, hooks))
+
+
+call_force = caller(_FORCE)
+call_bristle = caller(_BRISTLE)
+call_stamp = caller(_STAMP)
+call_start = caller(_START)
+call_encode = caller(_ENCODE)
+call_other = caller(_OTHER)
+
+
+@inlined
+def _summed(layout: Layout, theta: Array, table: int, x: float, y: float, d: float) -> float:
+    """The sum of what the hooks of a table return for three numbers."""
+    total = 0.0
+    for entry in range(at(layout, table), at(layout, table + 1), ENTRY):
+        total += call_force(at(layout, entry + CODE),
+                            (x, y, d, pointer(theta, at(layout, entry + OWN))))
+    return total
+
+
+@inlined
+def point_force(layout: Layout, theta: Array, x: float, v: float, d: float) -> float:
+    """The smooth forces on the driven point, N; `d` is the actuator's."""
+    return _summed(layout, theta, FORCES, x, v, d)
+
+
+@inlined
+def actuator_force(layout: Layout, theta: Array, x: float, v: float, d: float) -> float:
+    """What the actuator gives beyond `d`, that of a constant force constant, N."""
+    return _summed(layout, theta, ACTUATOR_FORCES, x, v, d)
+
+
+@inlined
+def sense_error(layout: Layout, theta: Array, x: float, t: float, other: float) -> float:
+    """What is added to the reading, m."""
+    return _summed(layout, theta, SENSES, x, t, other)
+
+
+@inlined
+def bristle_steps(layout: Layout, theta: Array, work: Array, z: int, dx: float, v0: float,
+                  v1: float, after: int, total: int) -> float:
+    """work[after:] is work[z:] moved on by dx; returns the force then, N. `total` is scratch."""
+    work[total] = 0.0
+    for entry in range(at(layout, BRISTLE_STEPS), at(layout, BRISTLE_STEPS + 1), ENTRY):
+        own = at(layout, entry + FIRST)
+        work[after + own] = call_bristle(
+            at(layout, entry + CODE), (at(work, z + own), dx, v0, v1,
+                                       pointer(theta, at(layout, entry + OWN)),
+                                       pointer(work, total)))
+    return at(work, total)
+
+
+@inlined
+def bristle_force(layout: Layout, theta: Array, work: Array, z: int, v: float,
+                  total: int) -> float:
+    """The force of the states at work[z:], N."""
+    work[total] = 0.0
+    for entry in range(at(layout, BRISTLE_STEPS), at(layout, BRISTLE_STEPS + 1), ENTRY):
+        call_bristle(at(layout, entry + CODE), (at(work, z + at(layout, entry + FIRST)), 0.0, v, v,
+                                                pointer(theta, at(layout, entry + OWN)),
+                                                pointer(work, total)))
+    return at(work, total)
+
+
+@lean
+def stamp(layout: Layout, theta: Array, table: int, a: Array, rows: Array) -> None:
+    """Let the effects of one stage change the linear part; see `kernel.assemble`."""
+    for entry in range(layout[table], layout[table + 1], ENTRY):
+        call_stamp(layout[entry + CODE], (
+            pointer(a, 0), pointer(rows, 0), a.shape[0], layout[entry + FIRST],
+            pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def start_states(layout: Layout, theta: Array, state: Array) -> None:
+    """Let the effects set their own states at the beginning."""
+    for entry in range(layout[STARTS], layout[STARTS + 1], ENTRY):
+        call_start(layout[entry + CODE], (pointer(state, 0), state.shape[0],
+                                          layout[entry + FIRST],
+                                          pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def encode_mean(layout: Layout, theta: Array, reading: float, dither: float) -> float:
+    """The mean of the rounded reading, m."""
+    for entry in range(layout[ENCODES], layout[ENCODES + 1], ENTRY):
+        reading = call_encode(layout[entry + CODE], (reading, dither,
+                                                     pointer(theta, layout[entry + OWN])))
+    return reading
+
+
+@lean
+def other_stiffness(layout: Layout, theta: Array) -> float:
+    """The force per metre of the neighbouring axis, N/m."""
+    total = 0.0
+    for entry in range(layout[OTHER_FORCES], layout[OTHER_FORCES + 1], ENTRY):
+        total += call_other(layout[entry + CODE], (pointer(theta, layout[entry + OWN]),))
+    return total

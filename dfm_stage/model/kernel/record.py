@@ -25,6 +25,7 @@ from dfm_stage.model.kernel.slots import (
     AT_STATE,
     CURRENT,
     CURVED,
+    ENCODES,
     FORCE,
     FORCE_CONSTANT,
     FRACTION,
@@ -41,8 +42,9 @@ from dfm_stage.model.kernel.slots import (
     ROW_VELOCITY,
     ROWS,
     SAMPLE,
-    SENSED,
+    SENSES,
     SIGNALS,
+    STEPS,
     TRIED,
     VELOCITY,
     WHOLE,
@@ -60,7 +62,7 @@ record would take minutes, and its motion would be in doubt."""
 
 
 @entry
-def run(on: int, layout: Layout, theta: Array, work: Array, inputs: Array, force: Array,
+def run(layout: Layout, theta: Array, work: Array, inputs: Array, force: Array,
         other: Array, rows_out: Layout, out: Array) -> None:
     """Advance by len(inputs) samples and write the signals before each step.
 
@@ -71,7 +73,7 @@ def run(on: int, layout: Layout, theta: Array, work: Array, inputs: Array, force
     samples, n = inputs.shape[0], layout[ORDER]
     head = work[layout[AT_HEAD]:]
     applied = _applied(layout, theta, work, inputs)
-    pushed = _outside_force(on, theta, force, other)
+    pushed = _outside_force(layout, theta, force, other)
     state = work[layout[AT_STATE]:layout[AT_STATE] + n]
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
     discrete = block(work, layout, AT_DISCRETE, n, n + 7)
@@ -81,19 +83,21 @@ def run(on: int, layout: Layout, theta: Array, work: Array, inputs: Array, force
     for first in range(0, samples, BLOCK):
         count = min(BLOCK, samples - first)
         if layout[CURVED] == 1:
-            _curved_steps(on, layout, theta, work, applied, pushed, first, count, states)
+            _curved_steps(layout, theta, work, applied, pushed, first, count, states)
         elif pushed.shape[0] > 0:
             steps_with_force(a, old, new, constant, ext, state, applied, pushed, first, count,
                              states)
         else:
             steps(a, old, new, constant, state, applied, first, count, states)
-        _signals(on, rows, theta, states, applied, first, count, rows_out, out)
-    _readings(on, theta, head[PERIOD], head[SAMPLE], other, rows_out, out)
+        _signals(layout, rows, theta, states, applied, first, count, rows_out, out)
+    _readings(layout, theta, head[PERIOD], head[SAMPLE], other, rows_out, out)
     head[SAMPLE] += samples
+    if layout[CURVED] == 0:
+        head[STEPS] += samples
 
 
 @entry
-def peek(on: int, layout: Layout, theta: Array, work: Array, other: Array, out: Array) -> None:
+def peek(layout: Layout, theta: Array, work: Array, other: Array, out: Array) -> None:
     """All signals at the present sample, shape (6, 1); nothing is advanced."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
@@ -101,9 +105,9 @@ def peek(on: int, layout: Layout, theta: Array, work: Array, other: Array, out: 
     applied = work[layout[AT_HISTORY]:layout[AT_HISTORY] + 1].copy()
     applied[0] = min(max(applied[0], -theta[LIMIT]), theta[LIMIT])
     everything, first = np.arange(len(SIGNALS)), int(layout[ORDER] * 0)
-    _signals(on, rows, theta, block(work, layout, AT_STATE, n, 1), applied, first, 1, everything,
+    _signals(layout, rows, theta, block(work, layout, AT_STATE, n, 1), applied, first, 1, everything,
              out)
-    _readings(on, theta, head[PERIOD], head[SAMPLE], other, everything, out)
+    _readings(layout, theta, head[PERIOD], head[SAMPLE], other, everything, out)
 
 
 @compiled
@@ -125,8 +129,8 @@ def _applied(layout: Layout, theta: Array, work: Array, inputs: Array) -> Array:
 
 
 @compiled
-def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
-    stiffness = other_stiffness(on, theta)
+def _outside_force(layout: Layout, theta: Array, force: Array, other: Array) -> Array:
+    stiffness = other_stiffness(layout, theta)
     if other.shape[0] == 0 or stiffness == 0.0:
         return force
     total = np.empty(other.shape)
@@ -139,10 +143,11 @@ def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
 
 
 @lean
-def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: Array,
+def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
                   force: Array, first: int, count: int, out: Array) -> None:
     """As `linear.steps_with_force`, with nonlinear forces; `force` may be empty."""
     n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
+    steps = layout[AT_HEAD] + STEPS
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
     push = force[0] if force.shape[0] > 0 else theta[:0]
@@ -157,17 +162,19 @@ def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: A
             return
         if force.shape[0] > 0:
             push = force[first + k]
+        before = at(work, tried)
         for which in range(2):
             begin = 0.0 if which == 0 else fraction
             span = fraction if which == 0 else 1.0 - fraction
             if span > 0.0:
-                advance_piece(on, layout, theta, work, which, applied[first + k + which], push,
+                advance_piece(layout, theta, work, which, applied[first + k + which], push,
                               begin, span, span * period)
+        work[steps] += at(work, tried) - before
         work[tried] = max(at(work, tried) - USUAL, 0.0)
 
 
 @lean
-def _signals(on: int, rows: Array, theta: Array, states: Array, applied: Array, first: int,
+def _signals(layout: Layout, rows: Array, theta: Array, states: Array, applied: Array, first: int,
              count: int, rows_out: Layout, out: Array) -> None:
     if rows_out[POSITION] >= 0:
         _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[POSITION]])
@@ -183,13 +190,13 @@ def _signals(on: int, rows: Array, theta: Array, states: Array, applied: Array, 
     if rows_out[FORCE] >= 0:
         force = out[rows_out[FORCE]]
         _signal(rows[ROW_DRIVE], theta[FORCE_CONSTANT], states, applied, first, count, force)
-        if on & ACTUATOR_FORCES:
+        if layout[ACTUATOR_FORCES] < layout[ACTUATOR_FORCES + 1]:
             for k in range(count):
                 x = v = 0.0
                 for j in range(states.shape[0]):
                     x += rows[ROW_POSITION, j] * states[j, k]
                     v += rows[ROW_VELOCITY, j] * states[j, k]
-                force[first + k] += actuator_force(on, theta, x, v, force[first + k])
+                force[first + k] += actuator_force(layout, theta, x, v, force[first + k])
 
 
 @lean
@@ -219,21 +226,22 @@ def _signal(row: Array, factor: float, states: Array, applied: Array, first: int
 
 
 @lean
-def _readings(on: int, theta: Array, period: float, sample: float, other: Array,
+def _readings(layout: Layout, theta: Array, period: float, sample: float, other: Array,
               rows_out: Layout, out: Array) -> None:
     """Turn positions into readings; see SimulationResult for what they are."""
+    sensed = layout[SENSES] < layout[ENCODES + 1]       # the two tables stand side by side
     for signal in (READING, OUTPUT):
         if rows_out[signal] < 0:
             continue
         reading = out[rows_out[signal]]
-        if theta[ZERO] == 0.0 and not on & SENSED:
+        if theta[ZERO] == 0.0 and not sensed:
             continue
         for k in range(reading.shape[0]):
             neighbour = other[k, 0] if other.shape[0] > 0 else 0.0
             x = reading[k]
             y = x + theta[ZERO]
-            if on & SENSED:
-                y += sense_error(on, theta, x, (sample + k) * period, neighbour)
+            if sensed:
+                y += sense_error(layout, theta, x, (sample + k) * period, neighbour)
                 if signal == OUTPUT:
-                    y = encode_mean(on, theta, y, theta[NOISE])
+                    y = encode_mean(layout, theta, y, theta[NOISE])
             reading[k] = y

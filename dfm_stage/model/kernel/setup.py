@@ -13,12 +13,12 @@ from dfm_stage.model.kernel.compiled import compiled, entry
 from dfm_stage.model.kernel.hooks import start_states
 from dfm_stage.model.kernel.slots import (
     AT_A,
-    AT_BRISTLE,
     AT_DISCRETE,
     AT_END,
     AT_HEAD,
     AT_HELD,
     AT_HISTORY,
+    AT_INITIAL,
     AT_NODE,
     AT_ROWS,
     AT_STATE,
@@ -31,11 +31,9 @@ from dfm_stage.model.kernel.slots import (
     DELAY,
     DEPTH,
     DIRECTED,
-    FIRST_INITIAL,
     FORCE_CONSTANT,
     FRACTION,
     HISTORY,
-    LAYOUT_FIXED,
     LEVEL,
     LEVELS,
     MODE,
@@ -48,8 +46,8 @@ from dfm_stage.model.kernel.slots import (
     SAMPLE,
     SCALE,
     SLOPE,
-    STATE_NAMES,
     STEP,
+    STEPS,
     TRIED,
     WHOLE,
 )
@@ -57,7 +55,6 @@ from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
 
 Array = NDArray[np.float64]
 Layout = NDArray[np.int64]
-_NAMED = len(STATE_NAMES) - BRISTLES
 SHORTEST = 0.2
 """The shortest step times the fastest rate, for which the Taylor series of events are exact."""
 
@@ -88,14 +85,14 @@ def tables(work: Array, layout: Layout) -> tuple[Array, Array, Array, Array]:
 
 
 @entry
-def prepare(on: int, layout: Layout, theta: Array, work: Array) -> None:
+def prepare(layout: Layout, theta: Array, work: Array) -> None:
     """Fill `work` with all that depends on the parameters; the state is left alone."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
     period = head[PERIOD]
     a = block(work, layout, AT_A, n, n + 1)
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
-    assemble(on, layout, theta, period, a, rows)
+    assemble(layout, theta, period, a, rows)
     head[WHOLE] = np.floor(theta[DELAY] / period + 1e-9)
     head[FRACTION] = theta[DELAY] / period - head[WHOLE]
     if head[FRACTION] < 1e-9:
@@ -154,23 +151,18 @@ def _discretise(a: Array, rows: Array, period: float, fraction: float, constant:
 
 
 @entry
-def reset(on: int, layout: Layout, theta: Array, past_input: float, work: Array) -> None:
+def reset(layout: Layout, theta: Array, past_input: float, work: Array) -> None:
     """Set the state to the initial states in `theta`, and the inputs before it to a constant."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
     state = work[layout[AT_STATE]:layout[AT_STATE] + n]
-    z = work[layout[AT_BRISTLE]:layout[AT_BRISTLE] + BRISTLES]
-    for named in range(_NAMED):
-        index = layout[LAYOUT_FIXED + named]
-        if index >= 0:
-            state[index] = theta[FIRST_INITIAL + named]
-    for named in range(BRISTLES):
-        z[named] = theta[FIRST_INITIAL + _NAMED + named]
-    start_states(on, layout, theta, state)
+    for i in range(n + layout[BRISTLES]):           # the bristles stand behind the state
+        work[layout[AT_STATE] + i] = theta[layout[AT_INITIAL] + i]
+    start_states(layout, theta, state)
     first = layout[AT_HISTORY]
     for k in range(layout[HISTORY]):
         work[first + k] = past_input
-    head[SAMPLE] = 0.0
+    head[SAMPLE] = head[STEPS] = 0.0
     restart(layout, work)
 
 
