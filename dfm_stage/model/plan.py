@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ Array = NDArray[np.float64]
 Layout = NDArray[np.int64]
 
 DIRECTED_LEVELS, SMOOTH_LEVELS = 19, 9
+_LAGS = (("amplifier", slots.AMPLIFIER, slots.AMPLIFIER_STATE),
+         ("coil", slots.INDUCTANCE, slots.COIL_STATE))
+"""State, the slot that makes it, and where `layout` has its index."""
 _TABLES: dict[int, tuple[str, Callable[[Effect], bool]]] = {
     slots.MODE_STAMPS: ("stamp", lambda effect: effect.stage == "modes"),
     slots.AMPLIFIER_STAMPS: ("stamp", lambda effect: effect.stage == "amplifier"),
@@ -49,27 +53,23 @@ class Plan:
     @classmethod
     def of(cls, model: Model, changing: Sequence[str] = (), longest_delay: float = 0.0) -> Plan:
         """The plan of `model`, with room for parameters `changing` from zero."""
-        terms = _terms(model)
-        changed = {terms.get(name, name) for name in changing}
+        changed = _slots_touched(model, changing)
         effects = [EFFECTS[use.name] for use in model.effects]
         theta = theta_of(model)
         dry = any(effect.adds_to == "dry_friction" for effect in effects)
         memory = [effect for effect in effects if effect.advance is not None]
         forces = [effect.force for effect in effects if effect.force is not None]
-        lags = [(slots.AMPLIFIER, "amplifier_time_constant", "amplifier", slots.AMPLIFIER_STATE),
-                (slots.INDUCTANCE, "coil_inductance", "coil", slots.COIL_STATE)]
         states = ["position", "velocity"]
-        head = np.full(slots.LAYOUT_FIXED, -1, dtype=np.int64)
-        for slot, name, state, at in lags:
-            if theta[slot] > 0.0 or name in changed:
+        head = [-1] * slots.LAYOUT_FIXED
+        for state, slot, at in _LAGS:
+            if theta[slot] > 0.0 or slots.SLOT_NAMES[slot] in changed:
                 head[at] = len(states)
                 states.append(state)
         for effect in effects:
             if effect.advance is None:
                 states.extend(effect.state_names)
-        delay = max(theta[slots.DELAY], longest_delay)
         head[slots.ORDER] = len(states)
-        head[slots.HISTORY] = math.floor(delay / model.sample_period + 1e-9) + 2
+        head[slots.HISTORY] = _history(model, max(theta[slots.DELAY], longest_delay))
         head[slots.CURVED] = dry or bool(memory or forces)
         head[slots.DIRECTED] = directed = dry or bool(memory)
         head[slots.LEVELS] = (0 if not head[slots.CURVED] else
@@ -80,8 +80,9 @@ class Plan:
         states.extend(name for effect in memory for name in effect.state_names)
         _place_blocks(head)
         head[slots.AT_INITIAL] = len(theta)
-        layout = np.concatenate((head, _hook_tables(effects, states, head)))
-        return cls(model, layout, np.append(theta, np.zeros(len(states))), tuple(states))
+        entries = _hook_tables(effects, states, head)
+        return cls(model, np.array(head + entries, dtype=np.int64),
+                   np.append(theta, np.zeros(len(states))), tuple(states))
 
     def work(self) -> Array:
         """A fresh work array, not prepared yet."""
@@ -113,25 +114,27 @@ class Plan:
         return self.addresses[address]
 
 
-def _place_blocks(head: Layout) -> None:
+def _place_blocks(head: list[int]) -> None:
     """Give each block of `work` its first index."""
-    n, levels, bristles = (int(head[at]) for at in (slots.ORDER, slots.LEVELS, slots.BRISTLES))
+    n, levels, bristles = head[slots.ORDER], head[slots.LEVELS], head[slots.BRISTLES]
     sticks = levels if head[slots.DIRECTED] else 0
     sizes = {slots.AT_HEAD: slots.HEAD_SIZE, slots.AT_STATE: n, slots.AT_BRISTLE: bristles,
-             slots.AT_HISTORY: int(head[slots.HISTORY]), slots.AT_A: n * (n + 1),
+             slots.AT_HISTORY: head[slots.HISTORY], slots.AT_A: n * (n + 1),
              slots.AT_ROWS: slots.ROWS * (n + 1), slots.AT_DISCRETE: n * (n + 7),
              slots.AT_HELD: n * (n + 1), slots.AT_NODE: 18 * levels * (n + 5),
              slots.AT_END: 2 * levels * n * (n + 5), slots.AT_STICK_NODE: 12 * sticks * (n + 1),
              slots.AT_STICK_END: 2 * sticks * n * (n + 1),
-             slots.AT_SCRATCH: n + 3 * bristles + (n + 1) * TERMS, slots.WORK_SIZE: 0}
-    ends = np.cumsum([0, *sizes.values()])
-    for at, first in zip(sizes, ends, strict=False):
+             slots.AT_SCRATCH: n + bristles + (n + 1) * TERMS, slots.WORK_SIZE: 0}
+    first = 0
+    for at, size in sizes.items():
         head[at] = first
+        first += size
 
 
-def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: Layout) -> Layout:
+def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: list[int]) -> list[int]:
     """The entries of all tables; where each table begins goes to `head`."""
-    own = np.cumsum([len(slots.SLOT_NAMES), *(len(effect.parameters) for effect in effects)])
+    sizes = (len(effect.parameters) for effect in effects)
+    own = [*accumulate(sizes, initial=len(slots.SLOT_NAMES))]
     entries: list[int] = []
     for table, (hook, belongs) in _TABLES.items():
         head[table] = slots.LAYOUT_FIXED + len(entries)
@@ -139,10 +142,10 @@ def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: Layout)
             if getattr(effect, hook) is not None and belongs(effect):
                 state = states.index(effect.state_names[0]) if effect.state_names else 0
                 if effect.advance is not None:
-                    state -= int(head[slots.ORDER])
-                entries += [address(effect, hook), int(first), state]
+                    state -= head[slots.ORDER]
+                entries += [address(effect, hook), first, state]
     head[slots.TABLES_END] = slots.LAYOUT_FIXED + len(entries)
-    return np.array(entries, dtype=np.int64)
+    return entries
 
 
 def theta_of(model: Model) -> Array:
@@ -159,11 +162,19 @@ def _slots_of(model: Model) -> Array:
     return np.array([given.get(name, 0.0) for name in slots.SLOT_NAMES])
 
 
-def _terms(model: Model) -> dict[str, str]:
-    """Address of each effect's parameter that is a term of a slot -> that slot."""
-    effects = [EFFECTS[use.name] for use in model.effects]
-    return {f"{effect.name}.{effect.parameters[0].name}": effect.adds_to
-            for effect in effects if effect.adds_to is not None}
+def _history(model: Model, delay: float) -> int:
+    """How many inputs are kept for a delay, s."""
+    return math.floor(delay / model.sample_period + 1e-9) + 2
+
+
+def _slots_touched(model: Model, names: Sequence[str]) -> list[str]:
+    """The slot that each free parameter is a term of, or its own name."""
+    terms = {}
+    for use in model.effects:
+        effect = EFFECTS[use.name]
+        if effect.adds_to is not None:
+            terms[f"{use.name}.{effect.parameters[0].name}"] = effect.adds_to
+    return [terms.get(name, name) for name in names]
 
 
 def apply_slots(model: Model, theta: Array) -> None:
@@ -187,15 +198,17 @@ def parameter_table(plan: Plan, names: Sequence[str], matrix: Array) -> tuple[Pl
         If a name is not known.
     """
     model = plan.model
-    for name in names:
-        plan.place(name)
-    terms = _terms(model)
-    longest = sum((float(matrix[:, column].max(initial=0.0)) for column, name in enumerate(names)
-                   if terms.get(name, name) == "delay"), plan.theta[slots.DELAY])
-    wide = Plan.of(model, names, longest)
-    table = np.tile(wide.theta, (len(matrix), 1))
+    places = [plan.place(name) for name in names]
+    touched = _slots_touched(model, names)
+    longest = sum((float(matrix[:, column].max(initial=0.0)) for column, slot in enumerate(touched)
+                   if slot == "delay"), plan.theta[slots.DELAY])
+    if _history(model, longest) > plan.layout[slots.HISTORY] or any(
+            plan.layout[at] < 0 and slots.SLOT_NAMES[slot] in touched for _, slot, at in _LAGS):
+        plan = Plan.of(model, names, longest)
+        places = [plan.place(name) for name in names]
+    table = np.tile(plan.theta, (len(matrix), 1))
     table[:, :len(slots.SLOT_NAMES)] = _slots_of(model)
-    for column, name in enumerate(names):
-        table[:, wide.place(name)] = matrix[:, column]
+    for column, index in enumerate(places):
+        table[:, index] = matrix[:, column]
     apply_slots(model, table)
-    return wide, table
+    return plan, table

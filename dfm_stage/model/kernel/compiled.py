@@ -53,4 +53,4 @@ def entry(function: F) -> F:
 def callback(function: F, signature: Any, made_of: object) -> Any:
     """`function`, made of hooks and values, as machine code with an `address`, kept on disk."""
     return machine_code.callback("hook", function, signature, (_AROUND_HOOKS, made_of), nogil=True,
-                                 error_model="numpy", _nrt=False)
+                                 error_model="numpy")

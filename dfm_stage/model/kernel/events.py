@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
 from dfm_stage.model.kernel.compiled import inlined, lean
-from dfm_stage.model.kernel.hooks import bristle_force, bristle_steps, point_force
+from dfm_stage.model.kernel.hooks import bristle_steps, point_force
 from dfm_stage.model.kernel.slots import (
     AT_A,
     AT_BRISTLE,
@@ -20,14 +20,15 @@ from dfm_stage.model.kernel.slots import (
     CONSTANT_FORCE,
     DRY_FRICTION,
     FORCE_CONSTANT,
+    FORCES,
     ORDER,
+    OUT,
     ROW_DRIVE,
     ROW_FORCE_IN,
     ROW_HOLD,
     ROW_POSITION,
     ROW_VELOCITY,
     STEPS,
-    TOTAL,
 )
 
 Array = NDArray[np.float64]
@@ -37,9 +38,10 @@ EVENTS = 6
 
 
 @inlined
-def resting_force(layout: Layout, theta: Array, work: Array) -> float:
-    """The force of the effects with memory while the point rests, N."""
-    return bristle_force(layout, theta, work, layout[AT_BRISTLE], 0.0, layout[AT_HEAD] + TOTAL)
+def bristle_force(layout: Layout, theta: Array, work: Array, v: float) -> float:
+    """The force of the effects with memory where the point is now, N."""
+    z = layout[AT_BRISTLE]
+    return bristle_steps(layout, theta, work, z, 0.0, v, v, z, layout[AT_HEAD] + OUT)
 
 
 @lean
@@ -49,8 +51,8 @@ def pushed(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
-    push: float = (theta[CONSTANT_FORCE] + resting_force(layout, theta, work)
-            + point_force(layout, theta, x, 0.0, drive)
+    push: float = (theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0)
+            + point_force(layout, theta, FORCES, x, 0.0, drive)
             - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u))
     if force.shape[0] > 0:
         push += cubic_at(force, r)
@@ -96,7 +98,7 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     """Stick until the end or until breakaway; the time taken (s) and the mode then."""
     n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
     end = layout[AT_SCRATCH]
-    terms = end + n + 3 * layout[BRISTLES]
+    terms = end + n + layout[BRISTLES]
     series = terms + n * TERMS
     drive_row = rows + ROW_DRIVE * (n + 1)
     _series(work, n, layout[AT_HELD], -1, state, u, 0.0, 0.0, terms)
@@ -104,14 +106,14 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     _at(work, n, terms, left, end)
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     gain = theta[FORCE_CONSTANT]
-    f = point_force(layout, theta, x, 0.0, gain * row_value(work, drive_row, state, n, u))
-    f_end = point_force(layout, theta, x, 0.0, gain * row_value(work, drive_row, end, n, u))
+    f = point_force(layout, theta, FORCES, x, 0.0, gain * row_value(work, drive_row, state, n, u))
+    f_end = point_force(layout, theta, FORCES, x, 0.0, gain * row_value(work, drive_row, end, n, u))
     if force.shape[0] > 0:
         f += cubic_at(force, start)
         f_end += cubic_at(force, start + rate * left)
     for k in range(TERMS):
         work[series + k] = -work[series + k]
-    work[series] += theta[CONSTANT_FORCE] + resting_force(layout, theta, work) + f
+    work[series] += theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0) + f
     work[series + 1] += (f_end - f) / left
     push = _value(work, series, left)
     if abs(push) <= theta[DRY_FRICTION] or last:
@@ -130,16 +132,16 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     """Move until the end or until the speed is zero; the time taken, s."""
     n, rows, state, z = layout[ORDER], layout[AT_ROWS], layout[AT_STATE], layout[AT_BRISTLE]
     end, moved = layout[AT_SCRATCH], layout[AT_SCRATCH] + n
-    total = layout[AT_HEAD] + TOTAL
-    terms = end + n + 3 * layout[BRISTLES]
+    out = layout[AT_HEAD] + OUT
+    terms = end + n + layout[BRISTLES]
     series = terms + n * TERMS
     x_row, v_row = rows + ROW_POSITION * (n + 1), rows + ROW_VELOCITY * (n + 1)
     d_row, push_row = rows + ROW_DRIVE * (n + 1), rows + ROW_FORCE_IN * (n + 1)
     gain = theta[FORCE_CONSTANT]
     plain = theta[CONSTANT_FORCE] - mode * theta[DRY_FRICTION]
     x, v = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
-    f = (plain + bristle_force(layout, theta, work, z, v, total)
-         + point_force(layout, theta, x, v, gain * row_value(work, d_row, state, n, u)))
+    f = (plain + bristle_force(layout, theta, work, v)
+         + point_force(layout, theta, FORCES, x, v, gain * row_value(work, d_row, state, n, u)))
     if force.shape[0] > 0:
         f += cubic_at(force, start)
     slope = 0.0
@@ -147,8 +149,8 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
         _series(work, n, layout[AT_A], push_row, state, u, f, slope, terms)
         _at(work, n, terms, left, end)
         x_end, v_end = row_value(work, x_row, end, n, u), row_value(work, v_row, end, n, u)
-        f_end = (plain + bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, total)
-                 + point_force(layout, theta, x_end, v_end,
+        f_end = (plain + bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, out)
+                 + point_force(layout, theta, FORCES, x_end, v_end,
                                gain * row_value(work, d_row, end, n, u)))
         if force.shape[0] > 0:
             f_end += cubic_at(force, start + rate * left)
@@ -167,7 +169,7 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     if t > 0.0:
         _at(work, n, terms, t, state)
         x_end, v_end = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
-        bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, total)
+        bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, out)
         for i in range(layout[BRISTLES]):
             work[z + i] = work[moved + i]
     return t

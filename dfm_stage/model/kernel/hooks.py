@@ -20,13 +20,11 @@ from dfm_stage.model.effect import Effect
 from dfm_stage.model.kernel.compiled import callback, inlined, lean
 from dfm_stage.model.kernel.memory import POINTER, at, caller, pointer, values_at
 from dfm_stage.model.kernel.slots import (
-    ACTUATOR_FORCES,
     BRISTLE_STEPS,
     CODE,
     ENCODES,
     ENTRY,
     FIRST,
-    FORCES,
     OTHER_FORCES,
     OWN,
     ROWS,
@@ -38,28 +36,44 @@ Array = NDArray[np.float64]
 Layout = NDArray[np.int64]
 Hook = Callable[..., Any]
 _number, _index = types.float64, types.int64
-_FORCE = _number(_number, _number, _number, POINTER)
-_BRISTLE = _number(_number, _number, _number, _number, POINTER, POINTER)
+_FORCE = _number(*[_number] * 9, POINTER, POINTER, _index)
+_BRISTLE = _number(*[_number] * 8, POINTER, POINTER, _index)
 _STAMP = types.void(POINTER, POINTER, _index, _index, POINTER)
 _START = types.void(POINTER, _index, _index, POINTER)
-_ENCODE = _number(_number, _number, POINTER)
+_SENSE = types.void(POINTER, POINTER, _index, _index, _number, POINTER, _index, POINTER)
+_ENCODE = types.void(POINTER, _index, _number, POINTER)
 _OTHER = _number(POINTER)
+ONE, THREE = 1, 3
 
 
 def _force(hook: Hook, values: Hook) -> Hook:
-    def force(x: float, v: float, actuator: float, p: Any) -> float:
-        return float(hook(x, v, actuator, values(p)))
+    def force(x1: float, x2: float, x3: float, v1: float, v2: float, v3: float, d1: float,
+              d2: float, d3: float, p: Any, out: Any, count: int) -> float:
+        """Return the force at the first point; of THREE points, the others go to `out`, N."""
+        own = values(p)
+        if count == THREE:
+            out[0] = hook(x2, v2, d2, own)
+            out[1] = hook(x3, v3, d3, own)
+        return float(hook(x1, v1, d1, own))
 
     return force
 
 
-def _bristle(hook: Hook, force: Hook, values: Hook) -> Hook:
-    def step(z: float, dx: float, v0: float, v1: float, p: Any, total: Any) -> float:
-        """Move z on by dx, add the force then to `total` (N), return z."""
+def _bristle(advance: Hook, force: Hook, values: Hook) -> Hook:
+    def step(z: float, dx1: float, dx2: float, dx3: float, v0: float, v1: float, v2: float,
+             v3: float, p: Any, out: Any, count: int) -> float:
+        """Move z on by dx1, or by THREE distances; return it. The forces then go to `out`, N."""
         own = values(p)
-        if dx != 0.0:
-            z = hook(z, dx, v0, v1, own)
-        total[0] += force(z, v1, own)
+        if dx1 != 0.0:
+            z = advance(z, dx1, v0, v1, own)
+        out[0] = force(z, v1, own)
+        if count == THREE:
+            if dx2 != 0.0:
+                z = advance(z, dx2, v1, v2, own)
+            out[1] = force(z, v2, own)
+            if dx3 != 0.0:
+                z = advance(z, dx3, v2, v3, own)
+            out[2] = force(z, v3, own)
         return z
 
     return step
@@ -79,9 +93,23 @@ def _start(hook: Hook, values: Hook) -> Hook:
     return start
 
 
+def _sense(hook: Hook, values: Hook) -> Hook:
+    def sense(x: Any, reading: Any, count: int, first: int, period: float, other: Any,
+              stride: int, p: Any) -> None:
+        """Add to `count` readings; other[stride k] is where the neighbour is, if there is one."""
+        own = values(p)
+        for k in range(count):
+            neighbour = other[stride * k] if stride > 0 else 0.0
+            reading[k] += hook(x[k], (first + k) * period, neighbour, own)
+
+    return sense
+
+
 def _encode(hook: Hook, values: Hook) -> Hook:
-    def encode(reading: float, dither: float, p: Any) -> float:
-        return float(hook(reading, dither, values(p)))
+    def encode(reading: Any, count: int, dither: float, p: Any) -> None:
+        own = values(p)
+        for k in range(count):
+            reading[k] = hook(reading[k], dither, own)
 
     return encode
 
@@ -94,7 +122,7 @@ def _other_force(hook: Hook, values: Hook) -> Hook:
 
 
 _MADE: dict[str, tuple[Any, Callable[..., Hook]]] = {
-    "force": (_FORCE, _force), "sense": (_FORCE, _force), "advance": (_BRISTLE, _bristle),
+    "force": (_FORCE, _force), "sense": (_SENSE, _sense), "advance": (_BRISTLE, _bristle),
     "stamp": (_STAMP, _stamp), "start": (_START, _start), "encode": (_ENCODE, _encode),
     "other_force": (_OTHER, _other_force)}
 
@@ -118,62 +146,35 @@ call_force = caller(_FORCE)
 call_bristle = caller(_BRISTLE)
 call_stamp = caller(_STAMP)
 call_start = caller(_START)
+call_sense = caller(_SENSE)
 call_encode = caller(_ENCODE)
 call_other = caller(_OTHER)
 
 
 @inlined
-def _summed(layout: Layout, theta: Array, table: int, x: float, y: float, d: float) -> float:
-    """The sum of what the hooks of a table return for three numbers."""
+def point_force(layout: Layout, theta: Array, table: int, x: float, v: float, d: float) -> float:
+    """The sum of the forces of a table at one point, N; `d` is the actuator's."""
     total = 0.0
     for entry in range(at(layout, table), at(layout, table + 1), ENTRY):
+        own = pointer(theta, at(layout, entry + OWN))
         total += call_force(at(layout, entry + CODE),
-                            (x, y, d, pointer(theta, at(layout, entry + OWN))))
+                            (x, 0.0, 0.0, v, 0.0, 0.0, d, 0.0, 0.0, own, own, ONE))
     return total
 
 
 @inlined
-def point_force(layout: Layout, theta: Array, x: float, v: float, d: float) -> float:
-    """The smooth forces on the driven point, N; `d` is the actuator's."""
-    return _summed(layout, theta, FORCES, x, v, d)
-
-
-@inlined
-def actuator_force(layout: Layout, theta: Array, x: float, v: float, d: float) -> float:
-    """What the actuator gives beyond `d`, that of a constant force constant, N."""
-    return _summed(layout, theta, ACTUATOR_FORCES, x, v, d)
-
-
-@inlined
-def sense_error(layout: Layout, theta: Array, x: float, t: float, other: float) -> float:
-    """What is added to the reading, m."""
-    return _summed(layout, theta, SENSES, x, t, other)
-
-
-@inlined
 def bristle_steps(layout: Layout, theta: Array, work: Array, z: int, dx: float, v0: float,
-                  v1: float, after: int, total: int) -> float:
-    """work[after:] is work[z:] moved on by dx; returns the force then, N. `total` is scratch."""
-    work[total] = 0.0
+                  v1: float, after: int, forces: int) -> float:
+    """work[after:] is work[z:] moved on by dx; returns the force then, N. `forces` is scratch."""
+    total = 0.0
     for entry in range(at(layout, BRISTLE_STEPS), at(layout, BRISTLE_STEPS + 1), ENTRY):
         own = at(layout, entry + FIRST)
         work[after + own] = call_bristle(
-            at(layout, entry + CODE), (at(work, z + own), dx, v0, v1,
+            at(layout, entry + CODE), (at(work, z + own), dx, 0.0, 0.0, v0, v1, 0.0, 0.0,
                                        pointer(theta, at(layout, entry + OWN)),
-                                       pointer(work, total)))
-    return at(work, total)
-
-
-@inlined
-def bristle_force(layout: Layout, theta: Array, work: Array, z: int, v: float,
-                  total: int) -> float:
-    """The force of the states at work[z:], N."""
-    work[total] = 0.0
-    for entry in range(at(layout, BRISTLE_STEPS), at(layout, BRISTLE_STEPS + 1), ENTRY):
-        call_bristle(at(layout, entry + CODE), (at(work, z + at(layout, entry + FIRST)), 0.0, v, v,
-                                                pointer(theta, at(layout, entry + OWN)),
-                                                pointer(work, total)))
-    return at(work, total)
+                                       pointer(work, forces), ONE))
+        total += at(work, forces)
+    return total
 
 
 @lean
@@ -195,12 +196,22 @@ def start_states(layout: Layout, theta: Array, state: Array) -> None:
 
 
 @lean
-def encode_mean(layout: Layout, theta: Array, reading: float, dither: float) -> float:
-    """The mean of the rounded reading, m."""
+def sense_errors(layout: Layout, theta: Array, x: Array, first: int, period: float, other: Array,
+                 reading: Array) -> None:
+    """Add to the readings of the positions x, the first of which is sample `first`, m."""
+    stride = 4 if other.shape[0] > 0 else 0
+    for entry in range(layout[SENSES], layout[SENSES + 1], ENTRY):
+        call_sense(layout[entry + CODE], (
+            pointer(x, 0), pointer(reading, 0), x.shape[0], first, period, pointer(other, 0),
+            stride, pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def encode_means(layout: Layout, theta: Array, dither: float, reading: Array) -> None:
+    """Replace the readings by the means of the rounded ones, m."""
     for entry in range(layout[ENCODES], layout[ENCODES + 1], ENTRY):
-        reading = call_encode(layout[entry + CODE], (reading, dither,
-                                                     pointer(theta, layout[entry + OWN])))
-    return reading
+        call_encode(layout[entry + CODE], (pointer(reading, 0), reading.shape[0], dither,
+                                           pointer(theta, layout[entry + OWN])))
 
 
 @lean

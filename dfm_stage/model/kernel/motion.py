@@ -22,13 +22,8 @@ from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
 from dfm_stage.model.kernel.compiled import inlined, lean
-from dfm_stage.model.kernel.events import cell, pushed, resting_force
-from dfm_stage.model.kernel.hooks import (
-    bristle_force,
-    bristle_steps,
-    call_force,
-    point_force,
-)
+from dfm_stage.model.kernel.events import bristle_force, cell, pushed
+from dfm_stage.model.kernel.hooks import THREE, call_bristle, call_force, point_force
 from dfm_stage.model.kernel.memory import at, pointer
 from dfm_stage.model.kernel.slots import (
     AT_BRISTLE,
@@ -40,6 +35,7 @@ from dfm_stage.model.kernel.slots import (
     AT_STATE,
     AT_STICK_END,
     AT_STICK_NODE,
+    BRISTLE_STEPS,
     BRISTLES,
     CODE,
     CONSTANT_FORCE,
@@ -49,12 +45,14 @@ from dfm_stage.model.kernel.slots import (
     DIRECTED,
     DRY_FRICTION,
     ENTRY,
+    FIRST,
     FORCE_CONSTANT,
     FORCES,
     LEVEL,
     LEVELS,
     MODE,
     ORDER,
+    OUT,
     OWN,
     ROW_DRIVE,
     ROW_POSITION,
@@ -62,7 +60,6 @@ from dfm_stage.model.kernel.slots import (
     SCALE,
     SLOPE,
     STEP,
-    TOTAL,
     TRIED,
     USES_DRIVE,
     USES_SPEED,
@@ -124,10 +121,9 @@ def _force_now(layout: Layout, theta: Array, work: Array, x: float, v: float, u:
     if at(layout, USES_DRIVE) == 1:
         row = at(layout, AT_ROWS) + ROW_DRIVE * (n + 1)
         drive = theta[FORCE_CONSTANT] * row_value(work, row, at(layout, AT_STATE), n, u)
-    force = point_force(layout, theta, x, v, drive)
+    force = point_force(layout, theta, FORCES, x, v, drive)
     if at(layout, BRISTLES) > 0:
-        force += bristle_force(layout, theta, work, at(layout, AT_BRISTLE), v,
-                               at(layout, AT_HEAD) + TOTAL)
+        force += bristle_force(layout, theta, work, v)
     return force
 
 
@@ -175,19 +171,22 @@ def _three_forces(layout: Layout, theta: Array, work: Array, x: Four, v: Four,
                   d: Three) -> Three:
     """The forces of the effects at the three later points of a step, N."""
     g1 = g2 = g3 = 0.0
+    out = at(layout, AT_HEAD) + OUT
     for entry in range(at(layout, FORCES), at(layout, FORCES + 1), ENTRY):
-        code, own = at(layout, entry + CODE), pointer(theta, at(layout, entry + OWN))
-        g1 += call_force(code, (x[1], v[1], d[0], own))
-        g2 += call_force(code, (x[2], v[2], d[1], own))
-        g3 += call_force(code, (x[3], v[3], d[2], own))
-    bristles = at(layout, BRISTLES)
-    if bristles > 0:
-        total, z = at(layout, AT_HEAD) + TOTAL, at(layout, AT_BRISTLE)
-        z3 = at(layout, AT_SCRATCH) + at(layout, ORDER)
-        z1, z2 = z3 + bristles, z3 + 2 * bristles
-        g1 += bristle_steps(layout, theta, work, z, x[1] - x[0], v[0], v[1], z1, total)
-        g2 += bristle_steps(layout, theta, work, z1, x[2] - x[1], v[1], v[2], z2, total)
-        g3 += bristle_steps(layout, theta, work, z2, x[3] - x[2], v[2], v[3], z3, total)
+        g1 += call_force(at(layout, entry + CODE), (
+            x[1], x[2], x[3], v[1], v[2], v[3], d[0], d[1], d[2],
+            pointer(theta, at(layout, entry + OWN)), pointer(work, out), THREE))
+        g2 += at(work, out)
+        g3 += at(work, out + 1)
+    z, moved = at(layout, AT_BRISTLE), at(layout, AT_SCRATCH) + at(layout, ORDER)
+    for entry in range(at(layout, BRISTLE_STEPS), at(layout, BRISTLE_STEPS + 1), ENTRY):
+        own = at(layout, entry + FIRST)
+        work[moved + own] = call_bristle(at(layout, entry + CODE), (
+            at(work, z + own), x[1] - x[0], x[2] - x[1], x[3] - x[2], v[0], v[1], v[2], v[3],
+            pointer(theta, at(layout, entry + OWN)), pointer(work, out), THREE))
+        g1 += at(work, out)
+        g2 += at(work, out + 1)
+        g3 += at(work, out + 2)
     return g1, g2, g3
 
 
@@ -271,14 +270,14 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
     node = layout[AT_STICK_NODE] + 6 * (n + 1) * table
     end = layout[AT_STICK_END] + n * (n + 1) * table
     x = row_value(work, layout[AT_ROWS] + ROW_POSITION * (n + 1), state, n, u)
-    rest = theta[CONSTANT_FORCE] + resting_force(layout, theta, work)
+    rest = theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0)
     for i in range(3):
         hold = work[node + 6 * n + i] * u
         drive = work[node + 6 * n + 3 + i] * u
         for j in range(n):
             hold += work[node + 6 * j + i] * work[state + j]
             drive += work[node + 6 * j + 3 + i] * work[state + j]
-        push = rest + point_force(layout, theta, x, 0.0, drive) - hold
+        push = rest + point_force(layout, theta, FORCES, x, 0.0, drive) - hold
         if force.shape[0] > 0:
             push += cubic_at(force, r0 + dr * (POINT_1 if i == 0 else POINT_2 if i == 1 else 1.0))
         if abs(push) > theta[DRY_FRICTION]:

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.compiled import compiled, entry, lean
 from dfm_stage.model.kernel.hooks import (
-    actuator_force,
-    encode_mean,
+    encode_means,
     other_stiffness,
-    sense_error,
+    point_force,
+    sense_errors,
 )
 from dfm_stage.model.kernel.linear import steps, steps_with_force
 from dfm_stage.model.kernel.memory import at
@@ -196,7 +196,7 @@ def _signals(layout: Layout, rows: Array, theta: Array, states: Array, applied: 
                 for j in range(states.shape[0]):
                     x += rows[ROW_POSITION, j] * states[j, k]
                     v += rows[ROW_VELOCITY, j] * states[j, k]
-                force[first + k] += actuator_force(layout, theta, x, v, force[first + k])
+                force[first + k] += point_force(layout, theta, ACTUATOR_FORCES, x, v, force[first + k])
 
 
 @lean
@@ -225,23 +225,20 @@ def _signal(row: Array, factor: float, states: Array, applied: Array, first: int
             out[first + k] = 0.0
 
 
-@lean
+@compiled
 def _readings(layout: Layout, theta: Array, period: float, sample: float, other: Array,
               rows_out: Layout, out: Array) -> None:
     """Turn positions into readings; see SimulationResult for what they are."""
     sensed = layout[SENSES] < layout[ENCODES + 1]       # the two tables stand side by side
+    if theta[ZERO] == 0.0 and not sensed:
+        return
     for signal in (READING, OUTPUT):
         if rows_out[signal] < 0:
             continue
         reading = out[rows_out[signal]]
-        if theta[ZERO] == 0.0 and not sensed:
-            continue
+        x = reading.copy()
         for k in range(reading.shape[0]):
-            neighbour = other[k, 0] if other.shape[0] > 0 else 0.0
-            x = reading[k]
-            y = x + theta[ZERO]
-            if sensed:
-                y += sense_error(layout, theta, x, (sample + k) * period, neighbour)
-                if signal == OUTPUT:
-                    y = encode_mean(layout, theta, y, theta[NOISE])
-            reading[k] = y
+            reading[k] = x[k] + theta[ZERO]
+        sense_errors(layout, theta, x, int(sample), period, other, reading)
+        if signal == OUTPUT:
+            encode_means(layout, theta, theta[NOISE], reading)

@@ -29,8 +29,8 @@ CODE, OWN, FIRST, ENTRY = range(4)
 
 # head of `work`
 PERIOD, SAMPLE, WHOLE, FRACTION, MODE, LEVEL, SCALE, DEPTH, SLOPE, CURVATURE, \
-    CUBIC_PART, STEP, TRIED, STEPS, TOTAL = range(15)
-HEAD_SIZE = 15
+    CUBIC_PART, STEP, TRIED, STEPS, OUT = range(15)
+HEAD_SIZE = OUT + 3         # what the hooks return beside their result
 
 # rows of the block AT_ROWS; the last one is filled where friction can hold the point
 ROW_POSITION, ROW_VELOCITY, ROW_DRIVE, ROW_FORCE_IN, ROW_HOLD = range(5)
