@@ -18,6 +18,7 @@ from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.problem import Problem, Segment, Unknown
 from dfm_stage.identification.result import Estimate, SegmentFit
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
+from dfm_stage.model.linear import linear_part
 
 Array = NDArray[np.float64]
 Start = Literal["free", "rest", "periodic"]
@@ -141,27 +142,18 @@ def evaluate(model: Model, run: Run, *, noise: str = "auto") -> SegmentFit:
 
 
 def linear_plant(model: Model) -> LinearPlant:
-    """Return the linear part of a one-axis model: modes, amplifier lag and delay.
+    """Return the linear part of a one-axis model with the figures of its modes.
 
-    Nonlinear effects, the coil's inductance and a current record are not in it.
+    A mode is a position whose derivative is the velocity that stands after it; its stiffness and
+    damping are those that act at once, without what relaxes (creep).
     """
-    base = model.base
-    mass = base["mass"]
-    extra = {use.name: use.parameters for use in model.effects}
-    gain = base.get("force_constant", 1.0) / mass
-    damping = base.get("damping", 0.0)
-    if model.drive == "voltage" and base.get("back_emf", 0.0) > 0.0:
-        damping += base.get("force_constant", 1.0) * base["back_emf"]
-    second = extra.get("second_mode")
-    share = second["share"] if second else 0.0
-    modes = [Mode((1.0 - share) * gain, damping / mass, base.get("stiffness", 0.0) / mass)]
-    if second:
-        omega = 2.0 * math.pi * second["frequency"]
-        modes.append(Mode(share * gain, 2.0 * second["damping_ratio"] * omega, omega**2))
-    lag = base.get("amplifier_time_constant", 0.0)
-    lag += extra.get("amplifier_bandwidth", {}).get("time_constant", 0.0)
-    delay = base.get("delay", 0.0) + extra.get("transport_delay", {}).get("delay", 0.0)
-    return LinearPlant(tuple(modes), lag, delay)
+    part = linear_part(model)
+    a, modes = part.a, []
+    for q in range(part.motion - 1):
+        if a[q, q + 1] == 1.0 and np.count_nonzero(a[q]) == 1:
+            modes.append(Mode(float(part.c[q] * part.gain * part.g[q + 1]),
+                              float(0.0 - a[q + 1, q + 1]), float(0.0 - a[q + 1, q])))
+    return LinearPlant(tuple(modes), part.lag_s, part.delay_s, part)
 
 
 class _Builder:

@@ -13,6 +13,7 @@ from typing import Any, Literal, NoReturn
 
 from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.errors import ModelError
+from dfm_stage.model.kernel.slots import ABSENT
 from dfm_stage.model.parameter import Parameter
 from dfm_stage.model.registry import EFFECTS, coupling_effect
 
@@ -241,6 +242,20 @@ class Model:
             if use.name == name:
                 return use
         return None
+
+    def effective_base(self) -> dict[str, float]:
+        """The base parameters of a one-axis model with all effects that add to one.
+
+        Beside them `constant_force` and `dry_friction` (N) and `command_limit` (V or A).
+        """
+        values = {**ABSENT, **self.base}
+        for use in self.effects:
+            effect = EFFECTS[use.name]
+            if effect.adds_to is not None:
+                own, so_far = next(iter(use.parameters.values())), values.get(effect.adds_to, 0.0)
+                values[effect.adds_to] = (min(so_far, own) if effect.adds_to == "command_limit"
+                                          else so_far + own)
+        return values
 
     def parameters(self) -> dict[str, float]:
         """Address -> value of every parameter the model gives."""

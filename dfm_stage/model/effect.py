@@ -37,7 +37,7 @@ from __future__ import annotations
 import dis
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -86,7 +86,7 @@ class Reparametrisation:
     backward: Callable[[Any], Any]
 
 
-@lru_cache(maxsize=None)
+@cache
 def reads(hook: Callable[..., Any] | None, argument: int) -> bool:
     """Whether a hook makes use of its argument number `argument`."""
     if hook is None:

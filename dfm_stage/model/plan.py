@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -150,16 +150,12 @@ def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: list[in
 
 def theta_of(model: Model) -> Array:
     """All parameters of a one-axis model at their places, without initial states."""
-    own = [use.parameters[name] for use in model.effects for name in EFFECTS[use.name].defaults]
-    theta = np.append(_slots_of(model), own)
-    apply_slots(model, theta)
-    return theta
+    own = [value for use in model.effects for value in use.parameters.values()]
+    return np.array([*_slot_values(model.effective_base()), *own])
 
 
-def _slots_of(model: Model) -> Array:
-    """What the base parameters alone put into the slots."""
-    given = {"force_constant": 1.0, "command_limit": math.inf, **model.base}
-    return np.array([given.get(name, 0.0) for name in slots.SLOT_NAMES])
+def _slot_values(given: Mapping[str, float]) -> list[float]:
+    return [given.get(name, slots.ABSENT.get(name, 0.0)) for name in slots.SLOT_NAMES]
 
 
 def _history(model: Model, delay: float) -> int:
@@ -207,7 +203,7 @@ def parameter_table(plan: Plan, names: Sequence[str], matrix: Array) -> tuple[Pl
         plan = Plan.of(model, names, longest)
         places = [plan.place(name) for name in names]
     table = np.tile(plan.theta, (len(matrix), 1))
-    table[:, :len(slots.SLOT_NAMES)] = _slots_of(model)
+    table[:, :len(slots.SLOT_NAMES)] = _slot_values(model.base)
     for column, index in enumerate(places):
         table[:, index] = matrix[:, column]
     apply_slots(model, table)

@@ -39,7 +39,7 @@ def load_effect(path: str | os.PathLike[str]) -> Effect:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # noqa: BLE001 (it is not our code)
+    except Exception as error:
         raise ModelError(f"{path}: cannot be run: {type(error).__name__}: {error}") from error
     effect = getattr(module, "EFFECT", None)
     if not isinstance(effect, Effect):

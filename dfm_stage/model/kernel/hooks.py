@@ -9,7 +9,7 @@ so that an effect costs the same however many others there are.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -135,7 +135,7 @@ def address(effect: Effect, kind: str) -> int:
     return int(_code(kind, len(effect.parameters), *hooks).address)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _code(kind: str, parameters: int, *hooks: Hook) -> Any:
     signature, make = _MADE[kind]
     return callback(make(*(lean(hook) for hook in hooks), values_at(parameters)), signature,

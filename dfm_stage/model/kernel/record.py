@@ -105,8 +105,8 @@ def peek(layout: Layout, theta: Array, work: Array, other: Array, out: Array) ->
     applied = work[layout[AT_HISTORY]:layout[AT_HISTORY] + 1].copy()
     applied[0] = min(max(applied[0], -theta[LIMIT]), theta[LIMIT])
     everything, first = np.arange(len(SIGNALS)), int(layout[ORDER] * 0)
-    _signals(layout, rows, theta, block(work, layout, AT_STATE, n, 1), applied, first, 1, everything,
-             out)
+    state = block(work, layout, AT_STATE, n, 1)
+    _signals(layout, rows, theta, state, applied, first, 1, everything, out)
     _readings(layout, theta, head[PERIOD], head[SAMPLE], other, everything, out)
 
 
@@ -196,7 +196,8 @@ def _signals(layout: Layout, rows: Array, theta: Array, states: Array, applied: 
                 for j in range(states.shape[0]):
                     x += rows[ROW_POSITION, j] * states[j, k]
                     v += rows[ROW_VELOCITY, j] * states[j, k]
-                force[first + k] += point_force(layout, theta, ACTUATOR_FORCES, x, v, force[first + k])
+                force[first + k] += point_force(layout, theta, ACTUATOR_FORCES, x, v,
+                                                force[first + k])
 
 
 @lean

@@ -9,12 +9,16 @@ the library: what is laid out belongs to the effects of the model.
 
 from __future__ import annotations
 
+import math
+
 from dfm_stage.model.base import BASE_PARAMETERS
 
 SLOT_NAMES: tuple[str, ...] = (*(p.name for p in BASE_PARAMETERS),
                                "constant_force", "dry_friction", "command_limit")
 MASS, DAMPING, STIFFNESS, FORCE_CONSTANT, AMPLIFIER, DELAY, RESOLUTION, NOISE, ZERO, \
     RESISTANCE, INDUCTANCE, BACK_EMF, CONSTANT_FORCE, DRY_FRICTION, LIMIT = range(15)
+ABSENT = {"force_constant": 1.0, "command_limit": math.inf}
+"""What a slot is where nothing is given; the others are zero."""
 
 # layout: numbers, first indices into `work`, first indices into `theta`, indices of states or -1
 ORDER, HISTORY, CURVED, DIRECTED, LEVELS, BRISTLES, USES_SPEED, USES_DRIVE = range(8)
