@@ -44,8 +44,7 @@ def keeper(name: str, sources: Iterable[Path]) -> Callable[[F], F]:
 
     def keep(function: F) -> F:
         kept: Any = function
-        if hasattr(kept, "py_func"):        # not where NUMBA_DISABLE_JIT is set
-            kept._cache = _cache_in(folder())(kept.py_func)
+        kept._cache = _cache_in(folder())(kept.py_func)
         return function
 
     return keep

@@ -1,8 +1,8 @@
 """The linear part of a model as control sees it: checked, and sampled.
 
-`LinearPart` and `Sampled` are the model's own (`dfm_stage.model.linear`); modes, damping, back-EMF,
-coil, lags, creep and whatever an effect adds to the linear part is in them, nonlinear forces are
-not.
+`LinearPart` and `Sampled` are the model's own (`dfm_stage.model.linear`): modes, damping,
+back-EMF, coil, lags, creep and whatever an effect adds to the linear part is in them, nonlinear
+forces are not.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from dfm_stage.control.errors import ControlError
 from dfm_stage.model import Model
 from dfm_stage.model.linear import LinearPart, Sampled, linear_part
 
+__all__ = ["LinearStage", "Sampled", "command_limit", "linear_stage", "sample_model",
+           "sample_stage"]
 LinearStage = LinearPart
 
 

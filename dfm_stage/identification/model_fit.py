@@ -148,12 +148,11 @@ def linear_plant(model: Model) -> LinearPlant:
     damping are those that act at once, without what relaxes (creep).
     """
     part = linear_part(model)
-    a, modes = part.a, []
-    for q in range(part.motion - 1):
-        if a[q, q + 1] == 1.0 and np.count_nonzero(a[q]) == 1:
-            modes.append(Mode(float(part.c[q] * part.gain * part.g[q + 1]),
-                              float(0.0 - a[q + 1, q + 1]), float(0.0 - a[q + 1, q])))
-    return LinearPlant(tuple(modes), part.lag_s, part.delay_s, part)
+    a = part.a
+    modes = tuple(Mode(float(part.c[q] * part.gain * part.g[q + 1]), float(0.0 - a[q + 1, q + 1]),
+                       float(0.0 - a[q + 1, q])) for q in range(part.motion - 1)
+                  if a[q, q + 1] == 1.0 and np.count_nonzero(a[q]) == 1)
+    return LinearPlant(modes, part.lag_s, part.delay_s, part)
 
 
 class _Builder:

@@ -170,7 +170,7 @@ def linear_part(model: Model) -> LinearPart:
     names = plan.states[:n]
     kept = sorted(np.flatnonzero(moved), key=lambda i: names[i] in actuator)
     motion = sum(names[i] not in actuator for i in kept)
-    rows = rows[:, [*kept, n]]
+    rows = rows[:, np.append(kept, n)]
     return LinearPart(
         a[np.ix_(kept, kept)], a[kept, n], rows[slots.ROW_FORCE_IN, :-1],
         rows[slots.ROW_POSITION, :-1], float(plan.theta[slots.DELAY]),

@@ -191,12 +191,7 @@ class Simulator:
         if signal not in slots.SIGNALS:
             raise SimulationError(unknown_name("signal", signal, slots.SIGNALS))
         inputs, force, neighbour = self._arguments(input, external_force, other, steady_state)
-        matrix = np.atleast_2d(np.asarray(parameter_matrix, dtype=float))
-        if matrix.ndim != 2 or matrix.shape[1] != len(parameter_names):
-            raise SimulationError(f"the parameter matrix has shape {matrix.shape}; "
-                                  f"it needs {len(parameter_names)} columns, one per name")
-        if not np.all(np.isfinite(matrix)):
-            raise SimulationError("the parameter matrix is not finite")
+        matrix = _matrix(parameter_matrix, len(parameter_names))
         if steps is not None and steps.shape != (len(matrix),):
             raise SimulationError(f"steps has shape {steps.shape}; give one number a row")
         plan, table = parameter_table(self._plan, parameter_names, matrix)
@@ -301,7 +296,7 @@ class Simulator:
             if effect.couples and other is None:
                 raise SimulationError(f"{use.name} is on: give the position of the other axis as "
                                       "other=")
-            if effect.couples and not len(others):
+            if other is not None and effect.couples and not len(others):
                 others = hermite(_record(other, "position of the other axis", len(inputs)),
                                  steady_state)
             if steady_state and effect.frequency is not None:
@@ -322,8 +317,8 @@ class Simulator:
 
 def rounding_of(model: Model) -> tuple[Rounding, ...]:
     """What the effects of a one-axis model that round do to one reading."""
-    return tuple(partial(EFFECTS[use.name].encode, dither=0.0, p=tuple(use.parameters.values()))
-                 for use in model.effects if EFFECTS[use.name].encode is not None)
+    return tuple(partial(hook, dither=0.0, p=tuple(use.parameters.values()))
+                 for use in model.effects if (hook := EFFECTS[use.name].encode) is not None)
 
 
 def _typical(name: str, model: Model) -> float:
@@ -399,6 +394,16 @@ def _record(values: ArrayLike, name: str, length: int | None = None) -> Array:
         raise SimulationError(f"the {name} is not finite at sample "
                               f"{int(np.argmin(np.isfinite(array)))}; remove or repair it")
     return array
+
+
+def _matrix(values: ArrayLike, columns: int) -> Array:
+    matrix = np.atleast_2d(np.asarray(values, dtype=float))
+    if matrix.ndim != 2 or matrix.shape[1] != columns:
+        raise SimulationError(f"the parameter matrix has shape {matrix.shape}; "
+                              f"it needs {columns} columns, one per name")
+    if not np.all(np.isfinite(matrix)):
+        raise SimulationError("the parameter matrix is not finite")
+    return matrix
 
 
 def _check(status: int) -> None:

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 @inlined
 def row_value(work: Array, row: int, state: int, n: int, u: float) -> float:
     """work[row:] . [work[state:], u] for a state of order n"""
-    total = at(work, row + n) * u
+    total: float = at(work, row + n) * u
     for j in range(n):
         total += at(work, row + j) * at(work, state + j)
     return total

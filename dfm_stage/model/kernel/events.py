@@ -106,8 +106,10 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     _at(work, n, terms, left, end)
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     gain = theta[FORCE_CONSTANT]
-    f = point_force(layout, theta, FORCES, x, 0.0, gain * row_value(work, drive_row, state, n, u))
-    f_end = point_force(layout, theta, FORCES, x, 0.0, gain * row_value(work, drive_row, end, n, u))
+    drive, drive_end = (row_value(work, drive_row, state, n, u),
+                        row_value(work, drive_row, end, n, u))
+    f = point_force(layout, theta, FORCES, x, 0.0, gain * drive)
+    f_end = point_force(layout, theta, FORCES, x, 0.0, gain * drive_end)
     if force.shape[0] > 0:
         f += cubic_at(force, start)
         f_end += cubic_at(force, start + rate * left)

@@ -12,13 +12,13 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numba
 import numpy as np
-from numba import carray, types
 from numpy.typing import NDArray
 
 from dfm_stage.model.effect import Effect
 from dfm_stage.model.kernel.compiled import callback, inlined, lean
-from dfm_stage.model.kernel.memory import POINTER, at, caller, pointer, values_at
+from dfm_stage.model.kernel.memory import POINTER, at, caller, pointer, types, values_at
 from dfm_stage.model.kernel.slots import (
     BRISTLE_STEPS,
     CODE,
@@ -35,6 +35,8 @@ from dfm_stage.model.kernel.slots import (
 Array = NDArray[np.float64]
 Layout = NDArray[np.int64]
 Hook = Callable[..., Any]
+_numba: Any = numba
+carray = _numba.carray
 _number, _index = types.float64, types.int64
 _FORCE = _number(*[_number] * 9, POINTER, POINTER, _index)
 _BRISTLE = _number(*[_number] * 8, POINTER, POINTER, _index)

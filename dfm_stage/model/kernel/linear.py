@@ -63,24 +63,23 @@ def steps(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Ar
     """Advance by `count` samples with the fastest loop that fits `a`."""
     n = state.shape[0]
     if n == 2:
-        _steps_2(a, old, new, constant, state, p, first, count, out)
-    elif n == 3 and _none(a[2:, :2]):
-        _lagged(a, old, new, constant, state, p, first, count, out)
-    elif n == 3:
-        _steps_3(a, old, new, constant, state, p, first, count, out)
-    elif n == 4 and _none(a[:2, 2:]) and _none(a[2:, :2]):
-        _two_modes(a, old, new, constant, state, p, first, count, out)
-    elif n == 4:
-        _steps_4(a, old, new, constant, state, p, first, count, out)
-    elif (n == 5 and _none(a[:2, 3:]) and _none(a[3:, :2]) and _none(a[2:3, :2])
-          and _none(a[2:3, 3:])):
-        _two_modes_lagged(a, old, new, constant, state, p, first, count, out)
-    elif n == 5:
-        _steps_5(a, old, new, constant, state, p, first, count, out)
-    elif n == 6:
-        _steps_6(a, old, new, constant, state, p, first, count, out)
-    else:
-        _steps_n(a, old, new, constant, state, p, first, count, out)
+        return _steps_2(a, old, new, constant, state, p, first, count, out)
+    if n == 3 and _none(a[2:, :2]):
+        return _lagged(a, old, new, constant, state, p, first, count, out)
+    if n == 3:
+        return _steps_3(a, old, new, constant, state, p, first, count, out)
+    if n == 4 and _none(a[:2, 2:]) and _none(a[2:, :2]):
+        return _two_modes(a, old, new, constant, state, p, first, count, out)
+    if n == 4:
+        return _steps_4(a, old, new, constant, state, p, first, count, out)
+    if (n == 5 and _none(a[:2, 3:]) and _none(a[3:, :2]) and _none(a[2:3, :2])
+            and _none(a[2:3, 3:])):
+        return _two_modes_lagged(a, old, new, constant, state, p, first, count, out)
+    if n == 5:
+        return _steps_5(a, old, new, constant, state, p, first, count, out)
+    if n == 6:
+        return _steps_6(a, old, new, constant, state, p, first, count, out)
+    return _steps_n(a, old, new, constant, state, p, first, count, out)
 
 
 @lean

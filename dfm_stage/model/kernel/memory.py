@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numba.core.cgutils
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
+types: Any = numba.types
+_tuples: Any = numba.core.cgutils
 POINTER: Any = types.CPointer(types.float64)
 
 
@@ -19,20 +20,22 @@ def _element(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return builder.gep(data, [arguments[1]], inbounds=True)
 
 
-@intrinsic
-def at(typing_context: Any, array: Any, index: Any) -> Any:
-    """array[index] for index >= 0 of a one-dimensional array, without the test for the sign."""
-
+def _at(typing_context: Any, array: Any, index: Any) -> Any:
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.load(_element(context, builder, signature, arguments))
 
     return array.dtype(array, types.int64), build
 
 
-@intrinsic
-def pointer(typing_context: Any, array: Any, index: Any) -> Any:
-    """The address of element `index`, >= 0, of a float64 array, counted as it lies in memory."""
+def _pointer(typing_context: Any, array: Any, index: Any) -> Any:
     return POINTER(array, types.int64), _element
+
+
+at: Callable[..., Any] = intrinsic(_at)
+"""at(array, index) of a one-dimensional array for index >= 0, without the test for the sign."""
+
+pointer: Callable[..., Any] = intrinsic(_pointer)
+"""pointer(array, index): address of an element, >= 0, of a float64 array as it lies in memory."""
 
 
 def caller(signature: Any) -> Callable[..., Any]:
@@ -41,7 +44,7 @@ def caller(signature: Any) -> Callable[..., Any]:
     def typed(typing_context: Any, address: Any, arguments: Any) -> Any:
         def build(context: Any, builder: Any, here: Any, values: Any) -> Any:
             given = [context.cast(builder, value, kind, wanted) for value, kind, wanted in zip(
-                cgutils.unpack_tuple(builder, values[1]), here.args[1], signature.args,
+                _tuples.unpack_tuple(builder, values[1]), here.args[1], signature.args,
                 strict=True)]
             nothing = signature.return_type == types.void
             result = (ir.VoidType() if nothing
@@ -59,7 +62,6 @@ def caller(signature: Any) -> Callable[..., Any]:
 def values_at(count: int) -> Callable[..., Any]:
     """load(p) -> the tuple of the `count` numbers that p points to."""
 
-    @intrinsic
     def load(typing_context: Any, p: Any) -> Any:
         result = types.UniTuple(types.float64, count)
 
@@ -70,5 +72,5 @@ def values_at(count: int) -> Callable[..., Any]:
 
         return result(p), build
 
-    found: Callable[..., Any] = load
+    found: Callable[..., Any] = intrinsic(load)
     return found

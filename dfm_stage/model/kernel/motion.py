@@ -246,7 +246,7 @@ def _drives(layout: Layout, work: Array, column: int, u: float, f: Four) -> Thre
 def _drive(work: Array, n: int, column: int, state: int, u: float, f: Four) -> float:
     """The actuator's force at one point, N."""
     t = column + 9 * n
-    total = at(work, t) * u + at(work, t + 9) * f[0] + at(work, t + 18) * f[1]
+    total: float = at(work, t) * u + at(work, t + 9) * f[0] + at(work, t + 18) * f[1]
     total += at(work, t + 27) * f[2] + at(work, t + 36) * f[3]
     for j in range(n):
         total += at(work, column + 9 * j) * at(work, state + j)
