@@ -44,7 +44,8 @@ def keeper(name: str, sources: Iterable[Path]) -> Callable[[F], F]:
 
     def keep(function: F) -> F:
         kept: Any = function
-        kept._cache = _cache_in(folder())(kept.py_func)
+        if hasattr(kept, "py_func"):        # not where NUMBA_DISABLE_JIT is set
+            kept._cache = _cache_in(folder())(kept.py_func)
         return function
 
     return keep

@@ -9,7 +9,6 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.description import Model, unknown_name
@@ -18,10 +17,8 @@ from dfm_stage.model.errors import ModelError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.events import TERMS
 from dfm_stage.model.kernel.hooks import address
+from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.registry import EFFECTS
-
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 
 DIRECTED_LEVELS, SMOOTH_LEVELS = 19, 9
 _LAGS = (("amplifier", slots.AMPLIFIER, slots.AMPLIFIER_STATE),

@@ -10,18 +10,18 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dfm_stage.model.description import EffectUse, Model, unknown_name
 from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import run
 from dfm_stage.model.kernel.setup import prepare, reset
+from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.plan import Plan, parameter_table
 from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
 
-Array = NDArray[np.float64]
 Rounding = Callable[[float], float]
 RELATIVE_STEP = 1e-4
 WHOLE_CYCLES = 1e-6
@@ -123,11 +123,10 @@ class Simulator:
                       steady_state))
         rows = np.arange(len(slots.SIGNALS))
         effects = [EFFECTS[use.name] for use in self.model.effects]
-        encoded = any(effect.encode is not None for effect in effects)
-        sensed = any(effect.sense is not None for effect in effects)
+        encoded = any(effect.encode for effect in effects)
         if not encoded:
             rows[slots.OUTPUT] = -1
-        if not (encoded or sensed) and theta[slots.ZERO] == 0.0:
+        if not (encoded or theta[slots.ZERO] or any(effect.sense for effect in effects)):
             rows[slots.READING] = -1
         out = np.empty((int(rows.max()) + 1, len(inputs)))
         run(plan.layout, theta, work, inputs, force, neighbour, rows, out)
@@ -161,8 +160,7 @@ class Simulator:
         theta = self._theta(initial, dither)
         _check(_one_signal(self._plan, theta, self._plan.work(), float(past_input), inputs, force,
                            neighbour, slots.OUTPUT, steady_state, out))
-        signal: Array = out[0]
-        return signal
+        return np.asarray(out[0])
 
     def run_many(self, input: ArrayLike, parameter_names: Sequence[str],  # noqa: A002
                  parameter_matrix: ArrayLike, *, signal: str = "output",
@@ -170,7 +168,7 @@ class Simulator:
                  other: ArrayLike | None = None, dither: float | None = None,
                  steady_state: bool = False, partial: bool = False,
                  threads: int | None = None,
-                 steps: NDArray[np.int64] | None = None) -> Array:
+                 steps: Layout | None = None) -> Array:
         """One signal for each row of `parameter_matrix` (P, n); returns (P, N).
 
         `parameter_names` (n) are addresses such as `mass`, `cubic_stiffness.k3` or, for the state

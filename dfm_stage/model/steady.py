@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import run
 from dfm_stage.model.kernel.setup import restart
+from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.plan import Plan
 
-Array = NDArray[np.float64]
 SETTLED, DRIFTS, UNSETTLED = 0, 1, 2
 PERIODS = 400
 TOLERANCE = 1e-10
@@ -36,7 +35,7 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
     at_state, at_history = layout[slots.AT_STATE], layout[slots.AT_HISTORY]
     nothing = np.empty((0, len(inputs)))
 
-    def after_period(point: Array, which: NDArray[np.int64]) -> Array:
+    def after_period(point: Array, which: Layout) -> Array:
         work[at_state:at_state + len(point)] = point
         work[at_history:at_history + back] = past
         restart(layout, work)

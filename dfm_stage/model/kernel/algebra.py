@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.compiled import compiled, inlined, lean
 from dfm_stage.model.kernel.memory import at
-
-Array = NDArray[np.float64]
+from dfm_stage.model.kernel.slots import Array
 
 
 @inlined

@@ -11,9 +11,6 @@ stage "amplifier" the drive, in the stage "mechanics" it adds forces at the poin
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.model.kernel.algebra import fill
 from dfm_stage.model.kernel.compiled import lean
 from dfm_stage.model.kernel.hooks import stamp
@@ -35,9 +32,10 @@ from dfm_stage.model.kernel.slots import (
     ROW_POSITION,
     ROW_VELOCITY,
     STIFFNESS,
+    Array,
+    Layout,
 )
 
-Array = NDArray[np.float64]
 INSTANT = 1e-6
 """A lag shorter than this part of a sample period is taken as none."""
 
@@ -55,7 +53,7 @@ def lag(a: Array, rows: Array, state: int, time_constant: float, shortest: float
 
 
 @lean
-def assemble(layout: NDArray[np.int64], theta: Array, period: float, a: Array,
+def assemble(layout: Layout, theta: Array, period: float, a: Array,
              rows: Array) -> None:
     """Fill `a` and `rows` for the parameters `theta`."""
     shortest = INSTANT * period

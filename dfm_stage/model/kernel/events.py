@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
 from dfm_stage.model.kernel.compiled import inlined, lean
 from dfm_stage.model.kernel.hooks import bristle_steps, point_force
@@ -29,10 +26,10 @@ from dfm_stage.model.kernel.slots import (
     ROW_POSITION,
     ROW_VELOCITY,
     STEPS,
+    Array,
+    Layout,
 )
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 TERMS = 12
 EVENTS = 6
 

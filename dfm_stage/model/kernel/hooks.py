@@ -13,8 +13,6 @@ from functools import cache
 from typing import Any
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.effect import Effect
 from dfm_stage.model.kernel.compiled import callback, inlined, lean
@@ -30,10 +28,10 @@ from dfm_stage.model.kernel.slots import (
     ROWS,
     SENSES,
     STARTS,
+    Array,
+    Layout,
 )
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 Hook = Callable[..., Any]
 _numba: Any = numba
 carray = _numba.carray

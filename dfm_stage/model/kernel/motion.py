@@ -17,9 +17,6 @@ Everything lives in the flat array `work`; arguments called node, state, z, ... 
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
 from dfm_stage.model.kernel.compiled import inlined, lean
 from dfm_stage.model.kernel.events import bristle_force, cell, pushed
@@ -63,11 +60,11 @@ from dfm_stage.model.kernel.slots import (
     TRIED,
     USES_DRIVE,
     USES_SPEED,
+    Array,
+    Layout,
 )
 from dfm_stage.model.kernel.tables import CUBIC, FROM_VALUES, POINT_1, POINT_2
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 

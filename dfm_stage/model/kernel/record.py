@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.compiled import compiled, entry, lean
 from dfm_stage.model.kernel.hooks import (
@@ -12,7 +11,7 @@ from dfm_stage.model.kernel.hooks import (
     point_force,
     sense_errors,
 )
-from dfm_stage.model.kernel.linear import steps, steps_with_force
+from dfm_stage.model.kernel.linear import steps
 from dfm_stage.model.kernel.memory import at
 from dfm_stage.model.kernel.motion import advance_piece
 from dfm_stage.model.kernel.setup import block
@@ -49,10 +48,10 @@ from dfm_stage.model.kernel.slots import (
     VELOCITY,
     WHOLE,
     ZERO,
+    Array,
+    Layout,
 )
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 BLOCK = 256
 DIVERGED = 1e12
 """A position beyond this has escaped; the states are NaN from then on."""
@@ -84,11 +83,8 @@ def run(layout: Layout, theta: Array, work: Array, inputs: Array, force: Array,
         count = min(BLOCK, samples - first)
         if layout[CURVED] == 1:
             _curved_steps(layout, theta, work, applied, pushed, first, count, states)
-        elif pushed.shape[0] > 0:
-            steps_with_force(a, old, new, constant, ext, state, applied, pushed, first, count,
-                             states)
         else:
-            steps(a, old, new, constant, state, applied, first, count, states)
+            steps(a, old, new, constant, ext, state, applied, pushed, first, count, states)
         _signals(layout, rows, theta, states, applied, first, count, rows_out, out)
     _readings(layout, theta, head[PERIOD], head[SAMPLE], other, rows_out, out)
     head[SAMPLE] += samples
@@ -145,7 +141,7 @@ def _outside_force(layout: Layout, theta: Array, force: Array, other: Array) -> 
 @lean
 def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
                   force: Array, first: int, count: int, out: Array) -> None:
-    """As `linear.steps_with_force`, with nonlinear forces; `force` may be empty."""
+    """As `linear.steps`, with nonlinear forces; `force` may be empty."""
     n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
     steps = layout[AT_HEAD] + STEPS
     period = work[layout[AT_HEAD] + PERIOD]
@@ -176,14 +172,10 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
 @lean
 def _signals(layout: Layout, rows: Array, theta: Array, states: Array, applied: Array, first: int,
              count: int, rows_out: Layout, out: Array) -> None:
-    if rows_out[POSITION] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[POSITION]])
-    if rows_out[VELOCITY] >= 0:
-        _signal(rows[ROW_VELOCITY], 1.0, states, applied, first, count, out[rows_out[VELOCITY]])
-    if rows_out[READING] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[READING]])
-    if rows_out[OUTPUT] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[OUTPUT]])
+    for signal in (POSITION, VELOCITY, READING, OUTPUT):
+        if rows_out[signal] >= 0:
+            row = rows[ROW_VELOCITY if signal == VELOCITY else ROW_POSITION]
+            _signal(row, 1.0, states, applied, first, count, out[rows_out[signal]])
     if rows_out[CURRENT] >= 0:
         per_ohm = 1.0 / theta[RESISTANCE] if theta[RESISTANCE] > 0.0 else 1.0
         _signal(rows[ROW_DRIVE], per_ohm, states, applied, first, count, out[rows_out[CURRENT]])

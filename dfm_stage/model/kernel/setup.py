@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import exponential
 from dfm_stage.model.kernel.assemble import assemble
@@ -50,11 +49,11 @@ from dfm_stage.model.kernel.slots import (
     STEPS,
     TRIED,
     WHOLE,
+    Array,
+    Layout,
 )
 from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 SHORTEST = 0.2
 """The shortest step times the fastest rate, for which the Taylor series of events are exact."""
 
@@ -67,21 +66,22 @@ def block(work: Array, layout: Layout, at: int, rows: int, columns: int) -> Arra
 
 
 @compiled
+def _pieces(work: Array, first: int, levels: int, rows: int, columns: int) -> Array:
+    """The tables that begin at work[first:]: (2, levels, rows, columns), one for each piece."""
+    return work[first:first + 2 * levels * rows * columns].reshape(2, levels, rows, columns)
+
+
+@compiled
 def tables(work: Array, layout: Layout) -> tuple[Array, Array, Array, Array]:
     """node (2, L, n + 5, 9), end (2, L, n + 5, n), stick_node (2, L, n + 1, 6) and
     stick_end (2, L, n + 1, n); see `kernel.tables`. The first index is the piece of the sample.
     """
     n, levels = layout[ORDER], layout[LEVELS]
     sticks = levels if layout[DIRECTED] == 1 else 0
-    first = layout[AT_NODE]
-    node = work[first:first + 18 * levels * (n + 5)].reshape(2, levels, n + 5, 9)
-    first = layout[AT_END]
-    end = work[first:first + 2 * levels * n * (n + 5)].reshape(2, levels, n + 5, n)
-    first = layout[AT_STICK_NODE]
-    stick_node = work[first:first + 12 * sticks * (n + 1)].reshape(2, sticks, n + 1, 6)
-    first = layout[AT_STICK_END]
-    stick_end = work[first:first + 2 * sticks * n * (n + 1)].reshape(2, sticks, n + 1, n)
-    return node, end, stick_node, stick_end
+    return (_pieces(work, layout[AT_NODE], levels, n + 5, 9),
+            _pieces(work, layout[AT_END], levels, n + 5, n),
+            _pieces(work, layout[AT_STICK_NODE], sticks, n + 1, 6),
+            _pieces(work, layout[AT_STICK_END], sticks, n + 1, n))
 
 
 @entry
@@ -121,7 +121,7 @@ def prepare(layout: Layout, theta: Array, work: Array) -> None:
 @compiled
 def _discretise(a: Array, rows: Array, period: float, fraction: float, constant: float,
                 out: Array) -> None:
-    """out = [E | old | new | constant | force r^0..r^3], see `linear.steps_with_force`."""
+    """out = [E | old | new | constant | force r^0..r^3], see `linear.steps`."""
     n = a.shape[0]
     big, result = np.zeros((n + 5, n + 5)), np.empty((n + 5, n + 5))
     for i in range(n):

@@ -11,7 +11,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dfm_stage.model.base import BASE_PARAMETERS
+
+Array = NDArray[np.float64]
+Layout = NDArray[np.int64]
 
 SLOT_NAMES: tuple[str, ...] = (*(p.name for p in BASE_PARAMETERS),
                                "constant_force", "dry_friction", "command_limit")

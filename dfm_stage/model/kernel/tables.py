@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import (
     assign,
@@ -39,9 +38,8 @@ from dfm_stage.model.kernel.slots import (
     ROW_HOLD,
     ROW_POSITION,
     ROW_VELOCITY,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 POINT_1 = 0.5 * (1.0 - 1.0 / math.sqrt(5.0))
 POINT_2 = 0.5 * (1.0 + 1.0 / math.sqrt(5.0))
