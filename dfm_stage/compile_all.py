@@ -14,8 +14,11 @@ import numpy as np
 
 
 def compile_all() -> None:
-    """Compile the simulator (plant, records, parameter sets, sensitivities) and the bag reader."""
+    """Compile the simulator (plant, records, parameter sets, sensitivities), the hooks of all
+    effects and the bag reader.
+    """
     _simulator()
+    _effects()
     _reader()
 
 
@@ -27,6 +30,15 @@ def _simulator() -> None:
     plant.sample()
     plant.advance([0.0])
     Simulator(model).sensitivities(np.zeros(8), ("mass",))
+
+
+def _effects() -> None:
+    from dfm_stage.model import EFFECTS, Model
+    from dfm_stage.model.plan import Plan
+
+    base = {"mass": 1.0, "damping": 1.0, "coil_resistance": 1.0}
+    for effect in EFFECTS.values():
+        Plan.of(Model("compiled", 1e-3, base=base).with_effect(effect.name, effect.defaults))
 
 
 def _reader() -> None:

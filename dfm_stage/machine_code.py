@@ -9,15 +9,20 @@ is built from: copies share it, and a change anywhere can never run stale code.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
+import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any, TypeVar
 
 import numba
 import numba.core.caching
+import numba.core.ccallback
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 _caching: Any = numba.core.caching
@@ -30,20 +35,69 @@ def keeper(name: str, sources: Iterable[Path]) -> Callable[[F], F]:
     whichever can be written first, else in the temporary folder.
     """
     @lru_cache
-    def cache() -> type:
+    def folder() -> Path:
         digest = hashlib.sha256(numba.__version__.encode())
         for source in sorted(sources, key=lambda path: path.name):
             digest.update(source.name.encode())
             digest.update(source.read_bytes())
-        return _cache_in(_folder(f"{name}-{digest.hexdigest()[:16]}"))
+        return _folder(f"{name}-{digest.hexdigest()[:16]}")
 
     def keep(function: F) -> F:
         kept: Any = function
         if hasattr(kept, "py_func"):        # not where NUMBA_DISABLE_JIT is set
-            kept._cache = cache()(kept.py_func)
+            kept._cache = _cache_in(folder())(kept.py_func)
         return function
 
     return keep
+
+
+def callback(name: str, function: Callable[..., Any], signature: Any, made_of: object,
+             **options: Any) -> Any:
+    """Return `function` as a numba callback, whose `address` other machine code can call.
+
+    It is kept like the code of a `keeper`, in a folder named by a hash of what `made_of` holds:
+    the code of functions and of all they call, wherever it was written, and plain values.
+    """
+    found: Any = numba.core.ccallback.CFunc(function, (signature.args, signature.return_type),
+                                            {}, options)
+    digest = content_hash((numba.__version__, sys.version_info[:2], repr(signature), made_of))
+    found._cache = _cache_in(_folder(f"{name}-{digest[:16]}"))(function)
+    found.compile()
+    return found
+
+
+def content_hash(value: object) -> str:
+    """Return a hash of a value, and of a function's code with all that it refers to."""
+    digest = hashlib.sha256()
+    for part in _content(value, set()):
+        digest.update(part)
+        digest.update(b"\0")
+    return digest.hexdigest()
+
+
+def _content(value: Any, seen: set[int]) -> Iterator[bytes]:
+    value = getattr(value, "py_func", value)
+    if isinstance(value, (tuple, list)):
+        yield str(len(value)).encode()
+        for item in value:
+            yield from _content(item, seen)
+    elif isinstance(value, CodeType):
+        yield value.co_code
+        yield repr(value.co_names).encode()
+        yield from _content(value.co_consts, seen)
+    elif isinstance(value, FunctionType):
+        if id(value) not in seen:           # a function may call itself
+            seen.add(id(value))
+            yield from _content(value.__code__, seen)
+            used = inspect.getclosurevars(value)
+            yield from _content([*sorted(used.nonlocals.items())], seen)
+            yield from _content([*sorted(used.globals.items())], seen)
+            yield from _content(value.__defaults__, seen)
+    elif isinstance(value, np.ndarray):
+        yield repr((value.dtype, value.shape)).encode()
+        yield value.tobytes()
+    else:
+        yield repr(getattr(value, "__name__", value)).encode()
 
 
 def _cache_in(folder: Path) -> type:
@@ -72,6 +126,9 @@ def _cache_in(folder: Path) -> type:
 
     class Cache(_caching.FunctionCache):  # type: ignore[misc]
         _impl_class = Implementation
+
+        def _index_key(self, sig: Any, codegen: Any) -> Any:
+            return sig, codegen.magic_tuple()       # the folder stands for the content
 
     return Cache
 

@@ -190,8 +190,7 @@ def design_lqr(model: Model, spec: LqrSpec | None = None,
     stage = sample_model(model, sample_period_s)
     a, b, c, h = stage.a, stage.b, stage.c, stage.sample_period_s
     n = b.size
-    velocity = _velocity_row(model, n)
-    q = np.outer(c, c) / spec.lqr_error_m**2 + np.outer(velocity, velocity) / (
+    q = np.outer(c, c) / spec.lqr_error_m**2 + np.outer(stage.velocity, stage.velocity) / (
         spec.lqr_velocity_m_s**2)
     if spec.lqr_integral:
         a = np.block([[a, np.zeros((n, 1))], [-h * c[None], np.ones((1, 1))]])
@@ -207,7 +206,7 @@ def design_lqr(model: Model, spec: LqrSpec | None = None,
     gain = full[:n]
     shape, feed = on_reference(stage)
     start = shape[:, 0].copy()
-    start[_motion_states(model):] = 0.0
+    start[stage.motion:] = 0.0
     reference_gain = (gain @ shape + feed if spec.lqr_feedforward
                       else np.array([float(gain @ start), 0.0, 0.0]))
     if spec.lqr_disturbance:
@@ -254,17 +253,3 @@ def _against_force(stage: Sampled, gain: Array) -> float:
     system = np.block([[np.eye(n) - stage.a, -stage.b[:, None]], [stage.c[None], 0.0]])
     solved = np.linalg.solve(system, np.append(stage.g, 0.0))
     return float(solved[n] + gain @ solved[:n])
-
-
-def _motion_states(model: Model) -> int:
-    return 4 if model.effect("second_mode") else 2
-
-
-def _velocity_row(model: Model, n: int) -> Array:
-    row = np.zeros(n)
-    mode = model.effect("second_mode")
-    share = mode.parameters["share"] if mode else 0.0
-    row[1] = 1.0 - share
-    if mode:
-        row[3] = share
-    return row

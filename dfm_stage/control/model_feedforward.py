@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from dfm_stage.control.feedforward import inverse_input, periodic_input
 from dfm_stage.control.gains import PidGains
 from dfm_stage.control.lqr import on_reference
-from dfm_stage.control.stage import Sampled, effective_base, lags_s, sample_model
+from dfm_stage.control.stage import Sampled, linear_stage, sample_model
 from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
@@ -39,10 +39,11 @@ class EffectInput:
     """
 
     def __init__(self, model: Model) -> None:
-        base = effective_base(model)
+        base = model.effective_base()
         self._m, self._c = base["mass"], base.get("damping", 0.0)
         self._k, self._gain = base.get("stiffness", 0.0), base["force_constant"]
-        self.ahead_s = base.get("delay", 0.0) + sum(lags_s(model)) + 0.5 * model.sample_period
+        stage = linear_stage(model)
+        self.ahead_s = stage.delay_s + stage.lag_s + 0.5 * model.sample_period
         self._hooks: list[tuple[Any, tuple[float, ...]]] = []
         self._friction = self._constant = 0.0
         covers = []

@@ -42,11 +42,6 @@ def late_parameters(model: Model, names: Sequence[str]) -> dict[str, str]:
     return {n: kinds[n] for n in names if n in kinds}
 
 
-def absolute(effect: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Addresses of an effect's own parameters, written with a dot in front, and of base ones."""
-    return tuple(effect + n if n.startswith(".") else n for n in names)
-
-
 @dataclass(frozen=True)
 class Coordinates:
     """`forward` takes values of `names` (n,) to those of `fitted` (n,), `backward` back.
@@ -75,17 +70,14 @@ def group(model: Model, names: Sequence[str]) -> list[Coordinates]:
         groups.append(_lag_and_delay(lags[0], delays[0], model.sample_period))
     taken = {n for g in groups for n in g.names}
     for use in model.effects:
-        change = EFFECTS[use.name].fit
-        if change is None:
+        change = EFFECTS[use.name].coordinates
+        if change is None or any(n not in names or n in taken for n in change.names):
             continue
-        own = absolute(use.name, change.names)
-        if any(n not in names or n in taken for n in own):
-            continue
-        count = len(own)
+        count = len(change.names)
         groups.append(Coordinates(
-            own, absolute(use.name, change.fitted), ("",) * count, change.forward,
-            change.backward, np.full(count, -np.inf), np.full(count, np.inf), np.ones(count)))
-        taken.update(own)
+            change.names, change.fitted, ("",) * count, change.forward, change.backward,
+            np.full(count, -np.inf), np.full(count, np.inf), np.ones(count)))
+        taken.update(change.names)
     return groups
 
 

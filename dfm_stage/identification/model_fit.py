@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +17,7 @@ from dfm_stage.identification.result import Estimate, SegmentFit
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.system import System
 from dfm_stage.model import Model
+from dfm_stage.model.linear import linear_part
 
 Array = NDArray[np.float64]
 DYNAMIC = ("damping", "stiffness", "force_constant", "amplifier_time_constant", "delay")
@@ -114,27 +114,17 @@ def evaluate(model: Model, run: Run, *, noise: str = "auto") -> SegmentFit:
 
 
 def linear_plant(model: Model) -> LinearPlant:
-    """Return the linear part of a one-axis model: modes, amplifier lag and delay.
+    """Return the linear part of a one-axis model with the figures of its modes.
 
-    Nonlinear effects, the coil's inductance and a current record are not in it.
+    A mode is a position whose derivative is the velocity that stands after it; its stiffness and
+    damping are those that act at once, without what relaxes (creep).
     """
-    base = model.base
-    mass = base["mass"]
-    extra = {use.name: use.parameters for use in model.effects}
-    gain = base.get("force_constant", 1.0) / mass
-    damping = base.get("damping", 0.0)
-    if model.drive == "voltage" and base.get("back_emf", 0.0) > 0.0:
-        damping += base.get("force_constant", 1.0) * base["back_emf"]
-    second = extra.get("second_mode")
-    share = second["share"] if second else 0.0
-    modes = [Mode((1.0 - share) * gain, damping / mass, base.get("stiffness", 0.0) / mass)]
-    if second:
-        omega = 2.0 * math.pi * second["frequency"]
-        modes.append(Mode(share * gain, 2.0 * second["damping_ratio"] * omega, omega**2))
-    lag = base.get("amplifier_time_constant", 0.0)
-    lag += extra.get("amplifier_bandwidth", {}).get("time_constant", 0.0)
-    delay = base.get("delay", 0.0) + extra.get("transport_delay", {}).get("delay", 0.0)
-    return LinearPlant(tuple(modes), lag, delay)
+    part = linear_part(model)
+    a = part.a
+    modes = tuple(Mode(float(part.c[q] * part.gain * part.g[q + 1]), float(0.0 - a[q + 1, q + 1]),
+                       float(0.0 - a[q + 1, q])) for q in range(part.motion - 1)
+                  if a[q, q + 1] == 1.0 and np.count_nonzero(a[q]) == 1)
+    return LinearPlant(modes, part.lag_s, part.delay_s, part)
 
 
 def _check(run: Run, model: Model) -> None:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.identification.coordinates import absolute, group, late_parameters
+from dfm_stage.identification.coordinates import group, late_parameters
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.scales import typical_size
@@ -157,12 +157,12 @@ class System(Problem):
 
     def _per_run(self, effect: str) -> tuple[tuple[str, ...], Array]:
         """Names and values of an effect's coordinates that differ from run to run."""
-        own, change = EFFECTS[effect].per_run, EFFECTS[effect].fit
-        values = self.model.parameters()
+        change, values = EFFECTS[effect].coordinates, self.model.parameters()
+        own = tuple(map(EFFECTS[effect].address, EFFECTS[effect].per_run))
         if change is not None and own == change.fitted:
-            parts = np.array([values[n] for n in absolute(effect, change.names)])
-            return absolute(effect, own), np.asarray(change.forward(parts))
-        return absolute(effect, own), np.array([values[n] for n in absolute(effect, own)])
+            parts = np.array([values[n] for n in change.names])
+            return own, np.asarray(change.forward(parts))
+        return own, np.array([values[n] for n in own])
 
     def _force(self, run: Run) -> float:
         base = self.model.base
@@ -264,11 +264,10 @@ class System(Problem):
             elif not unknown.name.startswith("current."):
                 extra[unknown.name] = rows[:, k]
         for use in self.model.effects:
-            change = EFFECTS[use.name].fit
-            turned = absolute(use.name, change.fitted) if change is not None else ()
-            if change is not None and turned and all(n in extra for n in turned):
-                back = change.backward(np.array([extra.pop(n) for n in turned]))
-                extra.update(zip(absolute(use.name, change.names), back, strict=True))
+            change = EFFECTS[use.name].coordinates
+            if change is not None and all(n in extra for n in change.fitted):
+                back = change.backward(np.array([extra.pop(n) for n in change.fitted]))
+                extra.update(zip(change.names, back, strict=True))
         table = self._backward(fitted)
         if self.runs[index].start == "periodic":
             lags = [k for k, n in enumerate(self.free) if n in self._lags]

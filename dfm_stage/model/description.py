@@ -13,11 +13,11 @@ from typing import Any, Literal, NoReturn
 
 from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.errors import ModelError
+from dfm_stage.model.kernel.slots import ABSENT
 from dfm_stage.model.parameter import Parameter
-from dfm_stage.model.registry import EFFECTS
+from dfm_stage.model.registry import EFFECTS, coupling_effect
 
 SCHEMA_VERSION = 1
-COUPLING_EFFECT = "cross_axis_coupling"
 Drive = Literal["voltage", "current"]
 
 
@@ -99,6 +99,11 @@ class AxisModel:
         _check_axis(self)
 
 
+def _coupled_by(axis: AxisModel) -> str | None:
+    """The effect of an axis to which the neighbouring axis counts."""
+    return next((use.name for use in axis.effects if EFFECTS[use.name].couples), None)
+
+
 def _check_axis(axis: AxisModel | Model) -> None:
     if axis.drive not in ("voltage", "current"):
         raise ModelError(f"base: drive must be voltage or current, not {axis.drive!r}")
@@ -107,14 +112,15 @@ def _check_axis(axis: AxisModel | Model) -> None:
         if names.count(name) > 1:
             raise ModelError(f"effects: {name} stands there {names.count(name)} times; "
                              "merge them into one")
-    coil = {"coil_inductance": "coil_inductance" in names or axis.base.get("coil_inductance", 0.0),
-            "back_emf": "back_emf" in names or axis.base.get("back_emf", 0.0)}
-    for name, present in coil.items():
+    for parameter in ("coil_inductance", "back_emf"):
+        added = [name for name in names if EFFECTS[name].adds_to == parameter]
+        present = added or ([parameter] if axis.base.get(parameter, 0.0) else [])
         if present and axis.drive == "current":
-            raise ModelError(f"{name} has no meaning with drive: current; "
+            raise ModelError(f"{present[0]} has no meaning with drive: current; "
                              "use drive: voltage or remove it")
-    if coil["coil_inductance"] and axis.base.get("coil_resistance", 0.0) <= 0.0:
-        raise ModelError("coil_inductance needs coil_resistance (ohm) above zero in base")
+        if (present and parameter == "coil_inductance"
+                and axis.base.get("coil_resistance", 0.0) <= 0.0):
+            raise ModelError(f"{present[0]} needs coil_resistance (ohm) above zero in base")
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,7 @@ class Model:
     """A stage: `base` and `effects` of one axis, or `axes` with `coupling` between them.
 
     `base` holds only what the file gives; an absent parameter is zero. `coupling[a][b]` are the
-    parameters of `cross_axis_coupling` by which axis b acts on axis a. `document` is the text
+    parameters of the effect by which axis b acts on axis a. `document` is the text
     the model was read from; it does not take part in comparisons.
 
     Raises
@@ -168,11 +174,12 @@ class Model:
                 raise ModelError(f"coupling: axis {target} cannot act on itself")
             if len(sources) > 1:
                 raise ModelError(f"coupling: axis {target} can be coupled to one other axis only")
-            if COUPLING_EFFECT in [use.name for use in self.axes[target].effects]:
-                raise ModelError(f"coupling: axis {target} also has the effect {COUPLING_EFFECT}; "
+            own = _coupled_by(self.axes[target])
+            if own is not None:
+                raise ModelError(f"coupling: axis {target} also has the effect {own}; "
                                  "keep one of the two")
             checked[target] = Frozen({
-                source: EffectUse(COUPLING_EFFECT, values).parameters
+                source: EffectUse(coupling_effect().name, values).parameters
                 for source, values in sources.items()})
         return checked
 
@@ -187,7 +194,7 @@ class Model:
         return "A" if self.drive == "current" else "V"
 
     def axis(self, name: str | None = None) -> Model:
-        """The model of one axis; its coupling has become the effect `cross_axis_coupling`.
+        """The model of one axis; its coupling has become an effect.
 
         `name` may be None where there is one axis only.
 
@@ -208,7 +215,7 @@ class Model:
         if name not in self.axes:
             raise ModelError(unknown_name("axis", name, self.axes))
         chosen = self.axes[name]
-        coupled = tuple(EffectUse(COUPLING_EFFECT, values)
+        coupled = tuple(EffectUse(coupling_effect().name, values)
                         for values in self.coupling.get(name, {}).values())
         return Model(f"{self.name}.{name}", self.sample_period, chosen.base,
                      chosen.effects + coupled, origin=self.origin, drive=chosen.drive,
@@ -220,11 +227,12 @@ class Model:
             return None
         for source in self.coupling.get(name, {}):
             return source
-        if COUPLING_EFFECT in [use.name for use in self.axes[name].effects]:
+        effect = _coupled_by(self.axes[name])
+        if effect is not None:
             others = [axis for axis in self.axes if axis != name]
             if len(others) == 1:
                 return others[0]
-            raise ModelError(f"axis {name}: {COUPLING_EFFECT} needs exactly one other axis; "
+            raise ModelError(f"axis {name}: {effect} needs exactly one other axis; "
                              "use coupling to name it")
         return None
 
@@ -234,6 +242,20 @@ class Model:
             if use.name == name:
                 return use
         return None
+
+    def effective_base(self) -> dict[str, float]:
+        """The base parameters of a one-axis model with all effects that add to one.
+
+        Beside them `constant_force` and `dry_friction` (N) and `command_limit` (V or A).
+        """
+        values = {**ABSENT, **self.base}
+        for use in self.effects:
+            effect = EFFECTS[use.name]
+            if effect.adds_to is not None:
+                own, so_far = next(iter(use.parameters.values())), values.get(effect.adds_to, 0.0)
+                values[effect.adds_to] = (min(so_far, own) if effect.adds_to == "command_limit"
+                                          else so_far + own)
+        return values
 
     def parameters(self) -> dict[str, float]:
         """Address -> value of every parameter the model gives."""
@@ -263,7 +285,7 @@ class Model:
         if head in self.axes and rest:
             return self.axis(head).parameter(rest)
         if head == "coupling" and rest:
-            found = EFFECTS[COUPLING_EFFECT].parameter(rest.rpartition(".")[2])
+            found = coupling_effect().parameter(rest.rpartition(".")[2])
         elif address in BASE_BY_NAME:
             found = BASE_BY_NAME[address]
         elif head in EFFECTS and rest in EFFECTS[head].defaults:

@@ -17,7 +17,6 @@ from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.description import (
-    COUPLING_EFFECT,
     SCHEMA_VERSION,
     AxisModel,
     Drive,
@@ -27,7 +26,7 @@ from dfm_stage.model.description import (
 )
 from dfm_stage.model.errors import ModelError
 from dfm_stage.model.parameter import Parameter
-from dfm_stage.model.registry import EFFECTS
+from dfm_stage.model.registry import EFFECTS, coupling_effect
 
 T = TypeVar("T")
 _AXIS_KEYS = ("base", "effects")
@@ -140,7 +139,7 @@ def model_from_mapping(data: Any, where: str, text: str | None = None) -> Model:
     coupling: dict[str, dict[str, dict[str, float]]] = {}
     if "coupling" in top:
         for target, sources in top.child("coupling").items():
-            coupling[target] = {source: _values(node, COUPLING_EFFECT)
+            coupling[target] = {source: _values(node, coupling_effect().name)
                                 for source, node in sources.items()}
     return top.build(lambda: Model(str(name), period, axes=axes, coupling=coupling, **common),
                      "coupling" if "coupling" in top else "axes")

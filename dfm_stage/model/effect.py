@@ -24,15 +24,22 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
 `other_force(p) -> N/m`
     Force per metre of the neighbouring axis.
 `adds_to`
-    The base parameter (or internal slot) that the first parameter is simply added to.
+    The base parameter that the first parameter is simply added to, or `constant_force` (N),
+    `dry_friction` (N), or `command_limit` (V or A), where the smallest counts.
+
+Nothing outside an effect knows its name. Names of its own begin with a dot: the state `.force` of
+an effect `shaker` is `shaker.force`, its parameter `.amplitude` is `shaker.amplitude`, and `.`
+alone is `shaker`.
 """
 
 from __future__ import annotations
 
+import dis
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -102,6 +109,18 @@ class Reparametrisation:
     backward: Callable[[Any], Any]
 
 
+@cache
+def reads(hook: Callable[..., Any] | None, argument: int) -> bool:
+    """Whether a hook makes use of its argument number `argument`."""
+    if hook is None:
+        return False
+    code = getattr(hook, "py_func", hook).__code__
+    name = code.co_varnames[argument]
+    return name in code.co_cellvars or any(
+        step.opname.startswith("LOAD_FAST") and name in np.atleast_1d(step.argval)
+        for step in dis.get_instructions(code))
+
+
 @dataclass(frozen=True)
 class Effect:
     """One physical effect; see the module docstring for the hooks.
@@ -159,6 +178,26 @@ class Effect:
         """Name -> default value of each parameter."""
         return {p.name: p.default for p in self.parameters}
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The names of all states: those of the linear part, or that of a force with memory."""
+        return tuple(map(self.address, self.states if self.advance is None else (".",)))
+
+    @property
+    def coordinates(self) -> Reparametrisation | None:
+        """`fit` with the addresses as a model knows them."""
+        return self.fit and replace(self.fit, names=tuple(map(self.address, self.fit.names)),
+                                    fitted=tuple(map(self.address, self.fit.fitted)))
+
+    @property
+    def couples(self) -> bool:
+        """Whether the motion of the neighbouring axis counts."""
+        return self.other_force is not None or reads(self.sense, 2)
+
+    def address(self, name: str) -> str:
+        """The full form of a name that may begin with a dot."""
+        return f"{self.name}{name.rstrip('.')}" if name.startswith(".") else name
+
     def parameter(self, name: str) -> Parameter:
         """The parameter called `name`; KeyError if there is none."""
         for parameter in self.parameters:
@@ -172,11 +211,6 @@ class Effect:
     def rounds(self) -> bool:
         """Whether it rounds the reading: a fit's criterion has steps in its parameters then."""
         return self.encode is not None
-
-    @property
-    def couples(self) -> bool:
-        """Whether the motion of the neighbouring axis counts."""
-        return self.other_force is not None
 
     @property
     def frequency(self) -> str | None:

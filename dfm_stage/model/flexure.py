@@ -107,12 +107,6 @@ class Blade:
         return (3.0 * self.material.youngs_modulus_pa * self.thickness_m * abs(deflection_m)
                 / self.length_m**2)
 
-    @property
-    def buckling_force_n(self) -> float:
-        """Axial force that buckles the blade, ends parallel but free to shift, N: pi^2 E I / L^2.
-        """
-        return math.pi**2 * self.force_unit_n
-
 
 def blade_for(stiffness_n_m: float, *, length_m: float, width_m: float, material: Material,
               blades_in_series: int = 2, blades_side_by_side: int = 2) -> Blade:

@@ -3,23 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.description import Model, unknown_name
+from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.errors import ModelError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.events import TERMS
+from dfm_stage.model.kernel.hooks import address
+from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.registry import EFFECTS
 
-Array = NDArray[np.float64]
-
-
 DIRECTED_LEVELS, SMOOTH_LEVELS = 19, 9
+_LAGS = (("amplifier", slots.AMPLIFIER, slots.AMPLIFIER_STATE),
+         ("coil", slots.INDUCTANCE, slots.COIL_STATE))
+"""State, the slot that makes it, and where `layout` has its index."""
+_TABLES: dict[int, tuple[str, Callable[[Effect], bool]]] = {
+    slots.MODE_STAMPS: ("stamp", lambda effect: effect.stage == "modes"),
+    slots.AMPLIFIER_STAMPS: ("stamp", lambda effect: effect.stage == "amplifier"),
+    slots.MECHANICS_STAMPS: ("stamp", lambda effect: effect.stage == "mechanics"),
+    slots.STARTS: ("start", lambda _: True),
+    slots.FORCES: ("force", lambda _: True),
+    slots.ACTUATOR_FORCES: ("force", lambda effect: effect.side == "actuator"),
+    slots.BRISTLE_STEPS: ("advance", lambda _: True),
+    slots.SENSES: ("sense", lambda _: True),
+    slots.ENCODES: ("encode", lambda _: True),
+    slots.OTHER_FORCES: ("other_force", lambda _: True)}
+"""Table of hooks -> the hook, and which of the effects that have it stand in the table."""
 
 
 @dataclass(frozen=True)
@@ -27,52 +43,43 @@ class Plan:
     """A model compiled to flat arrays; see `dfm_stage.model.kernel.slots` for the addresses."""
 
     model: Model
-    on: int
-    layout: NDArray[np.int64]
+    layout: Layout
     theta: Array
     states: tuple[str, ...]
 
     @classmethod
     def of(cls, model: Model, changing: Sequence[str] = (), longest_delay: float = 0.0) -> Plan:
-        """The plan of `model`, with room for base parameters `changing` from zero."""
-        on = sum(1 << slots.BIT[use.name] for use in model.effects)
+        """The plan of `model`, with room for parameters `changing` from zero."""
+        changed = _slots_touched(model, changing)
+        effects = [EFFECTS[use.name] for use in model.effects]
         theta = theta_of(model)
-        layout = np.full(slots.LAYOUT_FIXED + len(slots.STATE_NAMES), -1, dtype=np.int64)
+        dry = any(effect.adds_to == "dry_friction" for effect in effects)
+        memory = [effect for effect in effects if effect.advance is not None]
+        forces = [effect.force for effect in effects if effect.force is not None]
         states = ["position", "velocity"]
-        if theta[slots.AMPLIFIER] > 0.0 or "amplifier_time_constant" in changing:
-            states.append("amplifier")
-        if theta[slots.INDUCTANCE] > 0.0 or "coil_inductance" in changing:
-            states.append("coil")
-        for use in model.effects:
-            states.extend(EFFECTS[use.name].states)
-        n = len(states)
-        for index, name in enumerate(states):
-            layout[slots.LAYOUT_FIXED + slots.STATE_NAMES.index(name)] = index
-        delay = max(theta[slots.DELAY], longest_delay)
-        layout[slots.ORDER] = n
-        layout[slots.HISTORY] = math.floor(delay / model.sample_period + 1e-9) + 2
-        layout[slots.CURVED] = on & slots.FORCED != 0
-        layout[slots.DIRECTED] = on & slots.REVERSING != 0
-        layout[slots.LEVELS] = levels = (
-            0 if not layout[slots.CURVED] else
-            DIRECTED_LEVELS if layout[slots.DIRECTED] else SMOOTH_LEVELS)
-        sticks = levels if layout[slots.DIRECTED] else 0
-        sizes = {slots.AT_HEAD: slots.HEAD_SIZE, slots.AT_STATE: n,
-                 slots.AT_BRISTLE: slots.BRISTLES,
-                 slots.AT_HISTORY: int(layout[slots.HISTORY]), slots.AT_A: n * (n + 1),
-                 slots.AT_ROWS: slots.ROWS * (n + 1), slots.AT_DISCRETE: n * (n + 7),
-                 slots.AT_HELD: n * (n + 1), slots.AT_NODE: 18 * levels * (n + 5),
-                 slots.AT_END: 2 * levels * n * (n + 5),
-                 slots.AT_STICK_NODE: 12 * sticks * (n + 1),
-                 slots.AT_STICK_END: 2 * sticks * n * (n + 1),
-                 slots.AT_SCRATCH: n + 3 * slots.BRISTLES + (n + 1) * TERMS}
-        first = 0
-        for at, size in sizes.items():
-            layout[at] = first
-            first += size
-        layout[slots.WORK_SIZE] = first
-        kept = [use.name for use in model.effects if use.name in slots.BRISTLE_NAMES]
-        return cls(model, on, layout, theta, (*states, *kept))
+        head = [-1] * slots.LAYOUT_FIXED
+        for state, slot, at in _LAGS:
+            if theta[slot] > 0.0 or slots.SLOT_NAMES[slot] in changed:
+                head[at] = len(states)
+                states.append(state)
+        for effect in effects:
+            if effect.advance is None:
+                states.extend(effect.state_names)
+        head[slots.ORDER] = len(states)
+        head[slots.HISTORY] = _history(model, max(theta[slots.DELAY], longest_delay))
+        head[slots.CURVED] = dry or bool(memory or forces)
+        head[slots.DIRECTED] = directed = dry or bool(memory)
+        head[slots.LEVELS] = (0 if not head[slots.CURVED] else
+                              DIRECTED_LEVELS if directed else SMOOTH_LEVELS)
+        head[slots.BRISTLES] = len(memory)
+        head[slots.USES_SPEED] = directed or any(reads(force, 1) for force in forces)
+        head[slots.USES_DRIVE] = any(reads(force, 2) for force in forces)
+        states.extend(name for effect in memory for name in effect.state_names)
+        _place_blocks(head)
+        head[slots.AT_INITIAL] = len(theta)
+        entries = _hook_tables(effects, states, head)
+        return cls(model, np.array(head + entries, dtype=np.int64),
+                   np.append(theta, np.zeros(len(states))), tuple(states))
 
     def work(self) -> Array:
         """A fresh work array, not prepared yet."""
@@ -80,59 +87,99 @@ class Plan:
         work[self.layout[slots.AT_HEAD] + slots.PERIOD] = self.model.sample_period
         return work
 
+    @cached_property
+    def addresses(self) -> dict[str, int]:
+        """Address of a free parameter -> its place in theta."""
+        names = [*BASE_BY_NAME]
+        places = [slots.SLOT_NAMES.index(name) for name in names]
+        names += [f"{use.name}.{parameter}" for use in self.model.effects
+                  for parameter in EFFECTS[use.name].defaults]
+        names += [f"initial.{name}" for name in self.states]
+        places += range(len(slots.SLOT_NAMES), len(self.theta))
+        return dict(zip(names, places, strict=True))
+
+    def place(self, address: str) -> int:
+        """The place of one free parameter in theta.
+
+        Raises
+        ------
+        ModelError
+            If the model has no such parameter.
+        """
+        if address not in self.addresses:
+            raise ModelError(unknown_name("parameter", address, self.addresses))
+        return self.addresses[address]
+
+
+def _place_blocks(head: list[int]) -> None:
+    """Give each block of `work` its first index."""
+    n, levels, bristles = head[slots.ORDER], head[slots.LEVELS], head[slots.BRISTLES]
+    sticks = levels if head[slots.DIRECTED] else 0
+    sizes = {slots.AT_HEAD: slots.HEAD_SIZE, slots.AT_STATE: n, slots.AT_BRISTLE: bristles,
+             slots.AT_HISTORY: head[slots.HISTORY], slots.AT_A: n * (n + 1),
+             slots.AT_ROWS: slots.ROWS * (n + 1), slots.AT_DISCRETE: n * (n + 7),
+             slots.AT_HELD: n * (n + 1), slots.AT_NODE: 18 * levels * (n + 5),
+             slots.AT_END: 2 * levels * n * (n + 5), slots.AT_STICK_NODE: 12 * sticks * (n + 1),
+             slots.AT_STICK_END: 2 * sticks * n * (n + 1),
+             slots.AT_SCRATCH: n + bristles + (n + 1) * TERMS, slots.WORK_SIZE: 0}
+    first = 0
+    for at, size in sizes.items():
+        head[at] = first
+        first += size
+
+
+def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: list[int]) -> list[int]:
+    """The entries of all tables; where each table begins goes to `head`."""
+    sizes = (len(effect.parameters) for effect in effects)
+    own = [*accumulate(sizes, initial=len(slots.SLOT_NAMES))]
+    entries: list[int] = []
+    for table, (hook, belongs) in _TABLES.items():
+        head[table] = slots.LAYOUT_FIXED + len(entries)
+        for effect, first in zip(effects, own, strict=False):
+            if getattr(effect, hook) is not None and belongs(effect):
+                state = states.index(effect.state_names[0]) if effect.state_names else 0
+                if effect.advance is not None:
+                    state -= head[slots.ORDER]
+                entries += [address(effect, hook), first, state]
+    head[slots.TABLES_END] = slots.LAYOUT_FIXED + len(entries)
+    return entries
+
 
 def theta_of(model: Model) -> Array:
-    """All parameters of a one-axis model at their places."""
-    theta = np.zeros(slots.THETA_SIZE)
-    theta[slots.LIMIT] = np.inf
-    theta[slots.FORCE_CONSTANT] = 1.0
-    for name, value in model.base.items():
-        theta[slots.SLOT_NAMES.index(name)] = value
+    """All parameters of a one-axis model at their places, without initial states."""
+    own = [value for use in model.effects for value in use.parameters.values()]
+    return np.array([*_slot_values(model.effective_base()), *own])
+
+
+def _slot_values(given: Mapping[str, float]) -> list[float]:
+    return [given.get(name, slots.ABSENT.get(name, 0.0)) for name in slots.SLOT_NAMES]
+
+
+def _history(model: Model, delay: float) -> int:
+    """How many inputs are kept for a delay, s."""
+    return math.floor(delay / model.sample_period + 1e-9) + 2
+
+
+def _slots_touched(model: Model, names: Sequence[str]) -> list[str]:
+    """The slot that each free parameter is a term of, or its own name."""
+    terms = {}
     for use in model.effects:
         effect = EFFECTS[use.name]
-        first = slots.FIRST_PARAMETER[use.name]
-        for offset, parameter in enumerate(effect.parameters):
-            theta[first + offset] = use.parameters[parameter.name]
-    apply_slots(model, theta)
-    return theta
+        if effect.adds_to is not None:
+            terms[f"{use.name}.{effect.parameters[0].name}"] = effect.adds_to
+    return [terms.get(name, name) for name in names]
 
 
 def apply_slots(model: Model, theta: Array) -> None:
-    """Add the effects that are terms of a slot to it; `theta` has shape (..., THETA_SIZE)."""
+    """Add the effects that are terms of a slot to it; `theta` has shape (..., size)."""
+    own = len(slots.SLOT_NAMES)
     for use in model.effects:
-        slot = EFFECTS[use.name].adds_to
-        if slot is None:
-            continue
-        index, own = slots.SLOT_NAMES.index(slot), slots.FIRST_PARAMETER[use.name]
-        if slot == "command_limit":
-            theta[..., index] = theta[..., own]
-        else:
-            theta[..., index] += theta[..., own]
-
-
-def addresses(model: Model, states: Sequence[str]) -> dict[str, int]:
-    """Address of a free parameter -> its place in theta."""
-    found = {name: slots.SLOT_NAMES.index(name) for name in BASE_BY_NAME}
-    for use in model.effects:
-        for offset, parameter in enumerate(EFFECTS[use.name].parameters):
-            found[f"{use.name}.{parameter.name}"] = slots.FIRST_PARAMETER[use.name] + offset
-    for name in states:
-        found[f"initial.{name}"] = slots.FIRST_INITIAL + slots.STATE_NAMES.index(name)
-    return found
-
-
-def place(model: Model, states: Sequence[str], address: str) -> int:
-    """The place of one free parameter in theta.
-
-    Raises
-    ------
-    ModelError
-        If the model has no such parameter.
-    """
-    known = addresses(model, states)
-    if address not in known:
-        raise ModelError(unknown_name("parameter", address, known))
-    return known[address]
+        effect = EFFECTS[use.name]
+        if effect.adds_to is not None:
+            index = slots.SLOT_NAMES.index(effect.adds_to)
+            combine = np.minimum if index == slots.LIMIT else np.add
+            theta[..., index] = combine(theta[..., index], theta[..., own])
+        own += len(effect.parameters)
 
 
 def parameter_table(plan: Plan, names: Sequence[str], matrix: Array) -> tuple[Plan, Array]:
@@ -144,17 +191,17 @@ def parameter_table(plan: Plan, names: Sequence[str], matrix: Array) -> tuple[Pl
         If a name is not known.
     """
     model = plan.model
-    places = [place(model, plan.states, name) for name in names]
-    longest = sum((float(matrix[:, column].max(initial=0.0)) for column, name in enumerate(names)
-                   if name in ("delay", "transport_delay.delay")), plan.theta[slots.DELAY])
-    wide = Plan.of(model, names, longest)
-    base = wide.theta.copy()
-    for use in model.effects:
-        slot = EFFECTS[use.name].adds_to
-        if slot is not None:
-            base[slots.SLOT_NAMES.index(slot)] = model.base.get(slot, 0.0)
-    table = np.tile(base, (len(matrix), 1))
+    places = [plan.place(name) for name in names]
+    touched = _slots_touched(model, names)
+    longest = sum((float(matrix[:, column].max(initial=0.0)) for column, slot in enumerate(touched)
+                   if slot == "delay"), plan.theta[slots.DELAY])
+    if _history(model, longest) > plan.layout[slots.HISTORY] or any(
+            plan.layout[at] < 0 and slots.SLOT_NAMES[slot] in touched for _, slot, at in _LAGS):
+        plan = Plan.of(model, names, longest)
+        places = [plan.place(name) for name in names]
+    table = np.tile(plan.theta, (len(matrix), 1))
+    table[:, :len(slots.SLOT_NAMES)] = _slot_values(model.base)
     for column, index in enumerate(places):
         table[:, index] = matrix[:, column]
     apply_slots(model, table)
-    return wide, table
+    return plan, table

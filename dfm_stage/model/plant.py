@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dfm_stage.model.description import COUPLING_EFFECT, Model
+from dfm_stage.model.description import Model
 from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import DIVERGED, peek, run
 from dfm_stage.model.kernel.setup import prepare, reset
-from dfm_stage.model.plan import Plan, place
+from dfm_stage.model.plan import Plan
+from dfm_stage.model.registry import EFFECTS
+from dfm_stage.model.simulator import rounding_of
 
 _NONE = np.empty((0, 4))
 _NOWHERE = np.full(len(slots.SIGNALS), -1)
@@ -49,7 +51,7 @@ class Plant:
     gives the same noise, sample by sample, as `SimulationResult.measured(seed)`; the motion is
     bit for bit that of `Simulator.run`. Without encoder_resolution a count is 1 pm.
 
-    `cross_axis_coupling` is felt in a `CoupledPlant` only; here the other axis is at rest.
+    The other axis acts on this one in a `CoupledPlant` only; here it is at rest.
 
     Raises
     ------
@@ -68,11 +70,10 @@ class Plant:
         self._held, self._out = np.zeros(1), np.zeros((len(slots.SIGNALS), 1))
         self._force, self._other = np.zeros((1, 4)), _NONE
         self._noise = float(self._theta[slots.NOISE])
-        step = self.model.effect("encoder_quantization")
-        self._round = step.parameters["step"] if step else 0.0
+        self._rounding = rounding_of(self.model)
         resolution = float(self._theta[slots.RESOLUTION])
         self.count_size_m = resolution if resolution > 0.0 else FINEST_COUNT_M
-        prepare(self._plan.on, self._plan.layout, self._theta, self._work)
+        prepare(self._plan.layout, self._theta, self._work)
         self.reset()
 
     @property
@@ -88,10 +89,10 @@ class Plant:
         `past_input` is the constant input before, which a delay still brings in.
         """
         theta = self._theta
-        theta[slots.FIRST_INITIAL:] = 0.0
+        theta[self._plan.layout[slots.AT_INITIAL]:] = 0.0
         for name, value in {"position": position, "velocity": velocity, **(states or {})}.items():
-            theta[place(self.model, self._plan.states, f"initial.{name}")] = value
-        reset(self._plan.on, self._plan.layout, theta, float(past_input), self._work)
+            theta[self._plan.place(f"initial.{name}")] = value
+        reset(self._plan.layout, theta, float(past_input), self._work)
         self._generator = np.random.default_rng(self.seed)
         self._draws: list[float] = []
         self._sample: Sample | None = None
@@ -126,11 +127,11 @@ class Plant:
         if external_force_n != 0.0:
             self._force[0, 0] = external_force_n
             force = self._force
-        run(self._plan.on, self._plan.layout, self._theta, self._work, self._held, force,
+        run(self._plan.layout, self._theta, self._work, self._held, force,
             self._other, _NOWHERE, self._out)
 
     def _look(self) -> Sample:
-        peek(self._plan.on, self._plan.layout, self._theta, self._work, self._other, self._out)
+        peek(self._plan.layout, self._theta, self._work, self._other, self._out)
         position, velocity, current, force, reading, _ = self._out[:, 0].tolist()
         if not abs(position) < DIVERGED:
             raise SimulationError("the motion of the plant has escaped to infinity: the loop is "
@@ -140,8 +141,8 @@ class Plant:
             if not self._draws:
                 self._draws = self._generator.standard_normal(_DRAWS)[::-1].tolist()
             reading += self._noise * self._draws.pop()
-        if self._round > 0.0:
-            reading = round(reading / self._round) * self._round
+        for effect in self._rounding:
+            reading = effect(reading)
         counts = round(reading / self.count_size_m)
         return Sample(position, velocity, current, force, counts, counts * self.count_size_m)
 
@@ -170,8 +171,9 @@ class CoupledPlant:
         for plant, source in zip(self.plants, self._sources, strict=True):
             if source is not None:
                 plant._other = np.zeros((1, 4))
-                coupling = plant.model.effect(COUPLING_EFFECT)
-                self._twice |= coupling is not None and coupling.parameters["stiffness"] != 0.0
+                self._twice |= any(
+                    hook(tuple(use.parameters.values())) != 0.0 for use in plant.model.effects
+                    if (hook := EFFECTS[use.name].other_force) is not None)
 
     def reset(self) -> None:
         """Go back to k = 0 and rest; use the `reset` of single `plants` for another state."""
@@ -189,7 +191,7 @@ class CoupledPlant:
         for plant, source in zip(self.plants, self._sources, strict=True):
             if source is not None:
                 there = self.plants[source]
-                peek(there._plan.on, there._plan.layout, there._theta, there._work, there._other,
+                peek(there._plan.layout, there._theta, there._work, there._other,
                      there._out)
                 plant._other[0] = there._out[slots.POSITION, 0], 0.0, 0.0, 0.0
 
@@ -217,7 +219,7 @@ class CoupledPlant:
                 plant._step(value, force)
             after = []
             for plant, kept in zip(self.plants, saved, strict=True):
-                peek(plant._plan.on, plant._plan.layout, plant._theta, plant._work, plant._other,
+                peek(plant._plan.layout, plant._theta, plant._work, plant._other,
                      plant._out)
                 after.append(plant._out[:, 0].copy())
                 plant._work[:len(kept)] = kept

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from dfm_stage.model.description import COUPLING_EFFECT, Model, unknown_name
+from dfm_stage.model.description import EffectUse, Model, unknown_name
 from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import run
 from dfm_stage.model.kernel.setup import prepare, reset
-from dfm_stage.model.plan import Plan, parameter_table, place
+from dfm_stage.model.kernel.slots import Array, Layout
+from dfm_stage.model.plan import Plan, parameter_table
 from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
 
-Array = NDArray[np.float64]
+Rounding = Callable[[float], float]
 RELATIVE_STEP = 1e-4
+WHOLE_CYCLES = 1e-6
+"""Cycles of a vibration that may be missing in a period: rounding of its frequency, no more."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,8 @@ class SimulationResult:
     `position` (m) and `velocity` (m/s) are those of the driven point, `current` in A (with a
     voltage drive and no coil_resistance: the drive in V), `force` (N) that of the actuator on
     the moving mass. `reading` (m) is what the encoder sees, without noise and rounding: position,
-    zero, periodic error, drift, cross-axis. `output` is the same with encoder_quantization, if it
-    is on, as its mean over the noise; it is what a measured record is compared with.
+    zero, periodic error, drift, cross-axis. `output` is the same with the effects that round,
+    if one is on, as their mean over the noise; it is what a measured record is compared with.
     """
 
     time: Array
@@ -42,20 +46,21 @@ class SimulationResult:
     force: Array
     reading: Array
     output: Array
-    step: float
+    rounding: tuple[Rounding, ...]
     resolution: float
     noise: float
 
     def measured(self, seed: int = 0) -> Array:
-        """The reading with noise (normal, `default_rng(seed)`), then rounded to the step of
-        encoder_quantization and to encoder_resolution where they are given, shape (N,)."""
+        """The reading with noise (normal, `default_rng(seed)`), then rounded as the effects with
+        a hook `encode` do, and to encoder_resolution where it is given, shape (N,)."""
         reading = self.reading
         if self.noise > 0.0:
             draws = np.random.default_rng(seed).standard_normal(len(reading))
             reading = reading + self.noise * draws
-        for count in (self.step, self.resolution):
-            if count > 0.0:
-                reading = np.rint(reading / count) * count
+        for effect in self.rounding:
+            reading = np.array([effect(each) for each in reading.tolist()])
+        if self.resolution > 0.0:
+            reading = np.rint(reading / self.resolution) * self.resolution
         return reading
 
 
@@ -80,7 +85,7 @@ class Simulator:
         (N,) position of the neighbouring axis in m, for cross_axis_coupling; between samples a
         cubic (Hermite, slopes by central differences of fourth order).
     dither
-        RMS of the noise (m) over which `output` averages encoder_quantization; by default the
+        RMS of the noise (m) over which `output` averages the rounding; by default the
         model's noise. With 0 it is a sharp staircase.
     steady_state
         Take `input` as one period of a periodic input and return the periodic motion.
@@ -117,25 +122,26 @@ class Simulator:
         _check(_begin(plan, theta, work, float(past_input), inputs, force, neighbour,
                       steady_state))
         rows = np.arange(len(slots.SIGNALS))
-        if not plan.on & slots.ENCODED:
+        effects = [EFFECTS[use.name] for use in self.model.effects]
+        encoded = any(effect.encode for effect in effects)
+        if not encoded:
             rows[slots.OUTPUT] = -1
-        if not plan.on & slots.SENSED and theta[slots.ZERO] == 0.0:
+        if not (encoded or theta[slots.ZERO] or any(effect.sense for effect in effects)):
             rows[slots.READING] = -1
         out = np.empty((int(rows.max()) + 1, len(inputs)))
-        run(plan.on, plan.layout, theta, work, inputs, force, neighbour, rows, out)
+        run(plan.layout, theta, work, inputs, force, neighbour, rows, out)
         if not np.isfinite(out[slots.POSITION, -1]):
             when = int(np.argmin(np.isfinite(out[slots.POSITION]))) * self.model.sample_period
             raise SimulationError("the motion escapes to infinity, or a force is too stiff to "
                                   f"follow, before t = {when:g} s: the model's forces do not "
                                   "hold the stage; check their signs and sizes")
         reading = out[slots.READING] if rows[slots.READING] >= 0 else out[slots.POSITION]
-        step = self.model.effect("encoder_quantization")
         return SimulationResult(
             time=self.model.sample_period * np.arange(len(inputs), dtype=float),
             position=out[slots.POSITION], velocity=out[slots.VELOCITY],
             current=out[slots.CURRENT], force=out[slots.FORCE], reading=reading,
             output=out[slots.OUTPUT] if rows[slots.OUTPUT] >= 0 else reading,
-            step=step.parameters["step"] if step else 0.0,
+            rounding=rounding_of(self.model),
             resolution=float(plan.theta[slots.RESOLUTION]), noise=float(plan.theta[slots.NOISE]))
 
     def output(self, input: ArrayLike, *,  # noqa: A002
@@ -154,15 +160,15 @@ class Simulator:
         theta = self._theta(initial, dither)
         _check(_one_signal(self._plan, theta, self._plan.work(), float(past_input), inputs, force,
                            neighbour, slots.OUTPUT, steady_state, out))
-        signal: Array = out[0]
-        return signal
+        return np.asarray(out[0])
 
     def run_many(self, input: ArrayLike, parameter_names: Sequence[str],  # noqa: A002
                  parameter_matrix: ArrayLike, *, signal: str = "output",
                  past_input: float = 0.0, external_force: ArrayLike | None = None,
                  other: ArrayLike | None = None, dither: float | None = None,
                  steady_state: bool = False, partial: bool = False,
-                 threads: int | None = None, steps: NDArray[np.int64] | None = None) -> Array:
+                 threads: int | None = None,
+                 steps: Layout | None = None) -> Array:
         """One signal for each row of `parameter_matrix` (P, n); returns (P, N).
 
         `parameter_names` (n) are addresses such as `mass`, `cubic_stiffness.k3` or, for the state
@@ -170,6 +176,10 @@ class Simulator:
         `threads` threads, by default one per available core. Values are not checked against the
         limits of the parameters. A motion that escapes to infinity, or meets a force too stiff to
         follow, ends in NaN. With `partial` a row without periodic motion is NaN, too.
+
+        `steps` (P,) is filled with the integration steps that each row took, the same in every
+        run: one a sample for a linear model; for others all that were tried, also those that were
+        then halved, and the events inside the shortest ones.
 
         Raises
         ------
@@ -179,12 +189,9 @@ class Simulator:
         if signal not in slots.SIGNALS:
             raise SimulationError(unknown_name("signal", signal, slots.SIGNALS))
         inputs, force, neighbour = self._arguments(input, external_force, other, steady_state)
-        matrix = np.atleast_2d(np.asarray(parameter_matrix, dtype=float))
-        if matrix.ndim != 2 or matrix.shape[1] != len(parameter_names):
-            raise SimulationError(f"the parameter matrix has shape {matrix.shape}; "
-                                  f"it needs {len(parameter_names)} columns, one per name")
-        if not np.all(np.isfinite(matrix)):
-            raise SimulationError("the parameter matrix is not finite")
+        matrix = _matrix(parameter_matrix, len(parameter_names))
+        if steps is not None and steps.shape != (len(matrix),):
+            raise SimulationError(f"steps has shape {steps.shape}; give one number a row")
         plan, table = parameter_table(self._plan, parameter_names, matrix)
         if dither is not None:
             table[:, slots.NOISE] = dither
@@ -197,6 +204,8 @@ class Simulator:
                 status[row] = _one_signal(plan, table[row], work, float(past_input), inputs,
                                           force, neighbour, slots.SIGNALS.index(signal),
                                           steady_state, out[row:row + 1])
+                if steps is not None:
+                    steps[row] = work[plan.layout[slots.AT_HEAD] + slots.STEPS]
 
         if steps is not None:
             slow = any(EFFECTS[u.name].advance is not None for u in self.model.effects)
@@ -271,7 +280,7 @@ class Simulator:
     def _theta(self, initial: Mapping[str, float] | None, dither: float | None) -> Array:
         theta: Array = self._plan.theta.copy()
         for name, value in (initial or {}).items():
-            theta[place(self.model, self._plan.states, f"initial.{name}")] = value
+            theta[self._plan.place(f"initial.{name}")] = value
         if dither is not None:
             theta[slots.NOISE] = dither
         return theta
@@ -283,21 +292,34 @@ class Simulator:
         if force is not None:
             pushes = np.zeros((len(inputs), 4))
             pushes[:, 0] = _record(force, "external force", len(inputs))
-        coupled = self.model.effect(COUPLING_EFFECT) is not None
-        if coupled and other is None:
-            raise SimulationError(f"{COUPLING_EFFECT} is on: give the position of the other axis "
-                                  "as other=")
-        if coupled and other is not None:
-            others = hermite(_record(other, "position of the other axis", len(inputs)),
-                             steady_state)
-        disturbance = self.model.effect("periodic_disturbance")
-        if steady_state and disturbance is not None:
-            cycles = (disturbance.parameters["frequency"] * len(inputs)
-                      * self.model.sample_period)
-            if disturbance.parameters["amplitude"] and abs(cycles - round(cycles)) > 1e-6:
-                raise SimulationError("there is no periodic motion: periodic_disturbance does "
-                                      f"{cycles:g} cycles in one period of the input")
+        for use in self.model.effects:
+            effect = EFFECTS[use.name]
+            if effect.couples and other is None:
+                raise SimulationError(f"{use.name} is on: give the position of the other axis as "
+                                      "other=")
+            if other is not None and effect.couples and not len(others):
+                others = hermite(_record(other, "position of the other axis", len(inputs)),
+                                 steady_state)
+            if steady_state and effect.frequency is not None:
+                self._check_cycles(use, len(inputs))
         return inputs, pushes, others
+
+    def _check_cycles(self, use: EffectUse, samples: int) -> None:
+        """Refuse a vibration that does not do whole cycles in a period of the input."""
+        effect = EFFECTS[use.name]
+        cycles = use.parameters[str(effect.frequency)] * samples * self.model.sample_period
+        state = np.ones(len(effect.states))
+        if effect.start is not None:
+            effect.start(state, 0, tuple(use.parameters.values()))
+        if np.any(state) and abs(cycles - round(cycles)) > WHOLE_CYCLES:
+            raise SimulationError(f"there is no periodic motion: {use.name} does {cycles:g} "
+                                  "cycles in one period of the input")
+
+
+def rounding_of(model: Model) -> tuple[Rounding, ...]:
+    """What the effects of a one-axis model that round do to one reading."""
+    return tuple(partial(hook, dither=0.0, p=tuple(use.parameters.values()))
+                 for use in model.effects if (hook := EFFECTS[use.name].encode) is not None)
 
 
 def _typical(name: str, model: Model) -> float:
@@ -319,8 +341,8 @@ def _typical(name: str, model: Model) -> float:
 
 def _begin(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,
            force: Array, other: Array, steady_state: bool) -> int:
-    prepare(plan.on, plan.layout, theta, work)
-    reset(plan.on, plan.layout, theta, past_input, work)
+    prepare(plan.layout, theta, work)
+    reset(plan.layout, theta, past_input, work)
     return settle(plan, theta, work, inputs, force, other) if steady_state else SETTLED
 
 
@@ -330,7 +352,7 @@ def _one_signal(plan: Plan, theta: Array, work: Array, past_input: float, inputs
     if status == SETTLED:
         rows = np.full(len(slots.SIGNALS), -1)
         rows[signal] = 0
-        run(plan.on, plan.layout, theta, work, inputs, force, other, rows, out)
+        run(plan.layout, theta, work, inputs, force, other, rows, out)
     return status
 
 
@@ -373,6 +395,16 @@ def _record(values: ArrayLike, name: str, length: int | None = None) -> Array:
         raise SimulationError(f"the {name} is not finite at sample "
                               f"{int(np.argmin(np.isfinite(array)))}; remove or repair it")
     return array
+
+
+def _matrix(values: ArrayLike, columns: int) -> Array:
+    matrix = np.atleast_2d(np.asarray(values, dtype=float))
+    if matrix.ndim != 2 or matrix.shape[1] != columns:
+        raise SimulationError(f"the parameter matrix has shape {matrix.shape}; "
+                              f"it needs {columns} columns, one per name")
+    if not np.all(np.isfinite(matrix)):
+        raise SimulationError("the parameter matrix is not finite")
+    return matrix
 
 
 def _check(status: int) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import run
 from dfm_stage.model.kernel.setup import restart
+from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.plan import Plan
 
-Array = NDArray[np.float64]
 SETTLED, DRIFTS, UNSETTLED = 0, 1, 2
 PERIODS = 400
 TOLERANCE = 1e-10
@@ -36,11 +35,11 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
     at_state, at_history = layout[slots.AT_STATE], layout[slots.AT_HISTORY]
     nothing = np.empty((0, len(inputs)))
 
-    def after_period(point: Array, which: NDArray[np.int64]) -> Array:
+    def after_period(point: Array, which: Layout) -> Array:
         work[at_state:at_state + len(point)] = point
         work[at_history:at_history + back] = past
         restart(layout, work)
-        run(plan.on, which, theta, work, inputs, force, other, _NOWHERE, nothing)
+        run(which, theta, work, inputs, force, other, _NOWHERE, nothing)
         reached: Array = work[at_state:at_state + len(point)].copy()
         return reached
 
@@ -50,7 +49,7 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
     first = layout[slots.AT_DISCRETE]
     propagator = work[first:first + n * (n + 7)].reshape(n, n + 7)[:, :n]
     left = np.eye(n) - np.linalg.matrix_power(propagator, len(inputs))
-    outcome, begin = SETTLED, np.zeros(n + slots.BRISTLES)
+    outcome, begin = SETTLED, np.zeros(n + int(layout[slots.BRISTLES]))
     largest = np.abs(left).max(axis=1, keepdims=True)
     if np.all(np.isfinite(left)) and np.all(largest > 0.0) \
             and np.linalg.cond(left / largest) < LARGEST_CONDITION:

@@ -54,7 +54,7 @@ EFFECT = AmplifierBandwidth(
         Equivalence(("amplifier_bandwidth", "coil_inductance"), "no current record",
                     "a current record while the stage is blocked"),
     ),
-    states=("amplifier_bandwidth",),
+    states=(".",),
     stage="amplifier",
     stamp=stamp,
     late="lag",

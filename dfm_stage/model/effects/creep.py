@@ -83,6 +83,6 @@ EFFECT = Creep(
     fit=Reparametrisation(("stiffness", ".stiffness", ".time_constant"),
                           (".unrelaxed_stiffness", ".rate", ".time_constant"),
                           _forward, _backward),
-    states=("creep",),
+    states=(".",),
     stamp=stamp,
 )

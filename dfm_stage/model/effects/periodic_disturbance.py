@@ -82,7 +82,7 @@ EFFECT = PeriodicDisturbance(
     fit=Reparametrisation(
         (".amplitude", ".phase"), (".in_phase", ".quadrature"),
         _forward, _backward),
-    states=("periodic_disturbance.force", "periodic_disturbance.quadrature"),
+    states=(".force", ".quadrature"),
     stamp=stamp,
     start=start,
     wave=Wave("frequency", "time"),

@@ -82,7 +82,7 @@ EFFECT = SecondMode(
     parity="linear",
     memory=False,
     shown_by="a multisine or chirp across the mode's frequency",
-    states=("second_mode.position", "second_mode.velocity"),
+    states=(".position", ".velocity"),
     stage="modes",
     stamp=stamp,
 )

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.compiled import compiled, inlined, lean
 from dfm_stage.model.kernel.memory import at
-
-Array = NDArray[np.float64]
+from dfm_stage.model.kernel.slots import Array
 
 
 @inlined
 def row_value(work: Array, row: int, state: int, n: int, u: float) -> float:
     """work[row:] . [work[state:], u] for a state of order n"""
-    total = at(work, row + n) * u
+    total: float = at(work, row + n) * u
     for j in range(n):
         total += at(work, row + j) * at(work, state + j)
     return total

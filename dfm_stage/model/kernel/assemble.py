@@ -11,32 +11,33 @@ stage "amplifier" the drive, in the stage "mechanics" it adds forces at the poin
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.model.kernel.algebra import fill
 from dfm_stage.model.kernel.compiled import lean
-from dfm_stage.model.kernel.hooks import stamp_amplifier, stamp_mechanics, stamp_modes
+from dfm_stage.model.kernel.hooks import stamp
 from dfm_stage.model.kernel.slots import (
     AMPLIFIER,
+    AMPLIFIER_STAMPS,
+    AMPLIFIER_STATE,
     BACK_EMF,
+    COIL_STATE,
     DAMPING,
     FORCE_CONSTANT,
     INDUCTANCE,
-    LAYOUT_FIXED,
     MASS,
+    MECHANICS_STAMPS,
+    MODE_STAMPS,
     RESISTANCE,
     ROW_DRIVE,
     ROW_FORCE_IN,
     ROW_POSITION,
     ROW_VELOCITY,
     STIFFNESS,
+    Array,
+    Layout,
 )
 
-Array = NDArray[np.float64]
 INSTANT = 1e-6
 """A lag shorter than this part of a sample period is taken as none."""
-_AMPLIFIER_STATE, _COIL_STATE = LAYOUT_FIXED + 2, LAYOUT_FIXED + 3
 
 
 @lean
@@ -52,7 +53,7 @@ def lag(a: Array, rows: Array, state: int, time_constant: float, shortest: float
 
 
 @lean
-def assemble(on: int, layout: NDArray[np.int64], theta: Array, period: float, a: Array,
+def assemble(layout: Layout, theta: Array, period: float, a: Array,
              rows: Array) -> None:
     """Fill `a` and `rows` for the parameters `theta`."""
     shortest = INSTANT * period
@@ -66,15 +67,15 @@ def assemble(on: int, layout: NDArray[np.int64], theta: Array, period: float, a:
     rows[ROW_POSITION, 0] = 1.0
     rows[ROW_VELOCITY, 1] = 1.0
     rows[ROW_FORCE_IN, 1] = 1.0 / mass
-    stamp_modes(on, layout, theta, a, rows)
+    stamp(layout, theta, MODE_STAMPS, a, rows)
 
     rows[ROW_DRIVE, n] = 1.0
-    lag(a, rows, layout[_AMPLIFIER_STATE], theta[AMPLIFIER], shortest)
-    stamp_amplifier(on, layout, theta, a, rows)
+    lag(a, rows, layout[AMPLIFIER_STATE], theta[AMPLIFIER], shortest)
+    stamp(layout, theta, AMPLIFIER_STAMPS, a, rows)
     for j in range(n):
         rows[ROW_DRIVE, j] -= theta[BACK_EMF] * rows[ROW_VELOCITY, j]
     if theta[RESISTANCE] > 0.0:
-        lag(a, rows, layout[_COIL_STATE], theta[INDUCTANCE] / theta[RESISTANCE],
+        lag(a, rows, layout[COIL_STATE], theta[INDUCTANCE] / theta[RESISTANCE],
             shortest)
 
     for i in range(n):
@@ -82,4 +83,4 @@ def assemble(on: int, layout: NDArray[np.int64], theta: Array, period: float, a:
         if share != 0.0:
             for j in range(n + 1):
                 a[i, j] += share * rows[ROW_DRIVE, j]
-    stamp_mechanics(on, layout, theta, a, rows)
+    stamp(layout, theta, MECHANICS_STAMPS, a, rows)

@@ -12,16 +12,17 @@ from typing import Any, TypeVar
 
 import numba
 
-from dfm_stage.machine_code import keeper
+from dfm_stage import machine_code
 
 F = TypeVar("F", bound=Callable[..., Any])
 _njit: Any = numba.njit
 _PACKAGE = Path(__file__).resolve().parents[1]
-_keep = keeper("simulator", [
-    *(_PACKAGE / "kernel").glob("*.py"), *(_PACKAGE / "effects").glob("*.py"),
-    _PACKAGE / "base.py", _PACKAGE / "effect.py", _PACKAGE / "registry.py"])
+_SOURCES = [*(_PACKAGE / "kernel").glob("*.py"), _PACKAGE / "base.py"]
+_keep = machine_code.keeper("simulator", _SOURCES)
 _INSIDE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True,
                            "no_cfunc_wrapper": True}
+_AROUND_HOOKS = tuple((_PACKAGE / "kernel" / name).read_bytes() for name in
+                      ("hooks.py", "memory.py", "slots.py"))
 
 
 def compiled(function: F) -> F:
@@ -47,3 +48,9 @@ def entry(function: F) -> F:
     """As `compiled`, callable from Python, its machine code kept on disk."""
     result: F = _njit(nogil=True, error_model="numpy")(function)
     return _keep(result)
+
+
+def callback(function: F, signature: Any, made_of: object) -> Any:
+    """`function`, made of hooks and values, as machine code with an `address`, kept on disk."""
+    return machine_code.callback("hook", function, signature, (_AROUND_HOOKS, made_of), nogil=True,
+                                 error_model="numpy")

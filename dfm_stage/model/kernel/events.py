@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
-from dfm_stage.model.kernel.compiled import lean
-from dfm_stage.model.kernel.hooks import bristle_force, bristle_steps, point_force
+from dfm_stage.model.kernel.compiled import inlined, lean
+from dfm_stage.model.kernel.hooks import bristle_steps, point_force
 from dfm_stage.model.kernel.slots import (
     AT_A,
     AT_BRISTLE,
+    AT_HEAD,
     AT_HELD,
     AT_ROWS,
     AT_SCRATCH,
@@ -19,28 +17,39 @@ from dfm_stage.model.kernel.slots import (
     CONSTANT_FORCE,
     DRY_FRICTION,
     FORCE_CONSTANT,
+    FORCES,
     ORDER,
+    OUT,
     ROW_DRIVE,
     ROW_FORCE_IN,
     ROW_HOLD,
     ROW_POSITION,
     ROW_VELOCITY,
+    STEPS,
+    Array,
+    Layout,
 )
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 TERMS = 12
 EVENTS = 6
 
 
+@inlined
+def bristle_force(layout: Layout, theta: Array, work: Array, v: float) -> float:
+    """The force of the effects with memory where the point is now, N."""
+    z = layout[AT_BRISTLE]
+    return bristle_steps(layout, theta, work, z, 0.0, v, v, z, layout[AT_HEAD] + OUT)
+
+
 @lean
-def pushed(on: int, theta: Array, work: Array, n: int, rows: int, state: int, z: int, u: float,
-           force: Array, r: float) -> float:
+def pushed(layout: Layout, theta: Array, work: Array, u: float, force: Array,
+           r: float) -> float:
     """Force beyond what holds the point at rest, without dry friction, N; it moves that way."""
+    n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
-    push: float = (theta[CONSTANT_FORCE] + bristle_force(on, theta, work, z, 0.0)
-            + point_force(on, theta, x, 0.0, drive)
+    push: float = (theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0)
+            + point_force(layout, theta, FORCES, x, 0.0, drive)
             - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u))
     if force.shape[0] > 0:
         push += cubic_at(force, r)
@@ -48,29 +57,30 @@ def pushed(on: int, theta: Array, work: Array, n: int, rows: int, state: int, z:
 
 
 @lean
-def cell(on: int, theta: Array, work: Array, layout: Layout, u: float, force: Array, r0: float,
+def cell(layout: Layout, theta: Array, work: Array, u: float, force: Array, r0: float,
          dr: float, length: float, mode: int) -> int:
     """Advance the state over the shortest step, of `length` (s), with the events in it.
 
     `force` and [r0, r0 + dr] as in `motion.slip`. Returns the mode at its end.
     """
-    n, rows, state, z = layout[ORDER], layout[AT_ROWS], layout[AT_STATE], layout[AT_BRISTLE]
-    rate = dr / length
+    n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
+    steps, rate = layout[AT_HEAD] + STEPS, dr / length
     done = 0.0
     for event in range(EVENTS):
         left = length - done
         if left <= 0.0:
             break
+        work[steps] += 1.0
         start, last = r0 + rate * done, event == EVENTS - 1
         if mode == 0:
-            taken, mode = _held(on, theta, work, layout, u, force, start, rate, left, last)
+            taken, mode = _held(layout, theta, work, u, force, start, rate, left, last)
             done += taken
             continue
-        taken = _moving(on, theta, work, layout, u, force, start, rate, left, mode, last)
+        taken = _moving(layout, theta, work, u, force, start, rate, left, mode, last)
         done += taken
         if taken < left:
             _halt(work, n, rows, state, u)
-            push = pushed(on, theta, work, n, rows, state, z, u, force, r0 + rate * done)
+            push = pushed(layout, theta, work, u, force, r0 + rate * done)
             mode = 0 if abs(push) <= theta[DRY_FRICTION] else (1 if push > 0.0 else -1)
     speed = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
     if mode != 0 and mode * speed < 0.0:
@@ -80,12 +90,12 @@ def cell(on: int, theta: Array, work: Array, layout: Layout, u: float, force: Ar
 
 
 @lean
-def _held(on: int, theta: Array, work: Array, layout: Layout, u: float, force: Array,
+def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
           start: float, rate: float, left: float, last: bool) -> tuple[float, int]:
     """Stick until the end or until breakaway; the time taken (s) and the mode then."""
-    n, rows, state, z = layout[ORDER], layout[AT_ROWS], layout[AT_STATE], layout[AT_BRISTLE]
+    n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
     end = layout[AT_SCRATCH]
-    terms = end + n + 3 * BRISTLES
+    terms = end + n + layout[BRISTLES]
     series = terms + n * TERMS
     drive_row = rows + ROW_DRIVE * (n + 1)
     _series(work, n, layout[AT_HELD], -1, state, u, 0.0, 0.0, terms)
@@ -93,14 +103,16 @@ def _held(on: int, theta: Array, work: Array, layout: Layout, u: float, force: A
     _at(work, n, terms, left, end)
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     gain = theta[FORCE_CONSTANT]
-    f = point_force(on, theta, x, 0.0, gain * row_value(work, drive_row, state, n, u))
-    f_end = point_force(on, theta, x, 0.0, gain * row_value(work, drive_row, end, n, u))
+    drive, drive_end = (row_value(work, drive_row, state, n, u),
+                        row_value(work, drive_row, end, n, u))
+    f = point_force(layout, theta, FORCES, x, 0.0, gain * drive)
+    f_end = point_force(layout, theta, FORCES, x, 0.0, gain * drive_end)
     if force.shape[0] > 0:
         f += cubic_at(force, start)
         f_end += cubic_at(force, start + rate * left)
     for k in range(TERMS):
         work[series + k] = -work[series + k]
-    work[series] += theta[CONSTANT_FORCE] + bristle_force(on, theta, work, z, 0.0) + f
+    work[series] += theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0) + f
     work[series + 1] += (f_end - f) / left
     push = _value(work, series, left)
     if abs(push) <= theta[DRY_FRICTION] or last:
@@ -114,20 +126,21 @@ def _held(on: int, theta: Array, work: Array, layout: Layout, u: float, force: A
 
 
 @lean
-def _moving(on: int, theta: Array, work: Array, layout: Layout, u: float, force: Array,
+def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
             start: float, rate: float, left: float, mode: int, last: bool) -> float:
     """Move until the end or until the speed is zero; the time taken, s."""
     n, rows, state, z = layout[ORDER], layout[AT_ROWS], layout[AT_STATE], layout[AT_BRISTLE]
     end, moved = layout[AT_SCRATCH], layout[AT_SCRATCH] + n
-    terms = end + n + 3 * BRISTLES
+    out = layout[AT_HEAD] + OUT
+    terms = end + n + layout[BRISTLES]
     series = terms + n * TERMS
     x_row, v_row = rows + ROW_POSITION * (n + 1), rows + ROW_VELOCITY * (n + 1)
     d_row, push_row = rows + ROW_DRIVE * (n + 1), rows + ROW_FORCE_IN * (n + 1)
     gain = theta[FORCE_CONSTANT]
     plain = theta[CONSTANT_FORCE] - mode * theta[DRY_FRICTION]
     x, v = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
-    f = (plain + bristle_force(on, theta, work, z, v)
-         + point_force(on, theta, x, v, gain * row_value(work, d_row, state, n, u)))
+    f = (plain + bristle_force(layout, theta, work, v)
+         + point_force(layout, theta, FORCES, x, v, gain * row_value(work, d_row, state, n, u)))
     if force.shape[0] > 0:
         f += cubic_at(force, start)
     slope = 0.0
@@ -135,9 +148,8 @@ def _moving(on: int, theta: Array, work: Array, layout: Layout, u: float, force:
         _series(work, n, layout[AT_A], push_row, state, u, f, slope, terms)
         _at(work, n, terms, left, end)
         x_end, v_end = row_value(work, x_row, end, n, u), row_value(work, v_row, end, n, u)
-        bristle_steps(on, theta, work, z, x_end - x, v, v_end, moved)
-        f_end = (plain + bristle_force(on, theta, work, moved, v_end)
-                 + point_force(on, theta, x_end, v_end,
+        f_end = (plain + bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, out)
+                 + point_force(layout, theta, FORCES, x_end, v_end,
                                gain * row_value(work, d_row, end, n, u)))
         if force.shape[0] > 0:
             f_end += cubic_at(force, start + rate * left)
@@ -156,8 +168,8 @@ def _moving(on: int, theta: Array, work: Array, layout: Layout, u: float, force:
     if t > 0.0:
         _at(work, n, terms, t, state)
         x_end, v_end = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
-        bristle_steps(on, theta, work, z, x_end - x, v, v_end, moved)
-        for i in range(BRISTLES):
+        bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, out)
+        for i in range(layout[BRISTLES]):
             work[z + i] = work[moved + i]
     return t
 

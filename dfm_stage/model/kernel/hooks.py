@@ -1,101 +1,223 @@
-"""The effects' hooks, chained into one compiled function each.
+"""The effects' hooks, compiled one by one and called by the address of their machine code.
 
-A chain is written out as text, one line per effect, compiled when it is first needed and never
-cached itself: the entry points that call it carry its machine code. `on` is the bit mask of
-effects, in registry order. Effects that are off cost a test of one bit.
+The kernel is compiled once and holds no effect. `layout` has a table for each kind of hook with
+one entry for each effect that is on: the address, where its parameters begin in `theta`, and its
+first state. Each hook is machine code of its own, kept on disk under a hash of all it is made of,
+so that an effect costs the same however many others there are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from functools import lru_cache
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
+import numba
+
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.kernel.compiled import inlined, lean
+from dfm_stage.model.kernel.compiled import callback, inlined, lean
+from dfm_stage.model.kernel.memory import POINTER, at, caller, pointer, types, values_at
 from dfm_stage.model.kernel.slots import (
-    BIT,
-    BRISTLE_NAMES,
-    FIRST_PARAMETER,
-    LAYOUT_FIXED,
-    POLYNOMIAL,
-    STATE_NAMES,
+    BRISTLE_STEPS,
+    CODE,
+    ENCODES,
+    ENTRY,
+    FIRST,
+    OTHER_FORCES,
+    OWN,
+    ROWS,
+    SENSES,
+    STARTS,
+    Array,
+    Layout,
 )
-from dfm_stage.model.registry import EFFECTS
 
 Hook = Callable[..., Any]
-Force = Callable[..., float]
+_numba: Any = numba
+carray = _numba.carray
+_number, _index = types.float64, types.int64
+_FORCE = _number(*[_number] * 9, POINTER, POINTER, _index)
+_BRISTLE = _number(*[_number] * 8, POINTER, POINTER, _index)
+_STAMP = types.void(POINTER, POINTER, _index, _index, POINTER)
+_START = types.void(POINTER, _index, _index, POINTER)
+_SENSE = types.void(POINTER, POINTER, _index, _index, _number, POINTER, _index, POINTER)
+_ENCODE = types.void(POINTER, _index, _number, POINTER)
+_OTHER = _number(POINTER)
+ONE, THREE = 1, 3
 
 
-def _with(hook: str) -> list[Effect]:
-    return [effect for effect in EFFECTS.values() if getattr(effect, hook) is not None]
+def _force(hook: Hook, values: Hook) -> Hook:
+    def force(x1: float, x2: float, x3: float, v1: float, v2: float, v3: float, d1: float,
+              d2: float, d3: float, p: Any, out: Any, count: int) -> float:
+        """Return the force at the first point; of THREE points, the others go to `out`, N."""
+        own = values(p)
+        if count == THREE:
+            out[0] = hook(x2, v2, d2, own)
+            out[1] = hook(x3, v3, d3, own)
+        return float(hook(x1, v1, d1, own))
+
+    return force
 
 
-@lru_cache
-def _compiled(effect: str, hook: str) -> Hook:
-    function: Hook = getattr(EFFECTS[effect], hook)
-    return lean(function) if hook == "advance" else inlined(function)
+def _bristle(advance: Hook, force: Hook, values: Hook) -> Hook:
+    def step(z: float, dx1: float, dx2: float, dx3: float, v0: float, v1: float, v2: float,
+             v3: float, p: Any, out: Any, count: int) -> float:
+        """Move z on by dx1, or by THREE distances; return it. The forces then go to `out`, N."""
+        own = values(p)
+        if dx1 != 0.0:
+            z = advance(z, dx1, v0, v1, own)
+        out[0] = force(z, v1, own)
+        if count == THREE:
+            if dx2 != 0.0:
+                z = advance(z, dx2, v1, v2, own)
+            out[1] = force(z, v2, own)
+            if dx3 != 0.0:
+                z = advance(z, dx3, v2, v3, own)
+            out[2] = force(z, v3, own)
+        return z
+
+    return step
 
 
-def _chain(arguments: str, hook: str, effects: Iterable[Effect], step: Callable[[Effect], str],
-           start: str = "", result: str = "") -> Hook:
-    """A function of `arguments` that does `step` for every effect that is on.
+def _stamp(hook: Hook, values: Hook) -> Hook:
+    def stamp(a: Any, rows: Any, n: int, first: int, p: Any) -> None:
+        hook(carray(a, (n, n + 1)), carray(rows, (ROWS, n + 1)), first, values(p))
 
-    In the text of a step, HOOK stands for the effect's hook and P for its parameters.
-    """
-    lines, scope = [f"def chain({arguments}):", f"    {start or 'pass'}"], {}
-    for effect in effects:
-        first = FIRST_PARAMETER[effect.name]
-        taken = "".join(f"theta[{first + i}], " for i in range(len(effect.parameters)))
-        text = step(effect).replace("HOOK", effect.name).replace("P)", f"({taken}))")
-        lines += [f"    if on >> {BIT[effect.name]} & 1:", f"        {text}"]
-        scope[effect.name] = _compiled(effect.name, hook)
-    exec("\n".join([*lines, f"    return {result}"]), scope)  # noqa: S102 (text of our own)
-    return inlined(scope["chain"])
+    return stamp
 
 
-def _summed(hook: str, arguments: str, effects: Iterable[Effect]) -> Force:
-    """chain(on, theta, *arguments) -> sum of hook(*arguments, p)"""
-    return _chain(f"on, theta, {arguments}", hook, effects,
-                  lambda _: f"total += HOOK({arguments}, P)", "total = 0.0", "total")
+def _start(hook: Hook, values: Hook) -> Hook:
+    def start(state: Any, n: int, first: int, p: Any) -> None:
+        hook(carray(state, (n,)), first, values(p))
+
+    return start
 
 
-def _states(hook: str, arguments: str, effects: Iterable[Effect]) -> Hook:
-    """chain(on, layout, theta, *arguments): hook(*arguments, first, p) changes its arguments"""
-    def step(effect: Effect) -> str:
-        first = LAYOUT_FIXED + STATE_NAMES.index(effect.states[0])
-        return f"HOOK({arguments}, layout[{first}], P)"
+def _sense(hook: Hook, values: Hook) -> Hook:
+    def sense(x: Any, reading: Any, count: int, first: int, period: float, other: Any,
+              stride: int, p: Any) -> None:
+        """Add to `count` readings; other[stride k] is where the neighbour is, if there is one."""
+        own = values(p)
+        for k in range(count):
+            neighbour = other[stride * k] if stride > 0 else 0.0
+            reading[k] += hook(x[k], (first + k) * period, neighbour, own)
 
-    return _chain(f"on, layout, theta, {arguments}", hook, effects, step)
+    return sense
 
 
-_STAMPED = _with("stamp")
-_BRISTLED = [EFFECTS[name] for name in BRISTLE_NAMES]
-_FORCES = _with("force")
-stamp_modes = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "modes"])
-stamp_amplifier = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "amplifier"])
-stamp_mechanics = _states("stamp", "a, rows", [e for e in _STAMPED if e.stage == "mechanics"])
-start_states = _states("start", "state", _with("start"))
-point_force = _summed("force", "x, v, d", _FORCES)
-spring_force = _summed("force", "x, v, d", [e for e in _FORCES if POLYNOMIAL >> BIT[e.name] & 1])
-actuator_force = _summed("force", "x, v, d", [e for e in _FORCES if e.side == "actuator"])
-sense_error = _summed("sense", "x, t, other", _with("sense"))
-other_stiffness: Force = _chain("on, theta", "other_force", _with("other_force"),
-                                lambda _: "total += HOOK(P)", "total = 0.0", "total")
+def _encode(hook: Hook, values: Hook) -> Hook:
+    def encode(reading: Any, count: int, dither: float, p: Any) -> None:
+        own = values(p)
+        for k in range(count):
+            reading[k] = hook(reading[k], dither, own)
 
-bristle_force: Force = _chain(
-    "on, theta, work, z, v", "bristle_force", _BRISTLED,
-    lambda e: f"total += HOOK(work[z + {BRISTLE_NAMES.index(e.name)}], v, P)",
-    "total = 0.0", "total")
-"""chain(on, theta, work, z, v) -> N, with the states at work[z:]"""
+    return encode
 
-bristle_steps = _chain(
-    "on, theta, work, z, dx, v0, v1, after", "advance", _BRISTLED,
-    lambda e: (f"work[after + {(i := BRISTLE_NAMES.index(e.name))}] = "
-               f"HOOK(work[z + {i}], dx, v0, v1, P)"))
-"""chain(on, theta, work, z, dx, v0, v1, after): work[after:] is work[z:] moved on by dx"""
 
-encode_mean: Force = _chain("on, theta, reading, dither", "encode", _with("encode"),
-                            lambda _: "reading = HOOK(reading, dither, P)", "",
-                            "reading")
-"""chain(on, theta, reading, dither) -> m, the mean of the rounded reading"""
+def _other_force(hook: Hook, values: Hook) -> Hook:
+    def other_force(p: Any) -> float:
+        return float(hook(values(p)))
+
+    return other_force
+
+
+_MADE: dict[str, tuple[Any, Callable[..., Hook]]] = {
+    "force": (_FORCE, _force), "sense": (_SENSE, _sense), "advance": (_BRISTLE, _bristle),
+    "stamp": (_STAMP, _stamp), "start": (_START, _start), "encode": (_ENCODE, _encode),
+    "other_force": (_OTHER, _other_force)}
+
+
+def address(effect: Effect, kind: str) -> int:
+    """The address of the machine code of one hook of an effect; compiled when first asked for."""
+    hooks = [getattr(effect, kind)]
+    if kind == "advance":
+        hooks.append(effect.bristle_force)
+    return int(_code(kind, len(effect.parameters), *hooks).address)
+
+
+@cache
+def _code(kind: str, parameters: int, *hooks: Hook) -> Any:
+    signature, make = _MADE[kind]
+    return callback(make(*(lean(hook) for hook in hooks), values_at(parameters)), signature,
+                    (kind, parameters, hooks))
+
+
+call_force = caller(_FORCE)
+call_bristle = caller(_BRISTLE)
+call_stamp = caller(_STAMP)
+call_start = caller(_START)
+call_sense = caller(_SENSE)
+call_encode = caller(_ENCODE)
+call_other = caller(_OTHER)
+
+
+@inlined
+def point_force(layout: Layout, theta: Array, table: int, x: float, v: float, d: float) -> float:
+    """The sum of the forces of a table at one point, N; `d` is the actuator's."""
+    total = 0.0
+    for entry in range(at(layout, table), at(layout, table + 1), ENTRY):
+        own = pointer(theta, at(layout, entry + OWN))
+        total += call_force(at(layout, entry + CODE),
+                            (x, 0.0, 0.0, v, 0.0, 0.0, d, 0.0, 0.0, own, own, ONE))
+    return total
+
+
+@inlined
+def bristle_steps(layout: Layout, theta: Array, work: Array, z: int, dx: float, v0: float,
+                  v1: float, after: int, forces: int) -> float:
+    """work[after:] is work[z:] moved on by dx; returns the force then, N. `forces` is scratch."""
+    total = 0.0
+    for entry in range(at(layout, BRISTLE_STEPS), at(layout, BRISTLE_STEPS + 1), ENTRY):
+        own = at(layout, entry + FIRST)
+        work[after + own] = call_bristle(
+            at(layout, entry + CODE), (at(work, z + own), dx, 0.0, 0.0, v0, v1, 0.0, 0.0,
+                                       pointer(theta, at(layout, entry + OWN)),
+                                       pointer(work, forces), ONE))
+        total += at(work, forces)
+    return total
+
+
+@lean
+def stamp(layout: Layout, theta: Array, table: int, a: Array, rows: Array) -> None:
+    """Let the effects of one stage change the linear part; see `kernel.assemble`."""
+    for entry in range(layout[table], layout[table + 1], ENTRY):
+        call_stamp(layout[entry + CODE], (
+            pointer(a, 0), pointer(rows, 0), a.shape[0], layout[entry + FIRST],
+            pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def start_states(layout: Layout, theta: Array, state: Array) -> None:
+    """Let the effects set their own states at the beginning."""
+    for entry in range(layout[STARTS], layout[STARTS + 1], ENTRY):
+        call_start(layout[entry + CODE], (pointer(state, 0), state.shape[0],
+                                          layout[entry + FIRST],
+                                          pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def sense_errors(layout: Layout, theta: Array, x: Array, first: int, period: float, other: Array,
+                 reading: Array) -> None:
+    """Add to the readings of the positions x, the first of which is sample `first`, m."""
+    stride = 4 if other.shape[0] > 0 else 0
+    for entry in range(layout[SENSES], layout[SENSES + 1], ENTRY):
+        call_sense(layout[entry + CODE], (
+            pointer(x, 0), pointer(reading, 0), x.shape[0], first, period, pointer(other, 0),
+            stride, pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def encode_means(layout: Layout, theta: Array, dither: float, reading: Array) -> None:
+    """Replace the readings by the means of the rounded ones, m."""
+    for entry in range(layout[ENCODES], layout[ENCODES + 1], ENTRY):
+        call_encode(layout[entry + CODE], (pointer(reading, 0), reading.shape[0], dither,
+                                           pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def other_stiffness(layout: Layout, theta: Array) -> float:
+    """The force per metre of the neighbouring axis, N/m."""
+    total = 0.0
+    for entry in range(layout[OTHER_FORCES], layout[OTHER_FORCES + 1], ENTRY):
+        total += call_other(layout[entry + CODE], (pointer(theta, layout[entry + OWN]),))
+    return total

@@ -14,12 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.model.kernel.compiled import lean
+from dfm_stage.model.kernel.slots import Array
 
-Array = NDArray[np.float64]
 Steps = Callable[[Array, Array, Array, Array, Array, Array, int, int, Array], None]
 
 
@@ -58,29 +55,31 @@ _two_modes_lagged = _unrolled(5, ((0, 0, 1, 2), (1, 0, 1, 2), (2, 2), (3, 2, 3, 
 
 
 @lean
-def steps(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array, first: int,
-          count: int, out: Array) -> None:
-    """Advance by `count` samples with the fastest loop that fits `a`."""
+def steps(a: Array, old: Array, new: Array, constant: Array, ext: Array, state: Array, p: Array,
+          force: Array, first: int, count: int, out: Array) -> None:
+    """Advance by `count` samples with the fastest loop that fits `a`.
+
+    The force force[k] . [1, r, r^2, r^3], r = (t - t_k) / T, acts in sample k; it may be empty.
+    """
     n = state.shape[0]
+    if force.shape[0] > 0 or n > 6:
+        return _steps_n(a, old, new, constant, ext, state, p, force, first, count, out)
     if n == 2:
-        _steps_2(a, old, new, constant, state, p, first, count, out)
-    elif n == 3 and _none(a[2:, :2]):
-        _lagged(a, old, new, constant, state, p, first, count, out)
-    elif n == 3:
-        _steps_3(a, old, new, constant, state, p, first, count, out)
-    elif n == 4 and _none(a[:2, 2:]) and _none(a[2:, :2]):
-        _two_modes(a, old, new, constant, state, p, first, count, out)
-    elif n == 4:
-        _steps_4(a, old, new, constant, state, p, first, count, out)
-    elif (n == 5 and _none(a[:2, 3:]) and _none(a[3:, :2]) and _none(a[2:3, :2])
-          and _none(a[2:3, 3:])):
-        _two_modes_lagged(a, old, new, constant, state, p, first, count, out)
-    elif n == 5:
-        _steps_5(a, old, new, constant, state, p, first, count, out)
-    elif n == 6:
-        _steps_6(a, old, new, constant, state, p, first, count, out)
-    else:
-        _steps_n(a, old, new, constant, state, p, first, count, out)
+        return _steps_2(a, old, new, constant, state, p, first, count, out)
+    if n == 3 and _none(a[2:, :2]):
+        return _lagged(a, old, new, constant, state, p, first, count, out)
+    if n == 3:
+        return _steps_3(a, old, new, constant, state, p, first, count, out)
+    if n == 4 and _none(a[:2, 2:]) and _none(a[2:, :2]):
+        return _two_modes(a, old, new, constant, state, p, first, count, out)
+    if n == 4:
+        return _steps_4(a, old, new, constant, state, p, first, count, out)
+    if (n == 5 and _none(a[:2, 3:]) and _none(a[3:, :2]) and _none(a[2:3, :2])
+            and _none(a[2:3, 3:])):
+        return _two_modes_lagged(a, old, new, constant, state, p, first, count, out)
+    if n == 5:
+        return _steps_5(a, old, new, constant, state, p, first, count, out)
+    return _steps_6(a, old, new, constant, state, p, first, count, out)
 
 
 @lean
@@ -93,9 +92,9 @@ def _none(part: Array) -> bool:
 
 
 @lean
-def _steps_n(a: Array, old: Array, new: Array, constant: Array, state: Array, p: Array,
-             first: int, count: int, out: Array) -> None:
-    n = state.shape[0]
+def _steps_n(a: Array, old: Array, new: Array, constant: Array, ext: Array, state: Array, p: Array,
+             force: Array, first: int, count: int, out: Array) -> None:
+    n, powers = state.shape[0], force.shape[1] if force.shape[0] > 0 else 0
     for k in range(count):
         u, v = p[first + k], p[first + k + 1]
         for i in range(n):
@@ -104,23 +103,6 @@ def _steps_n(a: Array, old: Array, new: Array, constant: Array, state: Array, p:
             total = old[i] * u + (new[i] * v + constant[i])
             for j in range(n):
                 total += a[i, j] * out[j, k]
-            state[i] = total
-
-
-@lean
-def steps_with_force(a: Array, old: Array, new: Array, constant: Array, ext: Array, state: Array,
-                     p: Array, force: Array, first: int, count: int,
-                     out: Array) -> None:
-    """As `steps`, with the force force[k] . [1, r, r^2, r^3], r = (t - t_k) / T, in sample k."""
-    n = state.shape[0]
-    for k in range(count):
-        u, v = p[first + k], p[first + k + 1]
-        for i in range(n):
-            out[i, k] = state[i]
-        for i in range(n):
-            total = old[i] * u + (new[i] * v + constant[i])
-            for j in range(n):
-                total += a[i, j] * out[j, k]
-            for j in range(4):
+            for j in range(powers):
                 total += ext[i, j] * force[first + k, j]
             state[i] = total

@@ -1,4 +1,4 @@
-"""Reading `work` without the test for negative indices that numba adds to every access."""
+"""What numba lacks: unchecked access, addresses, and calls of machine code by its address."""
 
 # ruff: noqa: ARG001
 from __future__ import annotations
@@ -6,26 +6,71 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numba import types
-from numba.core import config
+import numba.core.cgutils
+from llvmlite import ir
 from numba.extending import intrinsic
-from numpy.typing import NDArray
+
+types: Any = numba.types
+_tuples: Any = numba.core.cgutils
+POINTER: Any = types.CPointer(types.float64)
+
+
+def _element(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+    return builder.gep(data, [arguments[1]], inbounds=True)
 
 
 def _at(typing_context: Any, array: Any, index: Any) -> Any:
-    """array[index] of a one-dimensional float64 array, for index >= 0."""
-
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        return builder.load(builder.gep(data, [arguments[1]], inbounds=True))
+        return builder.load(_element(context, builder, signature, arguments))
 
-    return types.float64(array, types.int64), build
-
-
-def _at_in_python(array: Any, index: int) -> Any:
-    return array[index]
+    return array.dtype(array, types.int64), build
 
 
-_chosen: Any = _at_in_python if getattr(config, "DISABLE_JIT", False) else intrinsic(_at)
-at: Callable[[NDArray[np.float64], int], float] = _chosen
+def _pointer(typing_context: Any, array: Any, index: Any) -> Any:
+    return POINTER(array, types.int64), _element
+
+
+at: Callable[..., Any] = intrinsic(_at)
+"""at(array, index) of a one-dimensional array for index >= 0, without the test for the sign."""
+
+pointer: Callable[..., Any] = intrinsic(_pointer)
+"""pointer(array, index): address of an element, >= 0, of a float64 array as it lies in memory."""
+
+
+def caller(signature: Any) -> Callable[..., Any]:
+    """call(address, arguments) for machine code of this signature, arguments being a tuple."""
+
+    def typed(typing_context: Any, address: Any, arguments: Any) -> Any:
+        def build(context: Any, builder: Any, here: Any, values: Any) -> Any:
+            given = [context.cast(builder, value, kind, wanted) for value, kind, wanted in zip(
+                _tuples.unpack_tuple(builder, values[1]), here.args[1], signature.args,
+                strict=True)]
+            nothing = signature.return_type == types.void
+            result = (ir.VoidType() if nothing
+                      else context.get_value_type(signature.return_type))
+            kind = ir.FunctionType(result, [value.type for value in given])
+            found = builder.call(builder.inttoptr(values[0], kind.as_pointer()), given)
+            return context.get_dummy_value() if nothing else found
+
+        return signature.return_type(types.int64, arguments), build
+
+    call: Callable[..., Any] = intrinsic(typed)
+    return call
+
+
+def values_at(count: int) -> Callable[..., Any]:
+    """load(p) -> the tuple of the `count` numbers that p points to."""
+
+    def load(typing_context: Any, p: Any) -> Any:
+        result = types.UniTuple(types.float64, count)
+
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            index = [context.get_constant(types.intp, i) for i in range(count)]
+            return context.make_tuple(builder, result, [
+                builder.load(builder.gep(arguments[0], [i], inbounds=True)) for i in index])
+
+        return result(p), build
+
+    found: Callable[..., Any] = intrinsic(load)
+    return found

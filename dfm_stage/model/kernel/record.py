@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.compiled import compiled, entry, lean
 from dfm_stage.model.kernel.hooks import (
-    actuator_force,
-    encode_mean,
+    encode_means,
     other_stiffness,
-    sense_error,
+    point_force,
+    sense_errors,
 )
-from dfm_stage.model.kernel.linear import steps, steps_with_force
+from dfm_stage.model.kernel.linear import steps
 from dfm_stage.model.kernel.memory import at
 from dfm_stage.model.kernel.motion import advance_piece
 from dfm_stage.model.kernel.setup import block
@@ -25,6 +24,7 @@ from dfm_stage.model.kernel.slots import (
     AT_STATE,
     CURRENT,
     CURVED,
+    ENCODES,
     FORCE,
     FORCE_CONSTANT,
     FRACTION,
@@ -41,16 +41,17 @@ from dfm_stage.model.kernel.slots import (
     ROW_VELOCITY,
     ROWS,
     SAMPLE,
-    SENSED,
+    SENSES,
     SIGNALS,
+    STEPS,
     TRIED,
     VELOCITY,
     WHOLE,
     ZERO,
+    Array,
+    Layout,
 )
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
 BLOCK = 256
 DIVERGED = 1e12
 """A position beyond this has escaped; the states are NaN from then on."""
@@ -60,7 +61,7 @@ record would take minutes, and its motion would be in doubt."""
 
 
 @entry
-def run(on: int, layout: Layout, theta: Array, work: Array, inputs: Array, force: Array,
+def run(layout: Layout, theta: Array, work: Array, inputs: Array, force: Array,
         other: Array, rows_out: Layout, out: Array) -> None:
     """Advance by len(inputs) samples and write the signals before each step.
 
@@ -71,7 +72,7 @@ def run(on: int, layout: Layout, theta: Array, work: Array, inputs: Array, force
     samples, n = inputs.shape[0], layout[ORDER]
     head = work[layout[AT_HEAD]:]
     applied = _applied(layout, theta, work, inputs)
-    pushed = _outside_force(on, theta, force, other)
+    pushed = _outside_force(layout, theta, force, other)
     state = work[layout[AT_STATE]:layout[AT_STATE] + n]
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
     discrete = block(work, layout, AT_DISCRETE, n, n + 7)
@@ -81,19 +82,18 @@ def run(on: int, layout: Layout, theta: Array, work: Array, inputs: Array, force
     for first in range(0, samples, BLOCK):
         count = min(BLOCK, samples - first)
         if layout[CURVED] == 1:
-            _curved_steps(on, layout, theta, work, applied, pushed, first, count, states)
-        elif pushed.shape[0] > 0:
-            steps_with_force(a, old, new, constant, ext, state, applied, pushed, first, count,
-                             states)
+            _curved_steps(layout, theta, work, applied, pushed, first, count, states)
         else:
-            steps(a, old, new, constant, state, applied, first, count, states)
-        _signals(on, rows, theta, states, applied, first, count, rows_out, out)
-    _readings(on, theta, head[PERIOD], head[SAMPLE], other, rows_out, out)
+            steps(a, old, new, constant, ext, state, applied, pushed, first, count, states)
+        _signals(layout, rows, theta, states, applied, first, count, rows_out, out)
+    _readings(layout, theta, head[PERIOD], head[SAMPLE], other, rows_out, out)
     head[SAMPLE] += samples
+    if layout[CURVED] == 0:
+        head[STEPS] += samples
 
 
 @entry
-def peek(on: int, layout: Layout, theta: Array, work: Array, other: Array, out: Array) -> None:
+def peek(layout: Layout, theta: Array, work: Array, other: Array, out: Array) -> None:
     """All signals at the present sample, shape (6, 1); nothing is advanced."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
@@ -101,9 +101,9 @@ def peek(on: int, layout: Layout, theta: Array, work: Array, other: Array, out: 
     applied = work[layout[AT_HISTORY]:layout[AT_HISTORY] + 1].copy()
     applied[0] = min(max(applied[0], -theta[LIMIT]), theta[LIMIT])
     everything, first = np.arange(len(SIGNALS)), int(layout[ORDER] * 0)
-    _signals(on, rows, theta, block(work, layout, AT_STATE, n, 1), applied, first, 1, everything,
-             out)
-    _readings(on, theta, head[PERIOD], head[SAMPLE], other, everything, out)
+    state = block(work, layout, AT_STATE, n, 1)
+    _signals(layout, rows, theta, state, applied, first, 1, everything, out)
+    _readings(layout, theta, head[PERIOD], head[SAMPLE], other, everything, out)
 
 
 @compiled
@@ -125,8 +125,8 @@ def _applied(layout: Layout, theta: Array, work: Array, inputs: Array) -> Array:
 
 
 @compiled
-def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
-    stiffness = other_stiffness(on, theta)
+def _outside_force(layout: Layout, theta: Array, force: Array, other: Array) -> Array:
+    stiffness = other_stiffness(layout, theta)
     if other.shape[0] == 0 or stiffness == 0.0:
         return force
     total = np.empty(other.shape)
@@ -139,10 +139,11 @@ def _outside_force(on: int, theta: Array, force: Array, other: Array) -> Array:
 
 
 @lean
-def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: Array,
+def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
                   force: Array, first: int, count: int, out: Array) -> None:
-    """As `linear.steps_with_force`, with nonlinear forces; `force` may be empty."""
+    """As `linear.steps`, with nonlinear forces; `force` may be empty."""
     n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
+    steps = layout[AT_HEAD] + STEPS
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
     push = force[0] if force.shape[0] > 0 else theta[:0]
@@ -157,39 +158,38 @@ def _curved_steps(on: int, layout: Layout, theta: Array, work: Array, applied: A
             return
         if force.shape[0] > 0:
             push = force[first + k]
+        before = at(work, tried)
         for which in range(2):
             begin = 0.0 if which == 0 else fraction
             span = fraction if which == 0 else 1.0 - fraction
             if span > 0.0:
-                advance_piece(on, layout, theta, work, which, applied[first + k + which], push,
+                advance_piece(layout, theta, work, which, applied[first + k + which], push,
                               begin, span, span * period)
+        work[steps] += at(work, tried) - before
         work[tried] = max(at(work, tried) - USUAL, 0.0)
 
 
 @lean
-def _signals(on: int, rows: Array, theta: Array, states: Array, applied: Array, first: int,
+def _signals(layout: Layout, rows: Array, theta: Array, states: Array, applied: Array, first: int,
              count: int, rows_out: Layout, out: Array) -> None:
-    if rows_out[POSITION] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[POSITION]])
-    if rows_out[VELOCITY] >= 0:
-        _signal(rows[ROW_VELOCITY], 1.0, states, applied, first, count, out[rows_out[VELOCITY]])
-    if rows_out[READING] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[READING]])
-    if rows_out[OUTPUT] >= 0:
-        _signal(rows[ROW_POSITION], 1.0, states, applied, first, count, out[rows_out[OUTPUT]])
+    for signal in (POSITION, VELOCITY, READING, OUTPUT):
+        if rows_out[signal] >= 0:
+            row = rows[ROW_VELOCITY if signal == VELOCITY else ROW_POSITION]
+            _signal(row, 1.0, states, applied, first, count, out[rows_out[signal]])
     if rows_out[CURRENT] >= 0:
         per_ohm = 1.0 / theta[RESISTANCE] if theta[RESISTANCE] > 0.0 else 1.0
         _signal(rows[ROW_DRIVE], per_ohm, states, applied, first, count, out[rows_out[CURRENT]])
     if rows_out[FORCE] >= 0:
         force = out[rows_out[FORCE]]
         _signal(rows[ROW_DRIVE], theta[FORCE_CONSTANT], states, applied, first, count, force)
-        if on & ACTUATOR_FORCES:
+        if layout[ACTUATOR_FORCES] < layout[ACTUATOR_FORCES + 1]:
             for k in range(count):
                 x = v = 0.0
                 for j in range(states.shape[0]):
                     x += rows[ROW_POSITION, j] * states[j, k]
                     v += rows[ROW_VELOCITY, j] * states[j, k]
-                force[first + k] += actuator_force(on, theta, x, v, force[first + k])
+                force[first + k] += point_force(layout, theta, ACTUATOR_FORCES, x, v,
+                                                force[first + k])
 
 
 @lean
@@ -218,22 +218,20 @@ def _signal(row: Array, factor: float, states: Array, applied: Array, first: int
             out[first + k] = 0.0
 
 
-@lean
-def _readings(on: int, theta: Array, period: float, sample: float, other: Array,
+@compiled
+def _readings(layout: Layout, theta: Array, period: float, sample: float, other: Array,
               rows_out: Layout, out: Array) -> None:
     """Turn positions into readings; see SimulationResult for what they are."""
+    sensed = layout[SENSES] < layout[ENCODES + 1]       # the two tables stand side by side
+    if theta[ZERO] == 0.0 and not sensed:
+        return
     for signal in (READING, OUTPUT):
         if rows_out[signal] < 0:
             continue
         reading = out[rows_out[signal]]
-        if theta[ZERO] == 0.0 and not on & SENSED:
-            continue
+        x = reading.copy()
         for k in range(reading.shape[0]):
-            neighbour = other[k, 0] if other.shape[0] > 0 else 0.0
-            x = reading[k]
-            y = x + theta[ZERO]
-            if on & SENSED:
-                y += sense_error(on, theta, x, (sample + k) * period, neighbour)
-                if signal == OUTPUT:
-                    y = encode_mean(on, theta, y, theta[NOISE])
-            reading[k] = y
+            reading[k] = x[k] + theta[ZERO]
+        sense_errors(layout, theta, x, int(sample), period, other, reading)
+        if signal == OUTPUT:
+            encode_means(layout, theta, theta[NOISE], reading)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import exponential
 from dfm_stage.model.kernel.assemble import assemble
@@ -13,12 +12,12 @@ from dfm_stage.model.kernel.compiled import compiled, entry
 from dfm_stage.model.kernel.hooks import start_states
 from dfm_stage.model.kernel.slots import (
     AT_A,
-    AT_BRISTLE,
     AT_DISCRETE,
     AT_END,
     AT_HEAD,
     AT_HELD,
     AT_HISTORY,
+    AT_INITIAL,
     AT_NODE,
     AT_ROWS,
     AT_STATE,
@@ -31,11 +30,9 @@ from dfm_stage.model.kernel.slots import (
     DELAY,
     DEPTH,
     DIRECTED,
-    FIRST_INITIAL,
     FORCE_CONSTANT,
     FRACTION,
     HISTORY,
-    LAYOUT_FIXED,
     LEVEL,
     LEVELS,
     MODE,
@@ -48,16 +45,15 @@ from dfm_stage.model.kernel.slots import (
     SAMPLE,
     SCALE,
     SLOPE,
-    STATE_NAMES,
     STEP,
+    STEPS,
     TRIED,
     WHOLE,
+    Array,
+    Layout,
 )
 from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
 
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
-_NAMED = len(STATE_NAMES) - BRISTLES
 SHORTEST = 0.2
 """The shortest step times the fastest rate, for which the Taylor series of events are exact."""
 
@@ -70,32 +66,33 @@ def block(work: Array, layout: Layout, at: int, rows: int, columns: int) -> Arra
 
 
 @compiled
+def _pieces(work: Array, first: int, levels: int, rows: int, columns: int) -> Array:
+    """The tables that begin at work[first:]: (2, levels, rows, columns), one for each piece."""
+    return work[first:first + 2 * levels * rows * columns].reshape(2, levels, rows, columns)
+
+
+@compiled
 def tables(work: Array, layout: Layout) -> tuple[Array, Array, Array, Array]:
     """node (2, L, n + 5, 9), end (2, L, n + 5, n), stick_node (2, L, n + 1, 6) and
     stick_end (2, L, n + 1, n); see `kernel.tables`. The first index is the piece of the sample.
     """
     n, levels = layout[ORDER], layout[LEVELS]
     sticks = levels if layout[DIRECTED] == 1 else 0
-    first = layout[AT_NODE]
-    node = work[first:first + 18 * levels * (n + 5)].reshape(2, levels, n + 5, 9)
-    first = layout[AT_END]
-    end = work[first:first + 2 * levels * n * (n + 5)].reshape(2, levels, n + 5, n)
-    first = layout[AT_STICK_NODE]
-    stick_node = work[first:first + 12 * sticks * (n + 1)].reshape(2, sticks, n + 1, 6)
-    first = layout[AT_STICK_END]
-    stick_end = work[first:first + 2 * sticks * n * (n + 1)].reshape(2, sticks, n + 1, n)
-    return node, end, stick_node, stick_end
+    return (_pieces(work, layout[AT_NODE], levels, n + 5, 9),
+            _pieces(work, layout[AT_END], levels, n + 5, n),
+            _pieces(work, layout[AT_STICK_NODE], sticks, n + 1, 6),
+            _pieces(work, layout[AT_STICK_END], sticks, n + 1, n))
 
 
 @entry
-def prepare(on: int, layout: Layout, theta: Array, work: Array) -> None:
+def prepare(layout: Layout, theta: Array, work: Array) -> None:
     """Fill `work` with all that depends on the parameters; the state is left alone."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
     period = head[PERIOD]
     a = block(work, layout, AT_A, n, n + 1)
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
-    assemble(on, layout, theta, period, a, rows)
+    assemble(layout, theta, period, a, rows)
     head[WHOLE] = np.floor(theta[DELAY] / period + 1e-9)
     head[FRACTION] = theta[DELAY] / period - head[WHOLE]
     if head[FRACTION] < 1e-9:
@@ -124,7 +121,7 @@ def prepare(on: int, layout: Layout, theta: Array, work: Array) -> None:
 @compiled
 def _discretise(a: Array, rows: Array, period: float, fraction: float, constant: float,
                 out: Array) -> None:
-    """out = [E | old | new | constant | force r^0..r^3], see `linear.steps_with_force`."""
+    """out = [E | old | new | constant | force r^0..r^3], see `linear.steps`."""
     n = a.shape[0]
     big, result = np.zeros((n + 5, n + 5)), np.empty((n + 5, n + 5))
     for i in range(n):
@@ -154,23 +151,18 @@ def _discretise(a: Array, rows: Array, period: float, fraction: float, constant:
 
 
 @entry
-def reset(on: int, layout: Layout, theta: Array, past_input: float, work: Array) -> None:
+def reset(layout: Layout, theta: Array, past_input: float, work: Array) -> None:
     """Set the state to the initial states in `theta`, and the inputs before it to a constant."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
     state = work[layout[AT_STATE]:layout[AT_STATE] + n]
-    z = work[layout[AT_BRISTLE]:layout[AT_BRISTLE] + BRISTLES]
-    for named in range(_NAMED):
-        index = layout[LAYOUT_FIXED + named]
-        if index >= 0:
-            state[index] = theta[FIRST_INITIAL + named]
-    for named in range(BRISTLES):
-        z[named] = theta[FIRST_INITIAL + _NAMED + named]
-    start_states(on, layout, theta, state)
+    for i in range(n + layout[BRISTLES]):           # the bristles stand behind the state
+        work[layout[AT_STATE] + i] = theta[layout[AT_INITIAL] + i]
+    start_states(layout, theta, state)
     first = layout[AT_HISTORY]
     for k in range(layout[HISTORY]):
         work[first + k] = past_input
-    head[SAMPLE] = 0.0
+    head[SAMPLE] = head[STEPS] = 0.0
     restart(layout, work)
 
 

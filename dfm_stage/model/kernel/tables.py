@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.kernel.algebra import (
     assign,
@@ -39,9 +38,8 @@ from dfm_stage.model.kernel.slots import (
     ROW_HOLD,
     ROW_POSITION,
     ROW_VELOCITY,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 POINT_1 = 0.5 * (1.0 - 1.0 / math.sqrt(5.0))
 POINT_2 = 0.5 * (1.0 + 1.0 / math.sqrt(5.0))
@@ -116,19 +114,25 @@ def _fill_stick_tables(held: Array, rows: Array, gain: float, shortest: float, d
                 small[row, j] = held[row, j] * (POINTS[i] * shortest)
         exponential(small, power)
         for level in range(depth, -1, -1):
-            for j in range(n + 1):
-                hold = drive = 0.0
-                for k in range(n + 1):
-                    hold += rows[ROW_HOLD, k] * power[k, j]
-                    drive += rows[ROW_DRIVE, k] * power[k, j]
-                stick_node[level, j, i] = hold
-                stick_node[level, j, 3 + i] = gain * drive
-            if i == 2:
-                for j in range(n + 1):
-                    for row in range(n):
-                        stick_end[level, j, row] = power[row, j]
+            _take_stick(power, rows, gain, i, stick_node[level], stick_end[level])
             multiply(power, power, other)
             assign(other, power)
+
+
+@lean
+def _take_stick(power: Array, rows: Array, gain: float, point: int, node: Array,
+                end: Array) -> None:
+    """One point of one level while the point sticks; the last one is the end of the step."""
+    n = rows.shape[1] - 1
+    for j in range(n + 1):
+        hold = drive = 0.0
+        for k in range(n + 1):
+            hold += rows[ROW_HOLD, k] * power[k, j]
+            drive += rows[ROW_DRIVE, k] * power[k, j]
+        node[j, point] = hold
+        node[j, 3 + point] = gain * drive
+        for row in range(n):
+            end[j, row] = power[row, j]
 
 
 @compiled

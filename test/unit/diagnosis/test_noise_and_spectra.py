@@ -17,13 +17,13 @@ from dfm_stage.diagnosis.spectra import (
     position_peaks,
     read_off,
 )
+from dfm_stage.identification.periods import Periodicity
 from dfm_stage.identification.weights import (
     high_band_rms,
     velocity_weights,
     weights_of,
     white_weights,
 )
-from dfm_stage.identification.periods import Periodicity
 
 SIZE = 8000
 TIME = 1e-3 * np.arange(SIZE)

@@ -62,14 +62,14 @@ def test_effect_describes_itself(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(n for n, e in EFFECTS.items() if e.fit is not None))
 def test_coordinates_for_fitting_are_one_to_one(name: str) -> None:
     effect = EFFECTS[name]
-    assert effect.fit is not None
+    assert effect.coordinates is not None
     model = Model("m", 1e-3, BASE).with_effect(
         name, {p.name: max(p.default, 0.3 * math.sqrt(abs(effect.priors[p.name].high)), p.low)
                for p in effect.parameters})
-    values = np.array([model.parameters()[address] for address in effect.fit.names])
-    fitted = effect.fit.forward(values)
-    assert len(fitted) == len(effect.fit.fitted)
-    np.testing.assert_allclose(effect.fit.backward(fitted), values, rtol=1e-9)
+    values = np.array([model.parameters()[address] for address in effect.coordinates.names])
+    fitted = effect.coordinates.forward(values)
+    assert len(fitted) == len(effect.coordinates.fitted)
+    np.testing.assert_allclose(effect.coordinates.backward(fitted), values, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))

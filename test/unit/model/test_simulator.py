@@ -296,3 +296,23 @@ def test_a_loop_whose_state_is_lost_ends_in_nan_and_not_never():
     for state, path in ((math.nan, 1.0), (-math.inf, 1e12), (-1.0, math.inf), (0.3, 1e12)):
         found = hysteresis.advance(state, path, 1.0, 1.0, values)
         assert math.isnan(found) or found == pytest.approx(1.0)
+
+
+def test_steps_are_counted_alike_in_every_run() -> None:
+    model = Model("m", 1e-3, {"mass": 1.0, "damping": 2.0, "stiffness": 600.0})
+    inputs = np.random.default_rng(0).normal(size=300)
+    steps = np.full(3, -1)
+    Simulator(model).run_many(inputs, ["damping"], [[1.0], [2.0], [3.0]], steps=steps)
+    assert steps.tolist() == [300] * 3
+    rubbing = Simulator(model.with_effect("coulomb_friction", {"force": 0.1}))
+    rows = [[0.0], [0.1], [0.3]]
+    rubbing.run_many(inputs, ["coulomb_friction.force"], rows, steps=steps, threads=2)
+    again = np.zeros(3, dtype=np.int64)
+    rubbing.run_many(inputs, ["coulomb_friction.force"], rows, steps=again, threads=1)
+    assert steps.tolist() == again.tolist()
+    assert np.all(steps > 300)
+    steps[:] = 0
+    rubbing.run_many(inputs[:150], ["coulomb_friction.force"], rows, steps=steps)
+    assert np.all(steps < again)
+    with pytest.raises(SimulationError, match="one number a row"):
+        rubbing.run_many(inputs, ["coulomb_friction.force"], rows, steps=steps[:2])
