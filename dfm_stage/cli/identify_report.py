@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.model_fit import linear_plant
 from dfm_stage.identification.paper import PAPER_MODE
 from dfm_stage.identification.plant import LinearPlant
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from dfm_stage.identification.workflow import Identification
     from dfm_stage.reporting.table import Cell
 
-Array = NDArray[np.float64]
 CURVE_POINTS = 600
 
 

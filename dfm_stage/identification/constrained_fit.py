@@ -16,16 +16,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.frequency_response import FrequencyResponse
 from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.quantity import Quantity, propagate
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 LATEST = 20.0
 """Bound of lag and of delay, samples."""
 _MAX_DAMPING_RATIO = 0.999

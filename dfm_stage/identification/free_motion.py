@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array, Complex
+
 EVALUATIONS = 30
 RINGS = 1.2
 """Another mode is looked for while more than this many times the noise is left over."""
@@ -118,7 +118,7 @@ def _strongest(windows: Sequence[Window], poles: Array, low: float, high: float)
     # Four samples of the highest frequency are enough to find the strongest one.
     period = float(windows[0].time[1])
     stride = max(1, int(math.pi / (2.0 * high * period)))
-    turns: dict[int, NDArray[np.complex128]] = {}
+    turns: dict[int, Complex] = {}
     for w in windows:
         rest = (w.rest(poles) * np.hanning(w.time.size))[::stride]
         if rest.size not in turns:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex, Lines
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.local_polynomial import local_polynomial
 from dfm_stage.identification.periods import (
@@ -29,8 +29,6 @@ from dfm_stage.identification.periods import (
 if TYPE_CHECKING:
     import control
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class FrequencyResponse:
     variance: Array
     dof: float
     sample_period: float
-    lines: NDArray[np.int64]
+    lines: Lines
     periods_used: int
     periods_total: int
     input_unit: str
@@ -137,7 +135,7 @@ class FrequencyResponse:
 
 def frequency_response(input_: Array, output: Array, sample_period: float, *,
                        reference: Array | None = None, period: int | None = None,
-                       lines: NDArray[np.int64] | None = None, drop: int | None = None,
+                       lines: Lines | None = None, drop: int | None = None,
                        poles: Sequence[complex] = (), input_unit: str = "V",
                        output_unit: str = "m") -> FrequencyResponse:
     """Measure the response from `input_` to `output` (both (N,)).
@@ -188,7 +186,7 @@ def _periodicity(u: Array, reference: Array | None,
     return u, None
 
 
-def _lines_of(exciting: Array, found: Periodicity) -> NDArray[np.int64]:
+def _lines_of(exciting: Array, found: Periodicity) -> Lines:
     late = np.fft.rfft(found.fold(exciting)[found.count // 2:], axis=1) / found.period
     spread = late.std(axis=0, ddof=1) / math.sqrt(len(late)) if len(late) > 1 else None
     lines = excited_lines(np.abs(late.mean(axis=0)), spread)
@@ -198,7 +196,7 @@ def _lines_of(exciting: Array, found: Periodicity) -> NDArray[np.int64]:
 
 
 def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
-              lines: NDArray[np.int64], drop: int | None, input_unit: str,
+              lines: Lines, drop: int | None, input_unit: str,
               output_unit: str) -> FrequencyResponse:
     warnings: list[str] = []
     size = found.period
@@ -227,7 +225,7 @@ def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
         input_unit, output_unit, "periods", distortion, tuple(warnings))
 
 
-def _distortion(lines: NDArray[np.int64], mean_u: Complex, mean_y: Complex, outputs: Complex,
+def _distortion(lines: Lines, mean_u: Complex, mean_y: Complex, outputs: Complex,
                 response: Complex) -> Distortion | None:
     """Compare lines inside the band that were not excited with the noise at the same lines.
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.source import Source
 from dfm_stage.model import Model, Simulator
-
-Array = NDArray[np.float64]
 
 DAMPING_RATIOS = (0.03, 0.2, 1.0)
 FREQUENCIES = 96

@@ -13,12 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex, Lines
 from dfm_stage.identification.errors import IdentificationError
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 DEGREE = 2
 
@@ -79,7 +76,7 @@ def local_polynomial(input_: Array, output: Array, sample_period: float, *,
     return LocalEstimate(np.asarray(omega), response, variance, 2.0 * free)
 
 
-def _centres(amplitude: Array, half_width: int, points: int) -> NDArray[np.int64]:
+def _centres(amplitude: Array, half_width: int, points: int) -> Lines:
     last = amplitude.size - half_width - 1
     inner = np.arange(half_width + 1, last)
     spread = np.convolve(amplitude, np.ones(2 * half_width + 1) / (2 * half_width + 1), "same")

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array, Complex, Lines
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ def _repeating_run(x: Array, period: int, tolerance: float) -> tuple[int, int]:
     return int(edges[best[0]]), int(edges[best[1]]) + period
 
 
-def excited_lines(input_spectrum: Array, noise: Array | None = None) -> NDArray[np.int64]:
+def excited_lines(input_spectrum: Array, noise: Array | None = None) -> Lines:
     """Return the DFT lines that carry the excitation, from mean amplitudes (period // 2 + 1,).
 
     The line amplitudes of a multisine fall into two groups with a gap between them; the widest
@@ -136,7 +135,7 @@ def excited_lines(input_spectrum: Array, noise: Array | None = None) -> NDArray[
     return np.flatnonzero(chosen).astype(np.int64)
 
 
-def settled_from(lines: NDArray[np.complex128]) -> int:
+def settled_from(lines: Complex) -> int:
     """Return how many leading periods (rows of (M, F) line spectra) still hold a transient.
 
     Each period is compared with the mean of the later half; the noise of a line comes from that

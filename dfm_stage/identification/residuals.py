@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import toeplitz
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array, Lines
 
 LEVEL = 0.01
 """A test is failed when its p value falls below this."""
@@ -32,7 +31,7 @@ class ResidualTest:
     statistic: float
     dof: int
     p_value: float
-    lags: NDArray[np.int64]
+    lags: Lines
     correlation: Array
     band: Array
     text: str
@@ -115,7 +114,7 @@ class LineResidual:
         return bool(np.max(self.ratio) <= self.band)
 
 
-def line_residuals(residual: Array, period: int, lines: NDArray[np.int64],
+def line_residuals(residual: Array, period: int, lines: Lines,
                    sample_period: float) -> LineResidual | None:
     """Compare the residual (N,) that repeats with `period` with what does not repeat.
 

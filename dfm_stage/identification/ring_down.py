@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.quantity import Quantity, interval, propagate
-
-Array = NDArray[np.float64]
 
 
 def damping_ratio(decrement: float) -> float:

@@ -14,14 +14,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.free_motion import Window, ringing_poles
 from dfm_stage.identification.quantity import Quantity, interval, t95
 
-Array = NDArray[np.float64]
 USED_SHARE = 0.6
 """How much of a level, from its end, is looked at."""
 

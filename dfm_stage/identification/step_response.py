@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.quantity import Quantity, interval
 
-Array = NDArray[np.float64]
 REPEATS = 60
 LEAST_OVERSHOOT = 1e-3
 """Share of the step below which there is no overshoot to derive a damping ratio from."""

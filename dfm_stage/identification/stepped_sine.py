@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.free_motion import Window, ringing_poles
 from dfm_stage.identification.frequency_response import FrequencyResponse
 
-Array = NDArray[np.float64]
 Segments = Sequence[tuple[float, int, int]]
 
 

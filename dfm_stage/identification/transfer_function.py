@@ -13,17 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.frequency_response import FrequencyResponse
 from dfm_stage.identification.least_squares import minimise
 from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.quantity import Quantity, propagate
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 DAMPING_RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 LATENESS = (0.0, 1.0, 3.0)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
@@ -33,7 +33,6 @@ from dfm_stage.identification.transfer_function import (
 )
 from dfm_stage.model import BASE_PARAMETERS, Model
 
-Array = NDArray[np.float64]
 LIMITS = {parameter.name: parameter for parameter in BASE_PARAMETERS}
 
 PAPER_MASS = 1.082

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.paper import PAPER_MODE
 from dfm_stage.identification.plant import LinearPlant
@@ -26,7 +26,6 @@ from dfm_stage.paper.printed import PRINTED
 from dfm_stage.paper.row import Row, derived, ours_only, printed
 from dfm_stage.recording import AxisRecord
 
-Array = NDArray[np.float64]
 INTERMEDIATE_KG = 0.15
 """Mass of the intermediate stage: chosen, the paper does not print it."""
 

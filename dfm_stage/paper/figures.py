@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.ring_down import RingDown
 from dfm_stage.identification.static import StaticTest
@@ -22,7 +22,6 @@ from dfm_stage.reporting import (
     thinned,
 )
 
-Array = NDArray[np.float64]
 Curves = Mapping[str, tuple[Array, Array]]
 _LINE = 30
 """Characters of a legend that fit side by side on a phone."""

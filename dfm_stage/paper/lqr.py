@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.control import (
     LqrSpec,
     algebraic,
@@ -28,7 +28,6 @@ from dfm_stage.paper.stage import Stage
 from dfm_stage.recording import Record
 from dfm_stage.trajectory import Experiment, load_experiment
 
-Array = NDArray[np.float64]
 PLACE = "sec. 5"
 STEP_M = 1e-3
 MODEL_ERROR = 0.05

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.control import (
     ControlError,
@@ -30,7 +29,6 @@ from dfm_stage.paper.xy import smallest_step
 from dfm_stage.recording import Record
 from dfm_stage.trajectory import Experiment, load_experiment
 
-Array = NDArray[np.float64]
 STEP_M, SINE_M, SINE_HZ = 1e-3, 1e-3, 0.5
 PLACED_HZ = 8.0
 STEP = {"kind": "steps", "levels_m": [0.0, STEP_M], "dwell_s": 0.5}

@@ -11,14 +11,12 @@ from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.control import Lqg, LqrSpec, Pid, PidGains, design_lqr
 from dfm_stage.model import Model, Plant, Simulator
 from dfm_stage.recording import AxisRecord, Provenance, Record
 from dfm_stage.trajectory import Experiment, Reference
-
-Array = NDArray[np.float64]
 
 
 class Stage(Protocol):

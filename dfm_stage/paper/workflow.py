@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.errors import DfmError
 from dfm_stage.identification.characterisation import (
     EXPERIMENTS,
@@ -28,7 +28,6 @@ from dfm_stage.paper.stage import Stage
 from dfm_stage.recording import Record
 from dfm_stage.trajectory import Experiment
 
-Array = NDArray[np.float64]
 XY_EXPERIMENTS: Mapping[str, str] = {"x": "xy_static_x", "y": "xy_static_y"}
 NAMES: tuple[str, ...] = (*(EXPERIMENTS[kind] for kind in ("static", "decay", "step",
                                                            "stepped_sine")),

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.reporting.drawing import SERIES, new_figure, page_style
 from dfm_stage.reporting.table import Cell, Table
 from dfm_stage.reporting.units import display_unit, superscript_power
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 _TABLE_ROWS = 20
 _PLOT_POINTS = 1500
 _DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)))     # lines that lie on one another stay visible
@@ -43,7 +42,7 @@ class Response:
 
     label: str
     frequency_hz: Array
-    response: NDArray[np.complex128]
+    response: Complex
     std: Array | None = None
     measured: bool = False
 
@@ -147,7 +146,7 @@ def _bands(top: Axes, bottom: Axes, colour: str, frequency: Array, magnitude: Ar
                         linewidth=0)
 
 
-def _phase_deg(response: NDArray[np.complex128]) -> Array:
+def _phase_deg(response: Complex) -> Array:
     return np.asarray(np.degrees(np.unwrap(np.angle(response))), dtype=np.float64)
 
 

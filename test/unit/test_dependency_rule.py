@@ -14,8 +14,9 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import
-BASE = {"errors", "files", "machine_code"}
+BASE = {"arrays", "errors", "files", "machine_code"}
 ARROWS: dict[str, set[str]] = {
+    "arrays": set(),
     "errors": set(),
     "files": set(),
     "machine_code": set(),
