@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dfm_stage.cli.bench_table import Figure, cells
 from dfm_stage.reporting import Page, new_figure, page_style
 from dfm_stage.reporting.table import Cell
 from dfm_stage.reporting.units import format_number
 
-Figure = Mapping[str, Any]
 TITLES = {
     "loop": "The node graph in real time", "lockstep": "The node graph in lockstep",
     "bags": "Reading bags", "simulate": "The simulator", "coverage": "Intervals that hold",
@@ -65,18 +65,7 @@ def write_page(figures: Sequence[Figure], path: Path, machine: Mapping[str, Any]
 
 
 def _cells(figure: Figure) -> list[Cell]:
-    return [str(figure["key"]), figure["value"], str(figure["unit"]), _bar(figure),
-            "" if figure.get("met") is None else "met" if figure["met"] else "MISSED",
-            str(figure["peer"] or ""), figure["peer_value"], figure["ratio"], str(figure["how"])]
-
-
-def _bar(figure: Figure) -> str:
-    if figure["bar"] is None:
-        return ""
-    bar = format_number(float(figure["bar"]))
-    if figure.get("bar_kind") == "between":
-        return f"{bar} to {format_number(float(figure['bar_to']))}"
-    return {"at least": "≥ ", "at most": "≤ "}.get(str(figure.get("bar_kind")), "") + bar
+    return cells(figure, format_number, "≥ ", "≤ ")
 
 
 def _margin(figure: Figure) -> float | None:

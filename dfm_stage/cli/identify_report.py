@@ -89,10 +89,8 @@ def _lead(page: Page, found: Identification) -> None:
 def _numbers(page: Page, found: Identification) -> None:
     page.section("Parameters", "Values with 95 % intervals, which account for the colour of the "
                  "noise. " + _sentence(found.estimate.identifiability.text))
-    rows: list[list[Cell]] = [
-        [name, _shown(q), ""] for name, q in
-        (("natural frequency", found.natural_frequency_hz), ("damping ratio", found.damping_ratio),
-         ("gain", found.gain)) if math.isfinite(q.value)]
+    rows: list[list[Cell]] = [[name, _shown(q), ""] for name, q in found.headline.items()
+                              if math.isfinite(q.value)]
     rows += [[name, _shown(q), "estimated"] for name, q in found.estimate.quantities().items()]
     rows += [[name, Quantity(value, found.model.parameter(name).unit), "held"]
              for name, value in found.estimate.held.items()]

@@ -67,6 +67,12 @@ class Identification:
         """The estimate behind the model."""
         return self.fit.estimate
 
+    @property
+    def headline(self) -> dict[str, Quantity]:
+        """The figures that everybody asks for, by name."""
+        return {"natural frequency": self.natural_frequency_hz,
+                "damping ratio": self.damping_ratio, "gain": self.gain}
+
     def to_dict(self) -> dict[str, Any]:
         """As identify.json keeps it."""
         unit = self.sources[0].axis.position_unit
