@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from dfm_stage.cli.command import (
     NO_REPORT,
     add_column_options,
+    add_options,
     command_parser,
     finite,
     json_option,
@@ -62,8 +63,6 @@ OPTIONS = (
            help="noise model: an autoregression of fitting order, or white"),
     option("--skip", type=float, default=0.0, metavar="SECONDS",
            help="leave out the start of each record"),
-    json_option("identify.json"),
-    NO_REPORT,
 )
 
 
@@ -71,6 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Identify from bags or CSV files; 0 done, 1 no model found, 2 unusable input."""
     parser = command_parser("identify", __doc__, EPILOG, OPTIONS)
     add_column_options(parser)
+    add_options(parser, (json_option("identify.json"), NO_REPORT))
     options = parser.parse_args(argv)
     return run_command(lambda: _identify(options))
 

@@ -30,6 +30,13 @@ if TYPE_CHECKING:
     import control
 
 
+ABOVE_NOISE = 2.0
+"""Times the noise from which the level of lines that were not excited is distortion."""
+FEWEST_PERIODS = 2
+"""In which the noise can be told from what repeats."""
+NEIGHBOURS, FEWEST_LINES = 3, 14
+"""Lines on either side over which the noise is averaged, and lines from which that is done."""
+
 
 @dataclass(frozen=True)
 class Distortion:
@@ -46,16 +53,19 @@ class Distortion:
 
     def decibel(self, kind: str) -> float | None:
         """Return the level of `odd` or `even` over the excited lines, noise power removed."""
-        level = {"odd": self.odd, "even": self.even}[kind]
+        level = self._level(kind)
         if level is None or self.excited <= 0.0:
             return None
         power = max(level**2 - self.noise**2, 0.0)
         return 10.0 * math.log10(power / self.excited**2) if power > 0.0 else -math.inf
 
     def significant(self, kind: str) -> bool:
-        """Whether the level stands clearly (twice) above the noise."""
-        level = {"odd": self.odd, "even": self.even}[kind]
-        return level is not None and level > 2.0 * self.noise
+        """Whether the level stands clearly (`ABOVE_NOISE` times) above the noise."""
+        level = self._level(kind)
+        return level is not None and level > ABOVE_NOISE * self.noise
+
+    def _level(self, kind: str) -> float | None:
+        return {"odd": self.odd, "even": self.even}[kind]
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,6 @@ class FrequencyResponse:
     dof : degrees of freedom of `variance`
     lines : (F,) multiples of the base frequency, empty for a record that is not periodic
     periods_used, periods_total : how many went in and how many there were
-    noise : (F,) standard deviation of one period's output line, output unit
     distortion : levels at lines that were not excited, None without such lines
     """
 
@@ -173,7 +182,7 @@ def _periodicity(u: Array, reference: Array | None,
                  period: int | None) -> tuple[Array, Periodicity | None]:
     """Return the signal that repeats and how; the input without one."""
     if period is not None:
-        if not 2 <= period <= u.size // 2:
+        if not FEWEST_PERIODS <= period <= u.size // FEWEST_PERIODS:
             raise IdentificationError(f"a period of {period} samples does not fit twice into "
                                       f"{u.size}: record at least two periods")
         count = u.size // period
@@ -204,10 +213,11 @@ def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
     outputs = np.fft.rfft(found.fold(y), axis=1) / size
     transient = settled_from(outputs[:, lines]) if drop is None else drop
     used = found.count - transient
-    if used < 2:
+    if used < FEWEST_PERIODS:
         raise IdentificationError(f"{used} of {found.count} periods are left after the transient:"
                                   " record more periods")
-    if drop is None and transient == found.count - max(found.count // 2, 2) and transient > 0:
+    latest = found.count - max(found.count // 2, FEWEST_PERIODS)
+    if drop is None and transient == latest > 0:
         warnings.append("the transient lasts into the later half of the record: the frequency "
                         "response still holds part of it")
     inputs, outputs = inputs[transient:], outputs[transient:]
@@ -215,7 +225,7 @@ def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
     response = mean_y[lines] / mean_u[lines]
     error = outputs[:, lines] - response * inputs[:, lines]
     scatter = np.sum(np.abs(error) ** 2, axis=0) / (used - 1)
-    neighbours = 3 if lines.size >= 14 else 0
+    neighbours = NEIGHBOURS if lines.size >= FEWEST_LINES else 0
     noise = local_mean(scatter, neighbours)
     variance = noise / used / np.abs(mean_u[lines]) ** 2
     distortion = _distortion(lines, mean_u, mean_y, outputs, response)
@@ -241,11 +251,10 @@ def _distortion(lines: Lines, mean_u: Complex, mean_y: Complex, outputs: Complex
                                                                       response.imag)
     rest = np.abs(mean_y[silent] - linear * mean_u[silent]) ** 2
     noise = np.sum(np.abs(outputs[:, silent] - mean_y[silent]) ** 2, axis=0) / (used - 1) / used
-    odd, even = rest[silent % 2 == 1], rest[silent % 2 == 0]
-    return Distortion(
-        float(np.sqrt(np.mean(np.abs(mean_y[lines]) ** 2))), float(np.sqrt(np.mean(noise))),
-        float(np.sqrt(np.mean(odd))) if odd.size else None,
-        float(np.sqrt(np.mean(even))) if even.size else None)
+    odd, even = (float(np.sqrt(np.mean(part))) if part.size else None
+                 for part in (rest[silent % 2 == 1], rest[silent % 2 == 0]))
+    return Distortion(float(np.sqrt(np.mean(np.abs(mean_y[lines]) ** 2))),
+                      float(np.sqrt(np.mean(noise))), odd, even)
 
 
 def _aperiodic(u: Array, y: Array, sample_period: float, reference: Array | None,

@@ -12,6 +12,14 @@ from scipy import stats
 
 from dfm_stage.arrays import Array
 
+COVERAGE = 0.95
+"""Of every interval."""
+STEP = 1e-3
+"""Of the differences by which an estimate is carried on: standard errors, and relative where
+there is none."""
+UNMOVED = 1e-12
+"""Relative change below which a figure does not depend on a parameter that is not known."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -47,8 +55,9 @@ def interval(value: float, std: float, dof: float = math.inf) -> tuple[float, fl
 
 def t95(dof: float) -> float:
     """Return the 97.5 % quantile of Student's t with `dof` degrees of freedom."""
-    return float(stats.t.ppf(0.975, max(dof, 1.0)) if math.isfinite(dof)
-                 else stats.norm.ppf(0.975))
+    level = 0.5 * (1.0 + COVERAGE)
+    return float(stats.t.ppf(level, max(dof, 1.0)) if math.isfinite(dof)
+                 else stats.norm.ppf(level))
 
 
 def propagate(function: Callable[[Array], float], values: Array, covariance: Array,
@@ -62,16 +71,15 @@ def propagate(function: Callable[[Array], float], values: Array, covariance: Arr
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if not np.all(np.isfinite(std)):
         std = np.where(np.isfinite(std), std, 0.0)
-        moving = np.flatnonzero(~np.isfinite(np.diag(covariance)))
-        for j in moving:
+        for j in np.flatnonzero(~np.isfinite(np.diag(covariance))):
             shifted = values.copy()
-            shifted[j] *= 1.001
-            if not math.isclose(function(shifted), value, rel_tol=1e-12):
+            shifted[j] *= 1.0 + STEP
+            if not math.isclose(function(shifted), value, rel_tol=UNMOVED):
                 return Quantity(value, unit, (-math.inf, math.inf))
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     gradient = np.zeros(values.size)
     for j in np.flatnonzero(std > 0.0):
-        step = 1e-3 * std[j]
+        step = STEP * std[j]
         up, down = values.copy(), values.copy()
         up[j] += step
         down[j] -= step

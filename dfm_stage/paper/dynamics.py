@@ -10,7 +10,7 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.paper import PAPER_MODE
-from dfm_stage.identification.plant import LinearPlant
+from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.ring_down import (
     RingDown,
@@ -175,16 +175,18 @@ def theory_rows(theory: BeamTheory, test: DynamicTest, static: StaticTest,
     ]
 
 
+def unit_step(mode: Mode, time_s: Array) -> Array:
+    """Return the answer (N,) of an underdamped mode to a unit step of its input at time zero."""
+    rate, damped = 0.5 * mode.damping, math.sqrt(mode.stiffness - 0.25 * mode.damping**2)
+    return np.asarray(mode.numerator / mode.stiffness * (1.0 - np.exp(-rate * time_s) * (
+        np.cos(damped * time_s) + rate / damped * np.sin(damped * time_s))))
+
+
 def step_rows(ours: StepResponse, sample_period: float) -> list[Row]:
     """Return rise and settling time and overshoot beside those of Eq. 3."""
-    printed_plant = LinearPlant((PAPER_MODE,))
     time = np.asarray(np.arange(round(20.0 / sample_period)) * sample_period)
-    c, k = PAPER_MODE.damping, PAPER_MODE.stiffness
-    rate, damped = 0.5 * c, math.sqrt(k - 0.25 * c * c)
-    answer = printed_plant.static_gain * (1.0 - np.exp(-rate * time) * (
-        np.cos(damped * time) + rate / damped * np.sin(damped * time)))
-    there = step_response(np.zeros(time.size), answer, sample_period, start=0,
-                          final=printed_plant.static_gain)
+    there = step_response(np.zeros(time.size), unit_step(PAPER_MODE, time), sample_period,
+                          start=0, final=LinearPlant((PAPER_MODE,)).static_gain)
     reason = ("the paper names it as a result of the transient test and prints no number; this is "
               "Eq. 3's; ours counts from the command and so has delay and lag in it")
     return [

@@ -11,7 +11,6 @@ from dfm_stage.arrays import Array
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.ring_down import RingDown
 from dfm_stage.identification.static import StaticTest
-from dfm_stage.recording import Record
 from dfm_stage.reporting import (
     Drawing,
     Response,
@@ -135,8 +134,3 @@ def curves_figure(curves: Curves, ylabel: str, *, difference: Curves | None = No
         axes[-1, 0].set_xlabel(xlabel)
         figure.align_ylabels()
     return Drawing(figure, Table(("curve", "axis", "mean", "RMS", "min", "max"), rows))
-
-
-def axis_of(record: Record, axis: str | None = None) -> tuple[Array, Array]:
-    """Return time and position of a record."""
-    return record.time, record.axis(axis).position

@@ -30,6 +30,23 @@ class Stage(Protocol):
         """Return the record of every axis; an LQR is designed on `design`, else on `model`."""
 
 
+def true_position(record: Record) -> Array:
+    """Return where the stage of a record with one axis was, (N,), m, or what was measured."""
+    axis = record.axis(None)
+    return axis.extra.get("plant_position", axis.position)
+
+
+def reference_of(record: Record) -> Array:
+    """Return the reference of a record with one axis, (N,), m; zeros where it has none."""
+    reference = record.axis(None).reference
+    return np.zeros(len(record)) if reference is None else reference
+
+
+def tracking_error(record: Record) -> Array:
+    """Return true position less reference, (N,), m."""
+    return np.asarray(true_position(record) - reference_of(record))
+
+
 @dataclass(frozen=True)
 class DirectStage:
     """The simulated stage without a node graph."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from dfm_stage.errors import DfmError
 from dfm_stage.identification.characterisation import (
     EXPERIMENTS,
     DynamicTest,
-    Result,
     characterise,
 )
 from dfm_stage.identification.ring_down import RingDown
@@ -34,6 +34,7 @@ NAMES: tuple[str, ...] = (*(EXPERIMENTS[kind] for kind in ("static", "decay", "s
                           *XY_EXPERIMENTS.values())
 """The experiments of config/experiments that are needed."""
 STEPS = 17
+Kind = TypeVar("Kind", StaticTest, RingDown, StepResponse, DynamicTest)
 
 
 class PaperError(DfmError):
@@ -110,9 +111,12 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
         records[kind] = stage.run(experiments[name], on)
         return records[kind]
 
-    def analysed(kind: str) -> Result:
-        return characterise(kind, run(kind, EXPERIMENTS[kind], model),
-                            force_constant=model.base["force_constant"])
+    def analysed(kind: str, what: type[Kind], on: Model = model, name: str = "") -> Kind:
+        record = run(name or kind, EXPERIMENTS[kind], on)
+        result = characterise(kind, record, force_constant=on.base["force_constant"])
+        if not isinstance(result, what):
+            raise PaperError("a characterisation gave another result than its own")
+        return result
 
     largest = max(abs(load) for load, *_ in TABLE_1)
     experiments = {**experiments, "static": loaded_to(
@@ -121,16 +125,11 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
         experiments[name] = loaded_to(experiments[name], axis, PRINTED["xy.load"].value
                                       / models.xy.axis(axis).base["force_constant"])
 
-    held, decay, stepped, response = (analysed(kind) for kind in (
-        "static", "decay", "step", "stepped_sine"))
-    if not (isinstance(held, StaticTest) and isinstance(decay, RingDown)
-            and isinstance(stepped, StepResponse) and isinstance(response, DynamicTest)):
-        raise PaperError("a characterisation gave another result than its own")
+    held, decay = analysed("static", StaticTest), analysed("decay", RingDown)
+    stepped = analysed("step", StepResponse)
+    response = analysed("stepped_sine", DynamicTest)
     tuned = pid.run_pid(stage, model, step)
-    two = characterise("stepped_sine", run("two_mode", EXPERIMENTS["stepped_sine"],
-                                           models.two_mode))
-    if not isinstance(two, DynamicTest):
-        raise PaperError("a characterisation gave another result than its own")
+    two = analysed("stepped_sine", DynamicTest, models.two_mode, "two_mode")
     convergence, gain = lqr.riccati()
     regulation = lqr.regulate(stage, models.two_mode, step)
     plane = {axis: run(name, name, models.xy) for axis, name in XY_EXPERIMENTS.items()}
@@ -206,9 +205,5 @@ def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
     volts = float(data.input[start] - data.input[start - 1])
     force = volts * model.base["force_constant"]
     beam = theory.step(time, force, fit.damping_ratio.value, late)
-    mode = fit.plant.modes[0]
-    rate, damped = 0.5 * mode.damping, np.sqrt(mode.stiffness - 0.25 * mode.damping**2)
-    since = np.maximum(time - late, 0.0)
-    identified = volts * mode.numerator / mode.stiffness * (1.0 - np.exp(-rate * since) * (
-        np.cos(damped * since) + rate / damped * np.sin(damped * since)))
-    return time, data.position[start:] - stepped.initial.value, beam, np.asarray(identified)
+    identified = volts * dynamics.unit_step(fit.plant.modes[0], np.maximum(time - late, 0.0))
+    return time, data.position[start:] - stepped.initial.value, beam, identified
