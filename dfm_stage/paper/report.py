@@ -110,7 +110,8 @@ def _transient(page: Page, found: Evidence) -> None:
 
 def _response(page: Page, found: Evidence) -> None:
     test = found.response
-    frequency = np.geomspace(*test.response.frequency_hz[[0, -1]], 500)
+    measured = test.response.frequency_hz
+    frequency = np.geomspace(measured[0], measured[-1], 500)
     fit = test.constrained
     paper = LinearPlant((PAPER_MODE,), fit.lag.value, fit.delay.value)
     page.figure(
