@@ -117,7 +117,7 @@ def build(root: Path, folder: Path, steps: Steps, environ: Mapping[str, str]) ->
             "COLCON_DEFAULTS_FILE": os.devnull,
             "MAKEFLAGS": f"-j{os.cpu_count() or 1}",
         }
-        steps.call(command, {**environ, **own}, "colcon build", cwd=root)
+        steps.call(command, env={**environ, **own}, what="colcon build", cwd=root)
     make_startable(folder / "install" / STAGE / "lib" / STAGE, python)
     for package, wanted in todo.items():
         write_stamp(folder / f"{package}.json", wanted)

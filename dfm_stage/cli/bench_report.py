@@ -84,10 +84,8 @@ def _margins(figures: Sequence[Figure]) -> Any:
             axis.plot(margin, row, "o", color="C0" if each["met"] else "C1", markersize=6.0)
         axis.axvline(1.0, color="C2", linestyle="--", linewidth=1.0)
         low, high = (edge(_margin(each) or 1.0 for each in figures) for edge in (min, max))
-        axis.set_xscale("log")
-        axis.set_xlim(min(0.5, 0.8 * low), max(2.0, 1.25 * high))
+        axis.set(xscale="log", xlim=(min(0.5, 0.8 * low), max(2.0, 1.25 * high)),
+                 ylim=(-0.7, len(figures) - 0.3), xlabel="times the bar")
         axis.set_yticks(range(len(figures)),
                         [str(each["key"]).partition(".")[2] for each in reversed(figures)])
-        axis.set_ylim(-0.7, len(figures) - 0.3)
-        axis.set_xlabel("times the bar")
     return figure

@@ -140,15 +140,12 @@ def _gains(model: Path) -> dict[str, float | str]:
 
 
 def _show_scans(bags: dict[str, Path], picture: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     from dfm_stage.recording import read_record
 
-    figure, axes = plt.subplots(1 + len(bags), 1, sharex=True, figsize=(8, 6), dpi=120,
-                                constrained_layout=True)
+    figure = Figure(figsize=(8, 6), dpi=120, layout="constrained")
+    axes = figure.subplots(1 + len(bags), 1, sharex=True)
     print(f"   {'tracking error':24} {'line RMS':>12} {'line peak':>12} {'turn peak':>12}   um")
     for index, (label, bag) in enumerate(bags.items()):
         record = read_record(bag)
@@ -175,4 +172,3 @@ def _show_scans(bags: dict[str, Path], picture: Path) -> None:
     for each in axes:
         each.grid(alpha=0.3)
     figure.savefig(picture)
-    plt.close(figure)

@@ -30,11 +30,16 @@ from dfm_stage.reporting import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from dfm_stage.identification.frequency_response import Distortion
     from dfm_stage.identification.residuals import LineResidual, ResidualTest
     from dfm_stage.identification.workflow import Identification
     from dfm_stage.reporting.table import Cell
 
 CURVE_POINTS = 600
+SHARP = 0.25
+"""Damping ratio below which the curve has more points about a resonance."""
+EXPLAINED = 1.2
+"""RMS left over, times the noise floor, up to which the page says that the model explains all."""
 
 
 def write_report(found: Identification, path: Path, records: Sequence[str]) -> None:
@@ -78,7 +83,7 @@ def _lead(page: Page, found: Identification) -> None:
              f"{ratio:.2f} times the noise floor.")
     if not found.estimate.ok:
         page.lead(said, found.estimate.status.replace("_", " "), "bad")
-    elif ratio > 1.2:
+    elif ratio > EXPLAINED:
         page.lead(said, "something is missing", "warn")
     else:
         page.lead(said, "explained", "good")
@@ -111,16 +116,14 @@ def _numbers(page: Page, found: Identification) -> None:
 def _bode(page: Page, found: Identification) -> None:
     if not found.responses:
         return
-    source = found.sources[0]
-    drawn: list[Response] = []
-    low, high = math.inf, 0.0
-    for measured in found.responses:
-        name = "measured" if len(found.responses) == 1 else f"measured {len(drawn) + 1}"
-        drawn.append(Response(name, measured.frequency_hz, measured.response,
-                              np.sqrt(measured.variance), True))
-        low, high = min(low, measured.frequency_hz[0]), max(high, measured.frequency_hz[-1])
-    frequency = np.geomspace(low, high, CURVE_POINTS)
-    frequency = np.sort(np.concatenate((frequency, _near_resonance(found, low, high))))
+    source, many = found.sources[0], len(found.responses) > 1
+    drawn = [Response(f"measured {number}" if many else "measured", measured.frequency_hz,
+                      measured.response, np.sqrt(measured.variance), True)
+             for number, measured in enumerate(found.responses, start=1)]
+    low = min(float(measured.frequency_hz[0]) for measured in found.responses)
+    high = max(float(measured.frequency_hz[-1]) for measured in found.responses)
+    frequency = np.sort(np.concatenate((np.geomspace(low, high, CURVE_POINTS),
+                                        _near_resonance(found, low, high))))
     omega = 2.0 * math.pi * frequency
     plant = linear_plant(found.model)
     drawn.append(Response("model", frequency,
@@ -137,27 +140,25 @@ def _bode(page: Page, found: Identification) -> None:
                  "lag and the delay, the paper's G(s) with ours.")
     page.figure(bode_figure(drawn, unit=first.unit), "Magnitude and phase, measured and modelled")
     if first.distortion is not None:
-        rows = []
-        for kind in ("odd", "even"):
-            level = getattr(first.distortion, kind)
-            if level is None:
-                continue
-            decibel = first.distortion.decibel(kind)
-            rows.append([kind, Quantity(level, first.output_unit),
-                         Quantity(first.distortion.noise, first.output_unit),
-                         decibel if decibel is not None and math.isfinite(decibel) else None,
-                         first.distortion.significant(kind)])
         page.table(("lines not excited", "level", "noise alone", "over excited lines (dB)",
-                    "distortion"), rows)
+                    "distortion"), _distortion_rows(first.distortion, first.output_unit))
+
+
+def _distortion_rows(found: Distortion, unit: str) -> list[list[Cell]]:
+    levels = {"odd": found.odd, "even": found.even}
+    return [[kind, Quantity(level, unit), Quantity(found.noise, unit),
+             decibel if decibel is not None and math.isfinite(decibel) else None,
+             found.significant(kind)]
+            for kind, level in levels.items() if level is not None
+            for decibel in [found.decibel(kind)]]
 
 
 def _near_resonance(found: Identification, low: float, high: float) -> Array:
-    points = [mode.natural_frequency_hz * (1.0 + mode.damping_ratio * np.linspace(-4.0, 4.0, 41))
-              for mode in linear_plant(found.model).modes
-              if mode.stiffness > 0.0 and mode.damping_ratio < 0.25]
-    if not points:
-        return np.empty(0)
-    near = np.concatenate(points)
+    widths = np.linspace(-4.0, 4.0, 41)
+    near = np.concatenate([np.empty(0), *(
+        mode.natural_frequency_hz * (1.0 + mode.damping_ratio * widths)
+        for mode in linear_plant(found.model).modes
+        if mode.stiffness > 0.0 and mode.damping_ratio < SHARP)])
     return np.asarray(near[(near > low) & (near < high)])
 
 
@@ -213,12 +214,10 @@ def _line_figure(lines: LineResidual) -> Drawing:
     with page_style():
         axis.semilogx(lines.frequency_hz, lines.ratio, "o", color="C0", markersize=3.0)
         axis.axhline(lines.band, color="C1", linewidth=1.0)
-        axis.set_yscale("log")
+        axis.set(yscale="log", xlabel="frequency (Hz)", ylabel="power ratio")
         for each in (axis.xaxis, axis.yaxis):
             each.set_major_formatter(lambda value, _: f"{value:g}")
             each.set_minor_formatter("")
-        axis.set_ylabel("power ratio")
-        axis.set_xlabel("frequency (Hz)")
     worst = int(np.argmax(lines.ratio))
     return Drawing(figure, Table(
         ("", "frequency (Hz)", "ratio"),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,12 +74,10 @@ def _paper(options: argparse.Namespace) -> int:
     stage = (DirectStage(options.seed) if options.quick else
              GraphStage(folder, options.seed, not options.processes))
     started = time.monotonic()
-    count = 0
+    numbers = itertools.count(1)
 
     def step(name: str) -> None:
-        nonlocal count
-        count += 1
-        print(f"[{count:2d}/{STEPS}, {time.monotonic() - started:4.0f} s] {name}",
+        print(f"[{next(numbers):2d}/{STEPS}, {time.monotonic() - started:4.0f} s] {name}",
               file=sys.stderr, flush=True)
 
     # Half as many elements per blade are 0.4 % stiffer.
@@ -130,10 +129,7 @@ class GraphStage:
 
     def _free(self, name: str) -> Path:
         """Return a folder for a bag that is not there yet."""
-        path, number = self.folder / "bags" / name, 1
-        while path.exists():
-            number += 1
-            path = self.folder / "bags" / f"{name}_{number}"
+        path = next(path for path in _numbered(self.folder / "bags", name) if not path.exists())
         path.parent.mkdir(exist_ok=True)
         return path
 
@@ -141,17 +137,19 @@ class GraphStage:
         """Write a model beside the bags, once for each different one, and return its path."""
         from dfm_stage.model import load_model, save_model
 
-        models = self.folder / "models"
+        bare, models = replace(model, document=None), self.folder / "models"
         models.mkdir(exist_ok=True)
-        number = 1
-        while True:
-            path = models / f"{model.name}{'' if number == 1 else f'_{number}'}.yaml"
-            if not path.exists():
-                save_model(replace(model, document=None), path)
-                return str(path.resolve())
-            if replace(load_model(path), document=None) == replace(model, document=None):
-                return str(path.resolve())
-            number += 1
+        path = next(path for path in _numbered(models, model.name, ".yaml") if not path.exists()
+                    or replace(load_model(path), document=None) == bare)
+        if not path.exists():
+            save_model(bare, path)
+        return str(path.resolve())
+
+
+def _numbered(folder: Path, name: str, suffix: str = "") -> Iterator[Path]:
+    """Yield name, name_2, name_3 and so on in a folder."""
+    return (folder / f"{name}{'' if number == 1 else f'_{number}'}{suffix}"
+            for number in itertools.count(1))
 
 
 def _print(found: Comparison, seconds: float) -> None:

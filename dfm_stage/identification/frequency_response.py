@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -111,6 +111,25 @@ class FrequencyResponse:
     def unit(self) -> str:
         """Unit of `response`."""
         return f"{self.output_unit}/{self.input_unit}"
+
+    @property
+    def period(self) -> int | None:
+        """Period of the excitation in samples, None where it does not repeat."""
+        if self.method != "periods" or not self.lines.size:
+            return None
+        base = self.omega[0] / self.lines[0]
+        return round(2.0 * math.pi / float(base * self.sample_period))
+
+    def to_dict(self) -> dict[str, Any]:
+        """As identify.json keeps it; a variance that could not be measured has no std."""
+        return {
+            "method": self.method, "unit": self.unit, "periods_used": self.periods_used,
+            "periods_total": self.periods_total, "frequency_hz": self.frequency_hz.tolist(),
+            "real": self.response.real.tolist(), "imag": self.response.imag.tolist(),
+            "std": [math.sqrt(v) if math.isfinite(v) else None for v in self.variance],
+            "lines": self.lines.tolist(),
+            "distortion": None if self.distortion is None else {
+                **vars(self.distortion), "unit": self.output_unit}}
 
     def to_control(self) -> control.FrequencyResponseData:
         """Return the response as `control.FRD`."""

@@ -67,8 +67,6 @@ def find_period(signal: Array, *, minimum: int = 8, tolerance: float = 0.05) -> 
     if difference.size <= minimum:
         return None
     candidates = difference[minimum:]
-    if candidates.min() > tolerance:
-        return None
     hump = np.flatnonzero(candidates > HUMP)
     if not hump.size:
         return None
