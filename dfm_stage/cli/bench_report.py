@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from dfm_stage.cli.bench_table import Figure, cells
+from dfm_stage.quantity import format_number
 from dfm_stage.reporting import Page, new_figure, page_style
 from dfm_stage.reporting.table import Cell
-from dfm_stage.reporting.units import format_number
 
 TITLES = {
     "loop": "The node graph in real time", "lockstep": "The node graph in lockstep",

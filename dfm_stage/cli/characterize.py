@@ -146,11 +146,10 @@ def summary(kind: str, result: Any) -> list[tuple[str, Any]]:
 
 
 def _print(kind: str, result: Any) -> None:
-    from dfm_stage.reporting import format_quantity
 
     print(kind.replace("_", " "))
     for name, q in summary(kind, result):
-        print(f"  {name:<34} {format_quantity(q.value, q.unit, q.ci95)}")
+        print(f"  {name:<34} {q}")
     if kind == "decay":
         print(f"  over {result.cycles:g} cycles; from two extremes alone "
               f"{result.two_point:.6f}")

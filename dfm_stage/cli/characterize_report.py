@@ -12,7 +12,7 @@ from dfm_stage.paper.figures import (
     response_figure,
     static_figure,
 )
-from dfm_stage.reporting import Drawing, Page, Quantity, format_quantity
+from dfm_stage.reporting import Drawing, Page
 
 if TYPE_CHECKING:
     from dfm_stage.model import Model
@@ -43,8 +43,7 @@ def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Mod
     page.lead(" ".join(_sentence(kind, result) for kind, (_, result) in found.items()))
     for kind, (record, result) in found.items():
         page.section(TITLES[kind])
-        page.table(("", "value"), [[name, Quantity(q.value, q.unit, q.ci95)]
-                                   for name, q in summary(kind, result)])
+        page.table(("", "value"), summary(kind, result))
         page.figure(*_drawn(kind, record, result))
         for warning in record.warnings:
             page.note(warning)
@@ -56,7 +55,7 @@ def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Mod
 def _sentence(kind: str, result: Any) -> str:
     words, name = LEADS[kind]
     q = getattr(getattr(result, "constrained", result), name)
-    return f"{words} {format_quantity(q.value, q.unit, q.ci95)}."
+    return f"{words} {q}."
 
 
 def _drawn(kind: str, record: Record, result: Any) -> tuple[Drawing, str]:

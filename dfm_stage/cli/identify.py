@@ -169,7 +169,7 @@ def _print(found: Identification, out: Path, report: bool) -> None:
     wide = max(map(len, rows))
     for name, q in rows.items():
         if math.isfinite(q.value):
-            print(f"  {name:<{wide}}  {format_quantity(q.value, q.unit, q.ci95)}")
+            print(f"  {name:<{wide}}  {q}")
     for name, value in found.estimate.held.items():
         unit = found.model.parameter(name).unit
         print(f"  {name:<{wide}}  {format_quantity(value, unit)} (held)")
@@ -185,8 +185,7 @@ def _print(found: Identification, out: Path, report: bool) -> None:
     if found.paper:
         print("  beside the paper's G(s) = 1/(s^2 + 1.705 s + 600.7):")
         for row in found.paper:
-            ours = format_quantity(row.ours.value, row.ours.unit, row.ours.ci95)
-            print(f"    {row.symbol:<4} {ours}, paper {row.paper:g}, "
+            print(f"    {row.symbol:<4} {row.ours}, paper {row.paper:g}, "
                   f"{format_number(row.deviation_percent)} %")
     for test in found.tests:
         print(f"  residual {test.name.replace('_', ' ')}: {test.text} (p = {test.p_value:.2g})")

@@ -13,7 +13,6 @@ from dfm_stage.arrays import Array
 from dfm_stage.identification.model_fit import linear_plant
 from dfm_stage.identification.paper import PAPER_MODE
 from dfm_stage.identification.plant import LinearPlant
-from dfm_stage.identification.quantity import Quantity as Found
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -63,22 +62,15 @@ def write_report(found: Identification, path: Path, records: Sequence[str]) -> N
     page.write(path)
 
 
-def _shown(q: Found) -> Quantity:
-    return Quantity(q.value, q.unit, q.ci95)
-
-
 def _lead(page: Page, found: Identification) -> None:
     first = found.evaluations[0]
     unit = found.sources[0].axis.position_unit
     ratio = first.fit.rms / first.floor.rms if first.floor.rms > 0.0 else math.inf
-    gain = format_quantity(found.gain.value, found.gain.unit, found.gain.ci95)
     if math.isfinite(found.natural_frequency_hz.value):
-        q, z = found.natural_frequency_hz, found.damping_ratio
-        said = (f"The stage resonates at {format_quantity(q.value, q.unit, q.ci95)} with a "
-                f"damping ratio of {format_quantity(z.value, z.unit, z.ci95)}; its static gain is "
-                f"{gain}.")
+        said = (f"The stage resonates at {found.natural_frequency_hz} with a damping ratio of "
+                f"{found.damping_ratio}; its static gain is {found.gain}.")
     else:
-        said = f"The stage has no spring; its gain is {gain}."
+        said = f"The stage has no spring; its gain is {found.gain}."
     said += (f" What the model leaves over is {format_quantity(first.fit.rms, unit)} RMS, "
              f"{ratio:.2f} times the noise floor.")
     if not found.estimate.ok:
@@ -94,21 +86,21 @@ def _lead(page: Page, found: Identification) -> None:
 def _numbers(page: Page, found: Identification) -> None:
     page.section("Parameters", "Values with 95 % intervals, which account for the colour of the "
                  "noise. " + _sentence(found.estimate.identifiability.text))
-    rows: list[list[Cell]] = [[name, _shown(q), ""] for name, q in found.headline.items()
+    rows: list[list[Cell]] = [[name, q, ""] for name, q in found.headline.items()
                               if math.isfinite(q.value)]
-    rows += [[name, _shown(q), "estimated"] for name, q in found.estimate.quantities().items()]
+    rows += [[name, q, "estimated"] for name, q in found.estimate.quantities().items()]
     rows += [[name, Quantity(value, found.model.parameter(name).unit), "held"]
              for name, value in found.estimate.held.items()]
     page.table(("quantity", "value", ""), rows)
     if found.paper:
         page.table(("coefficient", "paper", "ours", "deviation (%)"),
-                   [[row.symbol, row.paper, _shown(row.ours), row.deviation_percent]
+                   [[row.symbol, row.paper, row.ours, row.deviation_percent]
                     for row in found.paper],
                    "Beside the paper's G(s) = 1/(s² + 1.705 s + 600.7), read as "
                    "b / (s² + c/m s + k/m)")
     if found.transfer_function is not None:
         fit = found.transfer_function
-        page.table(("coefficient", "value"), [[n, _shown(fit.quantity(n))] for n in fit.names],
+        page.table(("coefficient", "value"), [[n, fit.quantity(n)] for n in fit.names],
                    "Cross-check: the transfer function fitted to the frequency response alone, "
                    f"misfit {fit.misfit:.2f} (1 = down to the noise)")
 

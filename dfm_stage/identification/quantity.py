@@ -1,16 +1,17 @@
-"""A number with its unit and its 95 % interval."""
+"""The 95 % interval of an estimate, and of what follows from it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from dfm_stage.arrays import Array
+from dfm_stage.quantity import Quantity
+
+__all__ = ["Quantity", "interval", "propagate", "t95"]
 
 COVERAGE = 0.95
 """Of every interval."""
@@ -19,30 +20,6 @@ STEP = 1e-3
 there is none."""
 UNMOVED = 1e-12
 """Relative change below which a figure does not depend on a parameter that is not known."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """`value` in `unit` with the 95 % interval `ci95`; None means held, not estimated."""
-
-    value: float
-    unit: str
-    ci95: tuple[float, float] | None = None
-
-    @property
-    def half_width(self) -> float:
-        """Half the width of the interval, zero for a held value."""
-        return 0.0 if self.ci95 is None else 0.5 * (self.ci95[1] - self.ci95[0])
-
-    def covers(self, truth: float) -> bool:
-        """Whether the interval contains `truth`."""
-        return self.ci95 is not None and self.ci95[0] <= truth <= self.ci95[1]
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON keeps it; limits that are not finite become null."""
-        limits = None if self.ci95 is None else [
-            float(x) if math.isfinite(x) else None for x in self.ci95]
-        return {"value": float(self.value), "unit": self.unit, "ci95": limits}
 
 
 def interval(value: float, std: float, dof: float = math.inf) -> tuple[float, float]:

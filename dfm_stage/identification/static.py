@@ -154,14 +154,12 @@ def find_levels(input_: Array, position: Array, sample_period: float,
         return []
     shortest = min(w.time.size for w in windows) * sample_period
     poles = ringing_poles(windows, math.pi / shortest, 0.5 * math.pi / sample_period, 1)
-    levels: list[Level] = []
-    for (start, stop), window in zip(held, windows, strict=True):
-        solved = window.solve(poles)
-        value = float(input_[start])
-        rising = None if not levels or value == levels[-1].input else value > levels[-1].input
-        levels.append(Level(value, float(solved.amplitude[0]),
-                            math.sqrt(float(solved.covariance[0, 0])), start, stop, rising))
-    return levels
+    solved = [window.solve(poles) for window in windows]
+    values = [float(input_[start]) for start, _ in held]
+    return [Level(value, float(level.amplitude[0]), math.sqrt(float(level.covariance[0, 0])),
+                  start, stop, None if value == before else value > before)
+            for (start, stop), level, value, before in zip(
+                held, solved, values, [values[0], *values[:-1]], strict=True)]
 
 
 def _loop(levels: Iterable[Level], force: Array) -> tuple[float, float]:

@@ -97,8 +97,7 @@ def _decay(page: Page, found: Evidence) -> None:
 
 
 def _transient(page: Page, found: Evidence) -> None:
-    time, measured, beam, fitted = (each[found.step_time <= 4.0] for each in (
-        found.step_time, found.step_measured, found.step_theory, found.step_identified))
+    time, measured, beam, fitted = found.transient[:, found.transient[0] <= 4.0]
     page.figure(curves_figure(
         {"measured": (time, measured), "identified G(s)": (time, fitted),
          "beam equation": (time, beam)}, "position (mm)",

@@ -63,7 +63,10 @@ class Models:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The records and what was found in them."""
+    """The records and what was found in them.
+
+    `transient` is time (s), record, beam equation and identified G(s) after the step, (4, N).
+    """
 
     records: Mapping[str, Record]
     static: StaticTest
@@ -71,10 +74,7 @@ class Evidence:
     step: StepResponse
     response: DynamicTest
     theory: dynamics.BeamTheory
-    step_time: Array
-    step_measured: Array
-    step_theory: Array
-    step_identified: Array
+    transient: Array
     pid: pid.PidTest
     two_mode: DynamicTest
     convergence: lqr.Convergence
@@ -136,10 +136,9 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
     step("finite elements")
     scanned = xy.xy_test(models.xy, plane, elements)
     theory = dynamics.beam_theory(model)
-    time, measured, expected, identified = _transient(records["step"], stepped, response, theory,
-                                                      model)
-    found = Evidence(records, held, decay, stepped, response, theory, time, measured, expected,
-                     identified, tuned, two, convergence, regulation, scanned)
+    found = Evidence(records, held, decay, stepped, response, theory,
+                     _transient(records["step"], stepped, response, theory, model), tuned, two,
+                     convergence, regulation, scanned)
     return Comparison(_rows(found, models, gain), found, stage.description)
 
 
@@ -164,9 +163,8 @@ def loaded_to(experiment: Experiment, axis: str, volts: float) -> Experiment:
 
 def _rows(found: Evidence, models: Models, gain: Array) -> list[Row]:
     model, fit = models.stage, found.response.constrained
-    final = abs(found.step_measured[-1])
-    difference = 100.0 * float(np.sqrt(np.mean(
-        (found.step_theory - found.step_measured)**2))) / final
+    _, measured, theory, _ = found.transient
+    difference = 100.0 * float(np.sqrt(np.mean((theory - measured)**2))) / abs(measured[-1])
     return [
         *static.table_rows(found.static, model),
         *static.quasistatic_rows(fit.natural_frequency.value, fit.damping_ratio.value,
@@ -195,8 +193,8 @@ def _fastest(found: Evidence) -> float:
 
 
 def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
-               theory: dynamics.BeamTheory, model: Model) -> tuple[Array, Array, Array, Array]:
-    """Return time, record, beam equation and identified G(s) after the step (Fig. 8)."""
+               theory: dynamics.BeamTheory, model: Model) -> Array:
+    """Return time, record, beam equation and identified G(s) after the step (Fig. 8), (4, N)."""
     data = record.axis(None)
     fit = response.constrained
     late = fit.lag.value + fit.delay.value
@@ -206,4 +204,4 @@ def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
     force = volts * model.base["force_constant"]
     beam = theory.step(time, force, fit.damping_ratio.value, late)
     identified = volts * dynamics.unit_step(fit.plant.modes[0], np.maximum(time - late, 0.0))
-    return time, data.position[start:] - stepped.initial.value, beam, identified
+    return np.array((time, data.position[start:] - stepped.initial.value, beam, identified))

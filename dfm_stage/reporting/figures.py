@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dfm_stage.arrays import Array, Complex
+from dfm_stage.quantity import display_unit, superscript_power
 from dfm_stage.reporting.drawing import SERIES, new_figure, page_style
 from dfm_stage.reporting.table import Cell, Table
-from dfm_stage.reporting.units import display_unit, superscript_power
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,12 +14,13 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import
-BASE = {"arrays", "errors", "files", "machine_code"}
+BASE = {"arrays", "errors", "files", "machine_code", "quantity"}
 ARROWS: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "files": set(),
     "machine_code": set(),
+    "quantity": set(),
     "commands": set(),
     "domain": BASE,
     "model": BASE,
