@@ -11,6 +11,7 @@ import inspect
 import json
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -85,9 +86,9 @@ def machine() -> dict[str, Any]:
 
 def _cpu_model() -> str:
     with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
+        if found := re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text("utf-8"),
+                              re.MULTILINE):
+            return found[1].strip()
     return platform.machine()
 
 
@@ -103,8 +104,8 @@ def run_one(name: str, folder: Path, quick: bool,
         command = [sys.executable, "-m", "dfm_stage", "bench"]
         command += ["--child", str(answer), str(os.getpid()), "--folder", str(folder)]
         command += [*(["--quick"] if quick else []), name]
-        for option, value in (extra or {}).items():
-            command += [f"--{option}"] if value is True else [f"--{option}", str(value)]
+        for given, value in (extra or {}).items():
+            command += [f"--{given}"] if value is True else [f"--{given}", str(value)]
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=STDERR) as child:
             try:
                 code = child.wait()

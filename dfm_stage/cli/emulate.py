@@ -24,6 +24,8 @@ from dfm_stage.drivers.emulators.pty_port import Emulator, PtyPort
 from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
 from dfm_stage.errors import DfmError
 
+Output = Callable[[float, float, bool], None]
+"""Takes a change of the output: time (s), current (A), enabled."""
 DEVICES = ("qsb_d", "copley_ascii")
 HELP = """faults, typed as lines:
   silence S        hears and says nothing for S seconds
@@ -69,16 +71,10 @@ class EmulateError(DfmError):
     """The emulator cannot be set up."""
 
 
-class OutputLog:
-    """The output current over time, as lines `steady-clock-ns amperes on|off`."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-
-    def __call__(self, now: float, current_a: float, enabled: bool) -> None:
-        """Write one change."""
-        self._file.write(f"{round(now * 1e9)} {current_a:.6f} {'on' if enabled else 'off'}\n")
-        self._file.flush()
+def _output_log(file: TextIO) -> Output:
+    """Return what writes a change of the output as a line `steady-clock-ns amperes on|off`."""
+    return lambda now, current_a, enabled: print(
+        f"{round(now * 1e9)} {current_a:.6f} {'on' if enabled else 'off'}", file=file, flush=True)
 
 
 def _flash(items: Sequence[str]) -> dict[int, int]:
@@ -92,20 +88,17 @@ def _flash(items: Sequence[str]) -> dict[int, int]:
     return out
 
 
-def _swing(amplitude: float, frequency_hz: float) -> Callable[[float], int]:
-    return lambda now: round(amplitude * math.sin(2.0 * math.pi * frequency_hz * now))
-
-
-def _make(options: argparse.Namespace, link: Any, log: OutputLog | None) -> Emulator:
+def _make(options: argparse.Namespace, link: Any, log: Output | None) -> Emulator:
     if options.device == "qsb_d":
-        scale = link.counts if link is not None else _swing(options.amplitude, options.frequency)
+        omega = 2.0 * math.pi * options.frequency
+        scale = link.counts if link is not None else (
+            lambda now: round(options.amplitude * math.sin(omega * now)))
         return QsbDEmulator(scale, index_at=options.index_at, drift=options.drift)
+    takers = [each for each in (link.output if link is not None else None, log) if each]
 
     def output(now: float, current_a: float, enabled: bool) -> None:
-        if link is not None:
-            link.output(now, current_a, enabled)
-        if log is not None:
-            log(now, current_a, enabled)
+        for take in takers:
+            take(now, current_a, enabled)
 
     return CopleyAsciiEmulator(output, _flash(options.flash))
 
@@ -174,8 +167,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _emulate(options: argparse.Namespace, opened: ExitStack, stop: list[int]) -> int:
     """Run the device until `stop` holds a signal; `opened` closes what was opened."""
     path = options.link or Path(f"/tmp/dfm_{options.device}")  # noqa: S108 asked for by name
-    log = OutputLog(opened.enter_context(options.log.open("w", encoding="utf-8"))
-                    ) if options.log else None
+    log = _output_log(opened.enter_context(options.log.open("w", encoding="utf-8"))
+                      ) if options.log else None
     stage = _connect(options, opened)
     try:
         port = PtyPort(_make(options, stage, log), path, options.seed)

@@ -103,11 +103,6 @@ class FrequencyResponse:
         return self.omega / (2.0 * math.pi)
 
     @property
-    def covariance(self) -> Array:
-        """Covariances (F, 2, 2) of real and imaginary part (circular noise)."""
-        return np.asarray(0.5 * self.variance[:, None, None] * np.eye(2))
-
-    @property
     def unit(self) -> str:
         """Unit of `response`."""
         return f"{self.output_unit}/{self.input_unit}"
@@ -226,7 +221,6 @@ def _lines_of(exciting: Array, found: Periodicity) -> Lines:
 def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
               lines: Lines, drop: int | None, input_unit: str,
               output_unit: str) -> FrequencyResponse:
-    warnings: list[str] = []
     size = found.period
     inputs = np.fft.rfft(found.fold(u), axis=1) / size
     outputs = np.fft.rfft(found.fold(y), axis=1) / size
@@ -236,9 +230,9 @@ def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
         raise IdentificationError(f"{used} of {found.count} periods are left after the transient:"
                                   " record more periods")
     latest = found.count - max(found.count // 2, FEWEST_PERIODS)
-    if drop is None and transient == latest > 0:
-        warnings.append("the transient lasts into the later half of the record: the frequency "
-                        "response still holds part of it")
+    warnings = () if drop is not None or not transient == latest > 0 else (
+        ("the transient lasts into the later half of the record: the frequency response still "
+         "holds part of it"),)
     inputs, outputs = inputs[transient:], outputs[transient:]
     mean_u, mean_y = inputs.mean(axis=0), outputs.mean(axis=0)
     response = mean_y[lines] / mean_u[lines]
@@ -251,7 +245,7 @@ def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
     return FrequencyResponse(
         np.asarray(2.0 * math.pi * lines / (size * sample_period)), response, variance,
         2.0 * (used - 1) * (2 * neighbours + 1), sample_period, lines, used, found.count,
-        input_unit, output_unit, "periods", distortion, tuple(warnings))
+        input_unit, output_unit, "periods", distortion, warnings)
 
 
 def _distortion(lines: Lines, mean_u: Complex, mean_y: Complex, outputs: Complex,

@@ -88,10 +88,6 @@ class TransferFunctionFit:
         """Return output per constant input; infinite for a free body."""
         return self._derived(lambda plant: plant.static_gain, self.unit)
 
-    def numerator(self, mode: int = 0) -> Quantity:
-        """Return the numerator b of a mode (force constant over mass)."""
-        return self._derived(lambda plant: plant.modes[mode].numerator, f"{self.unit}/s^2")
-
     def _derived(self, function: Callable[[LinearPlant], float], unit: str) -> Quantity:
         if not math.isfinite(function(self.plant)):
             return Quantity(math.inf, unit, None)

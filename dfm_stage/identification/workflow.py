@@ -214,18 +214,18 @@ def _check_alike(sources: Sequence[Source]) -> None:
                                       "one of them")
 
 
-def _shape_of(model: Model | None) -> tuple[int, bool, bool, bool]:
-    """Return modes, free body, lag, delay of the transfer function to fit."""
+def _shape_of(model: Model | None) -> dict[str, Any]:
+    """Return which transfer function to fit, as `fit_transfer_function` takes it."""
     if model is None:
-        return 1, False, True, True
+        return {}
     plant = linear_plant(model)
-    return (len(plant.modes), plant.modes[0].stiffness <= 0.0,
-            "amplifier_time_constant" in model.base
+    return {"modes": len(plant.modes), "free_body": plant.modes[0].stiffness <= 0.0,
+            "lag": "amplifier_time_constant" in model.base
             or model.effect("amplifier_bandwidth") is not None,
-            "delay" in model.base or model.effect("transport_delay") is not None)
+            "delay": "delay" in model.base or model.effect("transport_delay") is not None}
 
 
-def _respond(sources: Sequence[Source], shape: tuple[int, bool, bool, bool],
+def _respond(sources: Sequence[Source], shape: Mapping[str, Any],
              warnings: list[str]) -> tuple[list[FrequencyResponse | None],
                                            TransferFunctionFit | None]:
     """Measure the responses; fit the first, with its free motion taken out once it is known."""
@@ -255,13 +255,12 @@ def _sprung_or_free(responses: Sequence[FrequencyResponse | None], sprung: Trans
     return free
 
 
-def measure_response(source: Source, shape: tuple[int, bool, bool, bool] = (1, False, True, True)
+def measure_response(source: Source, shape: Mapping[str, Any]
                      ) -> tuple[FrequencyResponse, TransferFunctionFit | None]:
     """Return the frequency response of a record and the transfer function fitted to it.
 
-    `shape` is (modes, first without a spring, lag, delay).
+    `shape` says what to fit, as `fit_transfer_function` takes it.
     """
-    modes, free_body, lag, delay = shape
     poles: tuple[complex, ...] = ()
     fitted = None
     for _ in range(TIMES_TRANSIENT):
@@ -270,8 +269,7 @@ def measure_response(source: Source, shape: tuple[int, bool, bool, bool] = (1, F
             reference=source.driver, poles=poles, input_unit=source.axis.input_unit,
             output_unit=source.axis.position_unit)
         try:
-            fitted = fit_transfer_function(measured, modes=modes, free_body=free_body, lag=lag,
-                                           delay=delay)
+            fitted = fit_transfer_function(measured, **shape)
         except IdentificationError:
             return measured, None
         if measured.method != "periods":

@@ -21,7 +21,7 @@ from dfm_stage.identification.static import StaticTest
 from dfm_stage.identification.step_response import StepResponse, step_response
 from dfm_stage.model import Model
 from dfm_stage.model.beam import BladeChain, manipulator_chain
-from dfm_stage.model.flexure import DoubleParallelogram, chosen_manipulator
+from dfm_stage.model.flexure import chosen_manipulator
 from dfm_stage.paper.printed import PRINTED
 from dfm_stage.paper.row import Row, derived, ours_only, printed
 from dfm_stage.recording import AxisRecord
@@ -119,14 +119,9 @@ class BeamTheory:
     """The beam equation's stage: chosen geometry, the model's mass; modes and answer to a step."""
 
     chain: BladeChain
-    manipulator: DoubleParallelogram
     stiffness_n_m: float
     omega: float
     second_hz: float
-
-    def step(self, time_s: Array, force_n: float, ratio: float, late_s: float) -> Array:
-        """Return the deflection after a force, (N,), m, later by `late_s`."""
-        return self.chain.step_response(time_s - late_s, force_n, ratio)
 
 
 def beam_theory(model: Model) -> BeamTheory:
@@ -143,7 +138,7 @@ def beam_theory(model: Model) -> BeamTheory:
     stage = model.base["mass"] - 0.25 * INTERMEDIATE_KG - share
     chain = manipulator_chain(manipulator, stage, INTERMEDIATE_KG)
     first, second = chain.modes(2)
-    return BeamTheory(chain, manipulator, manipulator.stiffness_n_m(), first.omega,
+    return BeamTheory(chain, manipulator.stiffness_n_m(), first.omega,
                       second.frequency_hz)
 
 

@@ -23,11 +23,7 @@ class Printed:
     where: str
 
 
-def _table(*entries: tuple[str, float, str, str, str]) -> dict[str, Printed]:
-    return {name: Printed(value, unit, what, where) for name, value, unit, what, where in entries}
-
-
-PRINTED: dict[str, Printed] = _table(
+PRINTED = {name: Printed(value, unit, what, where) for name, value, unit, what, where in (
     ("table1.theory", 650.0, "N/m", "stiffness, theory", "Table 1"),
     ("table1.error", 1.0, "%", "largest error of theory against experiment", "sec. 3A"),
     ("damping.decrement", 0.218308, "", "logarithmic decrement", "sec. 3B"),
@@ -49,7 +45,7 @@ PRINTED: dict[str, Printed] = _table(
     ("xy.gauge", 10e-6, "m", "resolution of the dial gauges", "sec. 6"),
     ("xy.range", 25e-3, "m", "range of the dial gauges", "sec. 6"),
     ("xy.cross", 25e-6, "m", "motion in X while Y is driven", "sec. 6"),
-)
+)}
 
 # Table 1: load (N), deflection in theory and in practice (mm), stiffness in practice (N/mm),
 # error (%)

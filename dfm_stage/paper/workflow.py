@@ -202,6 +202,6 @@ def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
     time = record.time[start:] - record.time[start]
     volts = float(data.input[start] - data.input[start - 1])
     force = volts * model.base["force_constant"]
-    beam = theory.step(time, force, fit.damping_ratio.value, late)
+    beam = theory.chain.step_response(time - late, force, fit.damping_ratio.value)
     identified = volts * dynamics.unit_step(fit.plant.modes[0], np.maximum(time - late, 0.0))
     return np.array((time, data.position[start:] - stepped.initial.value, beam, identified))
