@@ -23,7 +23,7 @@ from dfm_stage.cli.command import (
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
-    from dfm_stage.identification.characterisation import Result
+    from dfm_stage.identification.characterisation import Characterisation
     from dfm_stage.model import Model
     from dfm_stage.recording import Record
 
@@ -54,7 +54,7 @@ RESPONSE = {
     "numerator": "numerator", "damping, 2 zeta w": "damping", "stiffness, w^2": "stiffness",
     "natural frequency": "natural_frequency", "damping ratio": "damping_ratio",
     "static gain": "static_gain", "amplifier lag": "lag", "delay": "delay"}
-FIGURES: dict[str, dict[str, str]] = {
+QUANTITIES: dict[str, dict[str, str]] = {
     "static": {"stiffness": "stiffness", "largest distance from a line": "linearity",
                "hysteresis loop": "hysteresis",
                "hysteresis loop over the travel": "hysteresis_percent"},
@@ -87,7 +87,7 @@ def _characterize(options: argparse.Namespace) -> int:
     out = dated_folder(options.out, "characterized")
     model = load_model(options.model or "paper_stage") if (
         options.model or not options.bag) else None
-    found: dict[str, tuple[Record, Result]] = {}
+    found: dict[str, tuple[Record, Characterisation]] = {}
     for kind in KINDS if options.kind == "all" else (options.kind,):
         record = _record(kind, options, out)
         used = model or _model_of(record)
@@ -142,7 +142,7 @@ def summary(kind: str, result: Any) -> list[tuple[str, Any]]:
     found = getattr(result, "constrained", result)
     band = 100.0 * getattr(found, "band", 0.0)
     return [(words.format(band=band), getattr(found, name))
-            for words, name in FIGURES[kind].items()]
+            for words, name in QUANTITIES[kind].items()]
 
 
 def _print(kind: str, result: Any) -> None:

@@ -50,11 +50,11 @@ class DynamicTest:
                 "std": np.sqrt(response.variance).tolist(), "unit": response.unit}
 
 
-Result = StaticTest | RingDown | StepResponse | DynamicTest
+Characterisation = StaticTest | RingDown | StepResponse | DynamicTest
 
 
 def characterise(kind: str, record: Record, *, force_constant: float | None = None,
-                 axis: str | None = None) -> Result:
+                 axis: str | None = None) -> Characterisation:
     """Analyse the record of one of `EXPERIMENTS`; `force_constant` (N per unit) is for static.
 
     Raises

@@ -18,6 +18,7 @@ from dfm_stage.arrays import Array, Complex, Lines
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.local_polynomial import local_polynomial
 from dfm_stage.identification.periods import (
+    FEWEST_PERIODS,
     Periodicity,
     excited_lines,
     find_period,
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 
 ABOVE_NOISE = 2.0
 """Times the noise from which the level of lines that were not excited is distortion."""
-FEWEST_PERIODS = 2
-"""In which the noise can be told from what repeats."""
 NEIGHBOURS, FEWEST_LINES = 3, 14
 """Lines on either side over which the noise is averaged, and lines from which that is done."""
 

@@ -9,6 +9,10 @@ import numpy as np
 
 from dfm_stage.arrays import Array, Complex, Lines
 
+SHORTEST_PERIOD, FEWEST_PERIODS = 8, 2
+"""In samples: of fewer, no multisine has lines; and in whole periods, to repeat at all."""
+REPETITION = 0.05
+"""Difference (1 = unrelated) up to which a signal repeats: a measured input has some noise."""
 HUMP = 0.5
 """Difference (1 = unrelated) that a shift must pass before a repetition counts: a smooth signal
 repeats itself at tiny shifts."""
@@ -47,7 +51,8 @@ class Periodicity:
         return np.asarray(signal[self.start:stop].reshape(self.count, self.period))
 
 
-def find_period(signal: Array, *, minimum: int = 8, tolerance: float = 0.05) -> Periodicity | None:
+def find_period(signal: Array, *, minimum: int = SHORTEST_PERIOD,
+                tolerance: float = REPETITION) -> Periodicity | None:
     """Find the shortest exact repetition in `signal` (N,), None where there is none.
 
     The difference function d(P) = mean (x(t) - x(t+P))^2 / (2 var) (de Cheveigne and Kawahara
@@ -58,7 +63,7 @@ def find_period(signal: Array, *, minimum: int = 8, tolerance: float = 0.05) -> 
     """
     x = np.asarray(signal, dtype=float)
     active = np.flatnonzero(x != x[0])
-    if active.size < 2 * minimum:
+    if active.size < FEWEST_PERIODS * minimum:
         return None
     moving = np.flatnonzero(np.diff(x) != 0.0)
     first, last = int(moving[0]), int(moving[-1]) + 2
@@ -79,7 +84,7 @@ def find_period(signal: Array, *, minimum: int = 8, tolerance: float = 0.05) -> 
     run_start, run_stop = _repeating_run(
         x, period, RUN_NOISE * max(best, SMALLEST_DIFFERENCE) + RUN_ROUNDING)
     count = (run_stop - run_start) // period
-    if count < 2:
+    if count < FEWEST_PERIODS:
         return None
     return Periodicity(period, run_stop - count * period, count)
 

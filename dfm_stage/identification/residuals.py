@@ -14,6 +14,7 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 from dfm_stage.arrays import Array, Lines
+from dfm_stage.identification.periods import FEWEST_PERIODS
 
 LEVEL = 0.01
 """A test is failed when its p value falls below this."""
@@ -23,8 +24,8 @@ LONGEST_LAG = 4
 """Longest lags that fit into a record: at longer ones too few products are averaged."""
 STRENGTH = 1e-6
 """Over the largest: directions of the input that carry less do not count as excited."""
-FEWEST_PERIODS = 3
-"""To tell what repeats from what does not, line by line."""
+FEWEST_TO_SPLIT = 3
+"""Periods, to tell what repeats from what does not, line by line."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def line_residuals(residual: Array, period: int, lines: Lines,
     None where fewer than three periods fit.
     """
     count = residual.size // period
-    if count < FEWEST_PERIODS:
+    if count < FEWEST_TO_SPLIT:
         return None
     rows = residual[residual.size - count * period:].reshape(count, period)
     spectra = np.fft.rfft(rows, axis=1)[:, lines] / period
@@ -144,7 +145,7 @@ def noise_floor_from_periods(output: Array, period: int) -> float | None:
     Slow drift of the mean counts as noise.
     """
     count = output.size // period
-    if count < 2:
+    if count < FEWEST_PERIODS:
         return None
     rows = output[output.size - count * period:].reshape(count, period)
     return float(np.sqrt(np.sum((rows - rows.mean(axis=0)) ** 2) / (period * (count - 1))))

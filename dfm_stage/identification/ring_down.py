@@ -21,6 +21,8 @@ from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.fitting import fit_line, noise_level, turning_point
 from dfm_stage.identification.quantity import Quantity, interval, propagate
 
+FEWEST_CROSSINGS = 3
+"""Of the resting place: two half cycles, to know how long one is."""
 FEWEST_EXTREMES = 7
 """Three whole cycles: of fewer, the three coefficients of the decay leave too little over."""
 OVER_NOISE = 10.0
@@ -144,7 +146,7 @@ def _extremes(free: Array, sample_period: float) -> tuple[Array, Array]:
     sign = np.where(np.abs(around) > CROSSES * noise_level(free), np.sign(around), 0.0)
     known = np.flatnonzero(sign)
     turns = known[1:][np.diff(sign[known]) != 0.0]
-    if turns.size < 3:
+    if turns.size < FEWEST_CROSSINGS:
         return np.empty(0), np.empty(0)
     half = float(np.median(np.diff(turns)))
     short, long = (share * half for share in EVEN_SPACING)

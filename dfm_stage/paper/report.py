@@ -19,7 +19,7 @@ from dfm_stage.paper.lqr import DISTURBANCE_HZ, DISTURBANCE_N, proportional
 from dfm_stage.paper.printed import PRINTED, TABLE_1
 from dfm_stage.paper.row import Row
 from dfm_stage.paper.stage import reference_of, tracking_error
-from dfm_stage.paper.workflow import Comparison, Evidence
+from dfm_stage.paper.workflow import Comparison, Findings
 from dfm_stage.reporting import Page, Quantity, Response, format_number
 from dfm_stage.reporting.table import Cell
 
@@ -56,7 +56,7 @@ def write_page(found: Comparison, path: Path, provenance: Mapping[str, object]) 
         page.section(title, text)
         rows = [row for row in found.rows if row.id.split(".")[0] in prefixes]
         for draw in filter(None, map(FIGURES.get, prefixes)):
-            draw(page, found.evidence)
+            draw(page, found.findings)
         page.table(("quantity", "place", "paper", "ours", "deviation (%)", "reason"),
                    [_cells(row) for row in rows])
     page.provenance(provenance)
@@ -79,7 +79,7 @@ def _cells(row: Row) -> list[Cell]:
             row.reason]
 
 
-def _stiffness(page: Page, found: Evidence) -> None:
+def _stiffness(page: Page, found: Findings) -> None:
     loads = np.array([row[0] for row in TABLE_1])
     printed = np.array([1e-3 * row[2] for row in TABLE_1])
     page.figure(
@@ -88,7 +88,7 @@ def _stiffness(page: Page, found: Evidence) -> None:
         "off the straight line through all of ours")
 
 
-def _decay(page: Page, found: Evidence) -> None:
+def _decay(page: Page, found: Findings) -> None:
     record = found.records["decay"]
     page.figure(
         decay_figure(record.axis(None).position, record.sample_period, found.decay),
@@ -96,7 +96,7 @@ def _decay(page: Page, found: Evidence) -> None:
         "Fig. 7)")
 
 
-def _transient(page: Page, found: Evidence) -> None:
+def _transient(page: Page, found: Findings) -> None:
     time, measured, beam, fitted = found.transient[:, found.transient[0] <= 4.0]
     page.figure(curves_figure(
         {"measured": (time, measured), "identified G(s)": (time, fitted),
@@ -107,7 +107,7 @@ def _transient(page: Page, found: Evidence) -> None:
         "Fig. 8: transient response, experiment and models")
 
 
-def _response(page: Page, found: Evidence) -> None:
+def _response(page: Page, found: Findings) -> None:
     test = found.response
     measured = test.response.frequency_hz
     frequency = np.geomspace(measured[0], measured[-1], 500)
@@ -120,7 +120,7 @@ def _response(page: Page, found: Evidence) -> None:
         "The frequency response of sec. 3C, stepped sine at 0.08 V")
 
 
-def _tracking(page: Page, found: Evidence) -> None:
+def _tracking(page: Page, found: Findings) -> None:
     test = found.pid
     time = test.sine.time
     curves = {"reference": (time, reference_of(test.sine)),
@@ -140,7 +140,7 @@ def _tracking(page: Page, found: Evidence) -> None:
         "The 1 mm step under Ziegler-Nichols")
 
 
-def _regulator(page: Page, found: Evidence) -> None:
+def _regulator(page: Page, found: Findings) -> None:
     test, c = found.regulation, found.convergence
     curves = {"reference": (test.time_s, test.reference),
               **{name: (test.time_s, y) for name, y in test.laws.items()}}
@@ -163,7 +163,7 @@ def _regulator(page: Page, found: Evidence) -> None:
         "The finite-horizon gain L(t) on the printed plant: constant but for the last second")
 
 
-def _plane(page: Page, found: Evidence) -> None:
+def _plane(page: Page, found: Findings) -> None:
     for axis, test in found.xy.tests.items():
         curve = found.xy.elements[axis]
         order = np.argsort(test.force_n, kind="stable")
@@ -183,7 +183,7 @@ def _plane(page: Page, found: Evidence) -> None:
             "is not legible as numbers")
 
 
-FIGURES: dict[str, Callable[[Page, Evidence], None]] = {
+FIGURES: dict[str, Callable[[Page, Findings], None]] = {
     "table1": _stiffness, "damping": _decay, "step": _transient, "response": _response,
     "pid": _tracking, "lqr": _regulator, "xy": _plane}
 """Draw what belongs to the rows whose names begin so."""

@@ -34,7 +34,7 @@ NAMES: tuple[str, ...] = (*(EXPERIMENTS[kind] for kind in ("static", "decay", "s
                           *XY_EXPERIMENTS.values())
 """The experiments of config/experiments that are needed."""
 STEPS = 17
-Kind = TypeVar("Kind", StaticTest, RingDown, StepResponse, DynamicTest)
+Analysis = TypeVar("Analysis", StaticTest, RingDown, StepResponse, DynamicTest)
 
 
 class PaperError(DfmError):
@@ -62,7 +62,7 @@ class Models:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Findings:
     """The records and what was found in them.
 
     `transient` is time (s), record, beam equation and identified G(s) after the step, (4, N).
@@ -84,10 +84,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All rows, in the order of the paper, and the evidence for the figures."""
+    """All rows, in the order of the paper, and the findings for the figures."""
 
     rows: list[Row]
-    evidence: Evidence
+    findings: Findings
     source: str
 
 
@@ -111,7 +111,7 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
         records[kind] = stage.run(experiments[name], on)
         return records[kind]
 
-    def analysed(kind: str, what: type[Kind], on: Model = model, name: str = "") -> Kind:
+    def analysed(kind: str, what: type[Analysis], on: Model = model, name: str = "") -> Analysis:
         record = run(name or kind, EXPERIMENTS[kind], on)
         result = characterise(kind, record, force_constant=on.base["force_constant"])
         if not isinstance(result, what):
@@ -136,7 +136,7 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
     step("finite elements")
     scanned = xy.xy_test(models.xy, plane, elements)
     theory = dynamics.beam_theory(model)
-    found = Evidence(records, held, decay, stepped, response, theory,
+    found = Findings(records, held, decay, stepped, response, theory,
                      _transient(records["step"], stepped, response, theory, model), tuned, two,
                      convergence, regulation, scanned)
     return Comparison(_rows(found, models, gain), found, stage.description)
@@ -161,7 +161,7 @@ def loaded_to(experiment: Experiment, axis: str, volts: float) -> Experiment:
     return replace(experiment, axes={**experiment.axes, axis: replace(spec, excitation=signal)})
 
 
-def _rows(found: Evidence, models: Models, gain: Array) -> list[Row]:
+def _rows(found: Findings, models: Models, gain: Array) -> list[Row]:
     model, fit = models.stage, found.response.constrained
     _, measured, theory, _ = found.transient
     difference = 100.0 * float(np.sqrt(np.mean((theory - measured)**2))) / abs(measured[-1])
@@ -184,7 +184,7 @@ def _rows(found: Evidence, models: Models, gain: Array) -> list[Row]:
     ]
 
 
-def _fastest(found: Evidence) -> float:
+def _fastest(found: Findings) -> float:
     """Largest mean speed between two levels of the static test, m/s."""
     levels = found.static.levels
     period = found.records["static"].sample_period
