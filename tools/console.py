@@ -61,26 +61,17 @@ class Steps:
 
     def call(
         self,
-        command: Sequence[str | os.PathLike[str]],
+        *commands: Sequence[str | os.PathLike[str]],
         env: Mapping[str, str],
         what: str,
         cwd: Path | None = None,
     ) -> None:
-        """Run a command to its end, its output into the log; SetupError names the log if it fails.
+        """Run commands beside each other to their end; SetupError names the log if one fails.
 
-        The child keeps the set-up lock open, so a second set-up waits for it even when this
-        process was killed. It gets a session of its own: all of it is ended when we are.
+        Their output goes into the log. A child keeps the set-up lock open, so a second set-up
+        waits for it even when this process was killed. It gets a session of its own: all of it is
+        ended when we are.
         """
-        self.call_all([command], env, what, cwd)
-
-    def call_all(
-        self,
-        commands: Sequence[Sequence[str | os.PathLike[str]]],
-        env: Mapping[str, str],
-        what: str,
-        cwd: Path | None = None,
-    ) -> None:
-        """Run commands beside each other, each as `call` does, and wait for all of them."""
         started = [self._start(command, env, cwd) for command in commands]
         try:
             codes = [child.wait() for child, _ in started]

@@ -70,7 +70,7 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
     with steps.step(f"Python {host.version} environment, {kind}"):
         remove_tree(env)
         site = ["--system-site-packages"] if host.ros_prefix else []
-        steps.call([host.python, "-m", "venv", *site, env], outside, "python -m venv")
+        steps.call([host.python, "-m", "venv", *site, env], env=outside, what="python -m venv")
     python = env / "bin/python"
     lines = [
         line for line in lock_file(root, host).read_text(encoding="utf-8").splitlines() if line
@@ -95,10 +95,11 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
     builder = next(line for line in lines if line.startswith("setuptools=="))
     sources = ["--no-binary", SOURCE_ONLY, "--no-build-isolation", "--use-pep517"]
     with steps.step(f"{len(lines)} pinned packages"):
-        steps.call([*pip, builder], outside, "pip install setuptools")
+        steps.call([*pip, builder], env=outside, what="pip install setuptools")
         # unpacking keeps one processor busy; with --no-deps the parts do not need each other
         parts = [[line for line in lines[part::PARTS] if line != builder] for part in range(PARTS)]
-        steps.call_all([[*pip, *sources, *part] for part in parts], outside, "pip install")
+        commands = ([*pip, *sources, *part] for part in parts)
+        steps.call(*commands, env=outside, what="pip install")
     if not host.ros_prefix:
         repair_exports(env, host.version)
         write_setup_files(env)

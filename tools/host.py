@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import platform
 import shutil
+import subprocess
 import sys
-import sysconfig
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +44,8 @@ def find_host(environ: Mapping[str, str], cache: Path) -> Host:
     own_version = f"{sys.version_info[0]}.{sys.version_info[1]}"
     prefix, version = _sourced_rclpy(environ)
     if prefix:
-        python = _python_for(version, own_version)
+        own = version == own_version
+        python = sys.executable if own else shutil.which(f"python{version}")
         if python and _imports_rclpy(python, prefix, environ, cache):
             return Host(python, version, prefix)
         remark = f"rclpy of {prefix} does not import with {python or 'python' + version}"
@@ -62,15 +65,7 @@ def _sourced_rclpy(environ: Mapping[str, str]) -> tuple[str, str]:
     return "", ""
 
 
-def _python_for(version: str, own_version: str) -> str | None:
-    if version == own_version:
-        return sys.executable
-    return shutil.which(f"python{version}")
-
-
 def _imports_rclpy(python: str, prefix: str, environ: Mapping[str, str], cache: Path) -> bool:
-    import hashlib
-
     seen = "\n".join(
         [
             python,
@@ -85,8 +80,6 @@ def _imports_rclpy(python: str, prefix: str, environ: Mapping[str, str], cache: 
     known = read_stamp(cache)
     if known.get("key") == key:
         return bool(known["imports"])
-    import subprocess
-
     imports = (
         subprocess.run(
             [python, "-c", "import rclpy, rosidl_adapter"],
@@ -144,15 +137,6 @@ def _package_stem(host: Host) -> str:
 
 def _python_offers(host: Host) -> tuple[str, bool]:
     """Path of Python.h and whether venv and ensurepip are there, as `host.python` sees it."""
-    own = f"{sys.version_info[0]}.{sys.version_info[1]}" == host.version
-    if own:
-        from importlib.util import find_spec
-
-        has_venv = find_spec("venv") is not None and find_spec("ensurepip") is not None
-        return os.path.join(sysconfig.get_path("include"), "Python.h"), has_venv
-    import json
-    import subprocess
-
     code = (
         "import json, sysconfig, importlib.util as u;"
         "print(json.dumps([sysconfig.get_path('include') + '/Python.h',"

@@ -117,7 +117,7 @@ def build(root: Path, folder: Path, steps: Steps, environ: Mapping[str, str]) ->
             "COLCON_DEFAULTS_FILE": os.devnull,
             "MAKEFLAGS": f"-j{os.cpu_count() or 1}",
         }
-        steps.call(command, {**environ, **own}, "colcon build", cwd=root)
+        steps.call(command, env={**environ, **own}, what="colcon build", cwd=root)
     make_startable(folder / "install" / STAGE / "lib" / STAGE, python)
     for package, wanted in todo.items():
         write_stamp(folder / f"{package}.json", wanted)
@@ -156,12 +156,10 @@ def variables(host: Host, folder: Path, environ: Mapping[str, str]) -> dict[str,
         str(install / INTERFACES / site),
     ]
     libraries = [str(install / INTERFACES / "lib")]
-    path = [str(env / "bin")]
+    first = {"PATH": [str(env / "bin")], "LD_LIBRARY_PATH": libraries}
     if host.ros_prefix:
         out["VIRTUAL_ENV"] = str(env)
-        _prepend(out, "AMENT_PREFIX_PATH", ours)
-        _prepend(out, "CMAKE_PREFIX_PATH", ours)
-        _prepend(out, "PYTHONPATH", python_path)
+        first |= {"AMENT_PREFIX_PATH": ours, "CMAKE_PREFIX_PATH": ours, "PYTHONPATH": python_path}
     else:
         foreign = [
             entry
@@ -171,13 +169,13 @@ def variables(host: Host, folder: Path, environ: Mapping[str, str]) -> dict[str,
         ]
         for name in ("PATH", "LD_LIBRARY_PATH"):
             out[name] = _without(out.get(name, ""), foreign)
-        out.update(environment.settings(env))
-        out["AMENT_PREFIX_PATH"] = os.pathsep.join([*ours, str(env)])
-        out["CMAKE_PREFIX_PATH"] = os.pathsep.join([*ours, str(env)])
+        prefixes = os.pathsep.join([*ours, str(env)])
+        out |= environment.settings(env)
+        out |= {"AMENT_PREFIX_PATH": prefixes, "CMAKE_PREFIX_PATH": prefixes}
         out["PYTHONPATH"] = os.pathsep.join(python_path)
         libraries += environment.library_folders(env, host.version)
-    _prepend(out, "PATH", path)
-    _prepend(out, "LD_LIBRARY_PATH", libraries)
+    for name, entries in first.items():
+        _prepend(out, name, entries)
     out.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     out.setdefault("NUMBA_CACHE_DIR", str(folder / "numba"))
     return out

@@ -11,6 +11,7 @@ import inspect
 import json
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -20,24 +21,42 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dfm_stage.cli.bench_table import table
 from dfm_stage.cli.colour import paint
-from dfm_stage.cli.command import command_parser
+from dfm_stage.cli.command import add_options, command_parser, option
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 STDERR = 2
-EXTRA = ("cases", "seed", "resume", "keep", "jobs")
 PR_SET_PDEATHSIG = 1
-COLUMNS = ("key", "value", "unit", "bar", "", "peer", "peer value", "ratio", "how")
-
-
 EPILOG = """\
 examples:
   ./run bench loop lockstep --json out/loop.json
   ./run bench diagnose --cases 100 --seed 7 --resume --keep out/diagnose
   ./run bench --from out/loop.json --from out/all.json --page out/bench.html
 """
+OPTIONS = (
+    option("names", nargs="*", metavar="NAME", help="which; all without a name"),
+    option("--json", type=Path, metavar="FILE", help="write machine and figures"),
+    option("--page", type=Path, metavar="FILE", help="write all of it as one page (.html)"),
+    option("--from", dest="results", type=Path, action="append", default=[], metavar="FILE",
+           help="measure nothing: take what --json wrote, several files together, and write the "
+           "--page or print the table"),
+    option("--quick", action="store_true", help="shorter runs, rougher figures"),
+    option("--list", action="store_true", help="print the names and stop"),
+)
+CASE_OPTIONS = (
+    option("--cases", type=int, metavar="N", help="how many cases"),
+    option("--seed", type=int, metavar="S", help="the seed they are drawn with"),
+    option("--resume", action="store_true", help="keep the cases answered already"),
+    option("--keep", type=Path, metavar="DIR", help="the folder of the answers"),
+    option("--jobs", type=int, metavar="N", help="how many processes at once"),
+)
+HIDDEN_OPTIONS = (
+    option("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS),
+    option("--child", nargs=2, help=argparse.SUPPRESS),
+)
 
 
 class BenchError(DfmError):
@@ -67,9 +86,9 @@ def machine() -> dict[str, Any]:
 
 def _cpu_model() -> str:
     with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
+        if found := re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text("utf-8"),
+                              re.MULTILINE):
+            return found[1].strip()
     return platform.machine()
 
 
@@ -82,11 +101,11 @@ def run_one(name: str, folder: Path, quick: bool,
     """
     with tempfile.TemporaryDirectory(prefix="dfm_stage_bench_") as scratch:
         answer = Path(scratch) / "figures.json"
-        command = [sys.executable, "-m", "dfm_stage.cli.bench"]
+        command = [sys.executable, "-m", "dfm_stage", "bench"]
         command += ["--child", str(answer), str(os.getpid()), "--folder", str(folder)]
         command += [*(["--quick"] if quick else []), name]
-        for option, value in (extra or {}).items():
-            command += [f"--{option}"] if value is True else [f"--{option}", str(value)]
+        for given, value in (extra or {}).items():
+            command += [f"--{given}"] if value is True else [f"--{given}", str(value)]
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=STDERR) as child:
             try:
                 code = child.wait()
@@ -112,7 +131,8 @@ def _end_with(parent: int) -> None:
 
 def _extra(options: argparse.Namespace) -> dict[str, Any]:
     """The options that only some benchmarks take, as far as they were given."""
-    given = {name: getattr(options, name) for name in EXTRA}
+    given = {name: getattr(options, name) for (flag,), _ in CASE_OPTIONS
+             for name in [flag.removeprefix("--")]}
     return {name: value for name, value in given.items() if value not in (None, False)}
 
 
@@ -120,51 +140,13 @@ def _run_child(name: str, folder: Path, quick: bool, answer: Path, extra: dict[s
     sys.path.insert(0, str(folder.parent))
     module = importlib.import_module(f"{folder.name}.{name}")
     taken = inspect.signature(module.figures).parameters
-    for option in extra:
-        if option not in taken:
-            print(f"bench: benchmark {name} takes no --{option}: leave it out", file=sys.stderr)
+    for given in extra:
+        if given not in taken:
+            print(f"bench: benchmark {name} takes no --{given}: leave it out", file=sys.stderr)
             return 2
     figures = [figure.to_dict() for figure in module.figures(quick=quick, **extra)]
     answer.write_text(json.dumps(figures), "utf-8")
     return 0
-
-
-def table(figures: Sequence[Mapping[str, Any]]) -> str:
-    """The figures as aligned text, one line each."""
-    rows = [COLUMNS, *(_row(figure) for figure in figures)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS) - 1)]
-    lines = []
-    for row in rows:
-        cells = [
-            cell.rjust(width) if title in {"value", "peer value", "ratio"} else cell.ljust(width)
-            for cell, width, title in zip(row, widths, COLUMNS, strict=False)
-        ]
-        lines.append("  ".join([*cells, row[-1]]).rstrip())
-    return "\n".join(lines)
-
-
-def _row(figure: Mapping[str, Any]) -> tuple[str, ...]:
-    bar = _number(figure["bar"])
-    if figure.get("bar_kind") == "between":
-        bar = f"{bar} to {_number(figure['bar_to'])}"
-    elif figure.get("bar_kind"):
-        bar = f"{'>=' if figure['bar_kind'] == 'at least' else '<='} {bar}"
-    verdict = {True: "met", False: "MISSED", None: ""}[figure.get("met")]
-    return (
-        str(figure["key"]),
-        _number(figure["value"]) or "nan",
-        str(figure["unit"]),
-        bar,
-        verdict,
-        str(figure["peer"] or ""),
-        _number(figure["peer_value"]),
-        _number(figure["ratio"]),
-        str(figure["how"]),
-    )
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}" if abs(value) < 1e5 else f"{value:.0f}"
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -178,23 +160,10 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="which; all without a name")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write machine and figures")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write all of it as one page "
-                        "(.html)")
-    parser.add_argument("--from", dest="results", type=Path, action="append", default=[],
-                        metavar="FILE", help="measure nothing: take what --json wrote, several "
-                        "files together, and write the --page or print the table")
-    parser.add_argument("--quick", action="store_true", help="shorter runs, rougher figures")
-    parser.add_argument("--list", action="store_true", help="print the names and stop")
-    some = parser.add_argument_group("for benchmarks of many cases (diagnose)")
-    some.add_argument("--cases", type=int, metavar="N", help="how many cases")
-    some.add_argument("--seed", type=int, metavar="S", help="the seed they are drawn with")
-    some.add_argument("--resume", action="store_true", help="keep the cases answered already")
-    some.add_argument("--keep", type=Path, metavar="DIR", help="the folder of the answers")
-    some.add_argument("--jobs", type=int, metavar="N", help="how many processes at once")
-    parser.add_argument("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS)
-    parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
+    add_options(parser, OPTIONS)
+    add_options(parser.add_argument_group("for benchmarks of many cases (diagnose)"),
+                CASE_OPTIONS)
+    add_options(parser, HIDDEN_OPTIONS)
     return parser
 
 
@@ -293,6 +262,3 @@ def _shown(report: Mapping[str, Any], options: argparse.Namespace) -> int:
         print(f"page: {options.page}")
     return 1 if report["failed"] else 0
 
-
-if __name__ == "__main__":
-    sys.exit(main())

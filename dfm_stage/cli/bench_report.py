@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dfm_stage.cli.bench_table import Figure, cells
+from dfm_stage.quantity import format_number
 from dfm_stage.reporting import Page, new_figure, page_style
 from dfm_stage.reporting.table import Cell
-from dfm_stage.reporting.units import format_number
 
-Figure = Mapping[str, Any]
 TITLES = {
     "loop": "The node graph in real time", "lockstep": "The node graph in lockstep",
     "bags": "Reading bags", "simulate": "The simulator", "coverage": "Intervals that hold",
@@ -65,18 +65,7 @@ def write_page(figures: Sequence[Figure], path: Path, machine: Mapping[str, Any]
 
 
 def _cells(figure: Figure) -> list[Cell]:
-    return [str(figure["key"]), figure["value"], str(figure["unit"]), _bar(figure),
-            "" if figure.get("met") is None else "met" if figure["met"] else "MISSED",
-            str(figure["peer"] or ""), figure["peer_value"], figure["ratio"], str(figure["how"])]
-
-
-def _bar(figure: Figure) -> str:
-    if figure["bar"] is None:
-        return ""
-    bar = format_number(float(figure["bar"]))
-    if figure.get("bar_kind") == "between":
-        return f"{bar} to {format_number(float(figure['bar_to']))}"
-    return {"at least": "≥ ", "at most": "≤ "}.get(str(figure.get("bar_kind")), "") + bar
+    return cells(figure, format_number, "≥ ", "≤ ")
 
 
 def _margin(figure: Figure) -> float | None:
@@ -95,10 +84,8 @@ def _margins(figures: Sequence[Figure]) -> Any:
             axis.plot(margin, row, "o", color="C0" if each["met"] else "C1", markersize=6.0)
         axis.axvline(1.0, color="C2", linestyle="--", linewidth=1.0)
         low, high = (edge(_margin(each) or 1.0 for each in figures) for edge in (min, max))
-        axis.set_xscale("log")
-        axis.set_xlim(min(0.5, 0.8 * low), max(2.0, 1.25 * high))
+        axis.set(xscale="log", xlim=(min(0.5, 0.8 * low), max(2.0, 1.25 * high)),
+                 ylim=(-0.7, len(figures) - 0.3), xlabel="times the bar")
         axis.set_yticks(range(len(figures)),
                         [str(each["key"]).partition(".")[2] for each in reversed(figures)])
-        axis.set_ylim(-0.7, len(figures) - 0.3)
-        axis.set_xlabel("times the bar")
     return figure

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.cli.command import command_parser, finite, output_folder, run_command, write_output
+from dfm_stage.cli.command import (
+    NO_REPORT,
+    PROCESSES,
+    SEED,
+    command_parser,
+    dated_folder,
+    finite,
+    json_option,
+    option,
+    output_folder,
+    run_command,
+    write_json,
+)
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
-    from dfm_stage.identification.characterisation import Result
+    from dfm_stage.identification.characterisation import Characterisation
     from dfm_stage.model import Model
     from dfm_stage.recording import Record
 
@@ -24,29 +34,46 @@ examples:
   ./run characterize decay --model my_stage.yaml --out tests/decay
   ./run characterize static --bag runs/static
 """
+OPTIONS = (
+    option("kind", nargs="?", default="all", choices=(*KINDS, "all"),
+           help="what to do (default: all)"),
+    option("--model", metavar="FILE", help="model.yaml of the simulated stage, a path or a name "
+           "in config/models (default: paper_stage; with --bag the bag's own)"),
+    option("--experiment", metavar="FILE", help="another experiment of that kind than the one in "
+           "config/experiments"),
+    option("--bag", metavar="BAG", help="analyse this bag instead of recording one"),
+    option("--axis", metavar="NAME", help="axis, where the bag has several"),
+    option("--out", metavar="DIR", help="folder for characterize.json, report.html and the bags "
+           "(default: characterized/<date and time>)"),
+    SEED,
+    PROCESSES,
+    NO_REPORT,
+    json_option("characterize.json"),
+)
+RESPONSE = {
+    "numerator": "numerator", "damping, 2 zeta w": "damping", "stiffness, w^2": "stiffness",
+    "natural frequency": "natural_frequency", "damping ratio": "damping_ratio",
+    "static gain": "static_gain", "amplifier lag": "lag", "delay": "delay"}
+QUANTITIES: dict[str, dict[str, str]] = {
+    "static": {"stiffness": "stiffness", "largest distance from a line": "linearity",
+               "hysteresis loop": "hysteresis",
+               "hysteresis loop over the travel": "hysteresis_percent"},
+    "decay": {"logarithmic decrement": "decrement", "damping ratio": "damping",
+              "damping ratio, Eq. 2 as printed": "damping_as_printed",
+              "natural frequency": "natural_frequency",
+              "decrement of the first half": "early", "decrement of the second half": "late"},
+    "step": {"rise time, 10 to 90 %": "rise_time", "settling time, {band:g} %": "settling_time",
+             "overshoot": "overshoot", "time of the peak": "peak_time",
+             "damping ratio from the overshoot": "damping",
+             "natural frequency from the peak": "natural_frequency"},
+    "stepped_sine": RESPONSE, "multisine": RESPONSE,
+}
+"""What is told of each kind of experiment: words, and the attribute of its result."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run and analyse characterisation experiments; 0 done, 2 unusable input."""
-    parser = command_parser("characterize", __doc__, EPILOG)
-    parser.add_argument("kind", nargs="?", default="all", choices=(*KINDS, "all"),
-                        help="what to do (default: all)")
-    parser.add_argument("--model", metavar="FILE", help="model.yaml of the simulated stage, a "
-                        "path or a name in config/models (default: paper_stage; with --bag the "
-                        "bag's own)")
-    parser.add_argument("--experiment", metavar="FILE", help="another experiment of that kind "
-                        "than the one in config/experiments")
-    parser.add_argument("--bag", metavar="BAG", help="analyse this bag instead of recording one")
-    parser.add_argument("--axis", metavar="NAME", help="axis, where the bag has several")
-    parser.add_argument("--out", metavar="DIR", help="folder for characterize.json, report.html "
-                        "and the bags (default: characterized/<date and time>)")
-    parser.add_argument("--seed", type=int, default=0, help="fixes the noise (default: 0)")
-    parser.add_argument("--processes", action="store_true",
-                        help="one process per node instead of all in this one")
-    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
-    parser.add_argument("--json", action="store_true",
-                        help="print characterize.json, nothing else")
-    options = parser.parse_args(argv)
+    options = command_parser("characterize", __doc__, EPILOG, OPTIONS).parse_args(argv)
     return run_command(lambda: _characterize(options))
 
 
@@ -57,10 +84,10 @@ def _characterize(options: argparse.Namespace) -> int:
     from dfm_stage.identification.characterisation import characterise
     from dfm_stage.model import load_model
 
-    out = Path(options.out or f"characterized/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
+    out = dated_folder(options.out, "characterized")
     model = load_model(options.model or "paper_stage") if (
         options.model or not options.bag) else None
-    found: dict[str, tuple[Record, Result]] = {}
+    found: dict[str, tuple[Record, Characterisation]] = {}
     for kind in KINDS if options.kind == "all" else (options.kind,):
         record = _record(kind, options, out)
         used = model or _model_of(record)
@@ -74,8 +101,7 @@ def _characterize(options: argparse.Namespace) -> int:
                "records": {kind: record.provenance.source for kind, (record, _) in found.items()}}
     from dfm_stage.cli.characterize_report import write_report
     folder = output_folder(out)
-    text = json.dumps(finite(content), indent=1, allow_nan=False) + "\n"
-    write_output(folder / "characterize.json", text)
+    text = write_json(folder / "characterize.json", finite(content))
     if not options.no_report:
         write_report(found, folder / "report.html", model)
     if options.json:
@@ -113,36 +139,17 @@ def _model_of(record: Record) -> Model | None:
 
 def summary(kind: str, result: Any) -> list[tuple[str, Any]]:
     """Return what a result says, as (what, Quantity) pairs."""
-    if kind == "static":
-        return [("stiffness", result.stiffness),
-                ("largest distance from a line", result.linearity),
-                ("hysteresis loop", result.hysteresis),
-                ("hysteresis loop over the travel", result.hysteresis_percent)]
-    if kind == "decay":
-        return [("logarithmic decrement", result.decrement), ("damping ratio", result.damping),
-                ("damping ratio, Eq. 2 as printed", result.damping_as_printed),
-                ("natural frequency", result.natural_frequency),
-                ("decrement of the first half", result.early),
-                ("decrement of the second half", result.late)]
-    if kind == "step":
-        return [("rise time, 10 to 90 %", result.rise_time),
-                (f"settling time, {100 * result.band:g} %", result.settling_time),
-                ("overshoot", result.overshoot), ("time of the peak", result.peak_time),
-                ("damping ratio from the overshoot", result.damping),
-                ("natural frequency from the peak", result.natural_frequency)]
-    fit = result.constrained
-    return [("numerator", fit.numerator), ("damping, 2 zeta w", fit.damping),
-            ("stiffness, w^2", fit.stiffness), ("natural frequency", fit.natural_frequency),
-            ("damping ratio", fit.damping_ratio), ("static gain", fit.static_gain),
-            ("amplifier lag", fit.lag), ("delay", fit.delay)]
+    found = getattr(result, "constrained", result)
+    band = 100.0 * getattr(found, "band", 0.0)
+    return [(words.format(band=band), getattr(found, name))
+            for words, name in QUANTITIES[kind].items()]
 
 
 def _print(kind: str, result: Any) -> None:
-    from dfm_stage.reporting import format_quantity
 
     print(kind.replace("_", " "))
     for name, q in summary(kind, result):
-        print(f"  {name:<34} {format_quantity(q.value, q.unit, q.ci95)}")
+        print(f"  {name:<34} {q}")
     if kind == "decay":
         print(f"  over {result.cycles:g} cycles; from two extremes alone "
               f"{result.two_point:.6f}")
@@ -153,6 +160,3 @@ def _print(kind: str, result: Any) -> None:
             print("  a second mode stands out at "
                   f"{result.likely.plant.modes[1].natural_frequency_hz:.3f} Hz")
 
-
-if __name__ == "__main__":
-    raise SystemExit(main())

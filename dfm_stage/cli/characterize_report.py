@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dfm_stage.paper.figures import (
-    axis_of,
     curves_figure,
     decay_figure,
     response_figure,
     static_figure,
 )
-from dfm_stage.reporting import Page, Quantity, format_quantity
+from dfm_stage.reporting import Drawing, Page
 
 if TYPE_CHECKING:
     from dfm_stage.model import Model
@@ -22,6 +21,12 @@ if TYPE_CHECKING:
 TITLES = {"static": "Static test", "decay": "Free decay", "step": "Step response",
           "stepped_sine": "Frequency response, stepped sine",
           "multisine": "Frequency response, multisine"}
+LEADS = {"static": ("The stiffness is", "stiffness"),
+         "decay": ("The logarithmic decrement is", "decrement"),
+         "step": ("A step settles within", "settling_time"),
+         "stepped_sine": ("The stepped sine finds", "natural_frequency"),
+         "multisine": ("The multisine finds", "natural_frequency")}
+"""How the lead tells the figure of each kind that matters most, and which that is."""
 
 
 def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Model | None) -> None:
@@ -35,12 +40,11 @@ def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Mod
     from dfm_stage.cli.characterize import summary
 
     page = Page("Characterisation")
-    page.lead(" ".join(filter(None, map(_sentence, found.items()))))
+    page.lead(" ".join(_sentence(kind, result) for kind, (_, result) in found.items()))
     for kind, (record, result) in found.items():
         page.section(TITLES[kind])
-        page.table(("", "value"), [[name, Quantity(q.value, q.unit, q.ci95)]
-                                   for name, q in summary(kind, result)])
-        _plot(page, kind, record, result)
+        page.table(("", "value"), summary(kind, result))
+        page.figure(*_drawn(kind, record, result))
         for warning in record.warnings:
             page.note(warning)
     page.provenance({"Records": ", ".join(r.provenance.words for r, _ in found.values()),
@@ -48,31 +52,22 @@ def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Mod
     page.write(path)
 
 
-def _sentence(item: tuple[str, tuple[Record, Any]]) -> str:
-    kind, (_, result) = item
-    if kind == "static":
-        q = result.stiffness
-        return f"The stiffness is {format_quantity(q.value, q.unit, q.ci95)}."
-    if kind == "decay":
-        q = result.decrement
-        return f"The logarithmic decrement is {format_quantity(q.value, q.unit, q.ci95)}."
-    if kind == "step":
-        q = result.settling_time
-        return f"A step settles within {format_quantity(q.value, q.unit, q.ci95)}."
-    q = result.constrained.natural_frequency
-    return f"The {kind.replace('_', ' ')} finds {format_quantity(q.value, q.unit, q.ci95)}."
+def _sentence(kind: str, result: Any) -> str:
+    words, name = LEADS[kind]
+    q = getattr(getattr(result, "constrained", result), name)
+    return f"{words} {q}."
 
 
-def _plot(page: Page, kind: str, record: Record, result: Any) -> None:
+def _drawn(kind: str, record: Record, result: Any) -> tuple[Drawing, str]:
+    """Return the figure of an experiment and its caption."""
     data = record.axis(None if len(record.axes) == 1 else next(iter(record.axes)))
     if kind == "static":
-        page.figure(static_figure(result), "Force over deflection, and each level's distance "
-                    "from a straight line")
-    elif kind == "decay":
-        page.figure(decay_figure(data.position, record.sample_period, result),
-                    "The stage let go, its extremes and the fitted envelope")
-    elif kind == "step":
-        page.figure(curves_figure({"position": axis_of(record)}, "position (mm)"),
-                    "Answer to a voltage switched on")
-    else:
-        page.figure(response_figure(result), "Frequency response, measured and fitted")
+        return static_figure(result), ("Force over deflection, and each level's distance from a "
+                                       "straight line")
+    if kind == "decay":
+        return (decay_figure(data.position, record.sample_period, result),
+                "The stage let go, its extremes and the fitted envelope")
+    if kind == "step":
+        return (curves_figure({"position": (record.time, record.axis(None).position)},
+                              "position (mm)"), "Answer to a voltage switched on")
+    return response_figure(result), "Frequency response, measured and fitted"

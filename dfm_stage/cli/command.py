@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import math
 import sys
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,7 @@ from dfm_stage.files import write_whole
 if TYPE_CHECKING:
     from dfm_stage.recording import Record
 
-_COLUMNS = ("time", "input", "output")
+Option = tuple[tuple[str, ...], dict[str, Any]]
 _made: list[Path] = []
 
 
@@ -38,20 +40,44 @@ def run_command(work: Callable[[], int], stopped: str = "stopped") -> int:
                 _made.pop(0).rmdir()
 
 
-def command_parser(name: str, description: str | None, epilog: str) -> argparse.ArgumentParser:
-    """A parser whose help ends with examples, set as they are written."""
-    return argparse.ArgumentParser(prog=name, description=description, epilog=epilog,
-                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+def option(*flags: str, **settings: Any) -> Option:
+    """Return an option or argument of a command, as `ArgumentParser.add_argument` takes it."""
+    return flags, settings
+
+
+def json_option(file: str) -> Option:
+    """Return the option that prints a command's result as JSON."""
+    return option("--json", action="store_true", help=f"print {file}, nothing else")
+
+
+SEED = option("--seed", type=int, default=0, help="fixes the noise (default: 0)")
+PROCESSES = option("--processes", action="store_true",
+                   help="one process per node instead of all in this one")
+NO_REPORT = option("--no-report", action="store_true", help="do not write report.html")
+COLUMNS = (*(option(f"--{name}", metavar="COLUMN") for name in ("time", "input", "output")),
+           *(option(f"--{name}-unit", metavar="UNIT") for name in ("time", "input", "output")),
+           option("--sample-period", type=float, metavar="SECONDS"))
+"""What `read_with` needs to know of a foreign CSV file."""
+
+
+def command_parser(name: str, description: str | None, epilog: str,
+                   options: Sequence[Option] = ()) -> argparse.ArgumentParser:
+    """A parser of these options whose help ends with examples, set as they are written."""
+    parser = argparse.ArgumentParser(prog=name, description=description, epilog=epilog,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_options(parser, options)
+    return parser
+
+
+def add_options(parser: argparse._ActionsContainer, options: Sequence[Option]) -> None:
+    """Add options to a parser or to a group of its options."""
+    for flags, settings in options:
+        parser.add_argument(*flags, **settings)
 
 
 def add_column_options(parser: argparse.ArgumentParser) -> None:
-    """Add what `read_with` needs to know of a foreign CSV file."""
-    table = parser.add_argument_group("CSV files with other column names")
-    for name in _COLUMNS:
-        table.add_argument(f"--{name}", metavar="COLUMN")
-    for name in _COLUMNS:
-        table.add_argument(f"--{name}-unit", metavar="UNIT")
-    table.add_argument("--sample-period", type=float, metavar="SECONDS")
+    """Add `COLUMNS`, as a group of their own."""
+    add_options(parser.add_argument_group("CSV files with other column names"), COLUMNS)
 
 
 def read_with(options: argparse.Namespace, path: str, axis: str | None = None) -> Record:
@@ -93,6 +119,11 @@ def output_folder(path: str | Path) -> Path:
     return out
 
 
+def dated_folder(given: str | None, kind: str) -> Path:
+    """The folder that was given, else one of this kind that is named by date and time."""
+    return Path(given or f"{kind}/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
+
+
 def new_folder(path: str | Path) -> Path:
     """Make a folder for results, or take an empty one.
 
@@ -120,6 +151,19 @@ def write_output(path: Path, text: str) -> None:
     except OSError as error:
         raise DfmError(f"{path}: cannot be written ({error.strerror}); choose another folder "
                        "with --out") from None
+
+
+def write_json(path: Path, content: Any) -> str:
+    """Write a result as JSON, whole or not at all, and return the text.
+
+    Raises
+    ------
+    DfmError
+        If it cannot be written.
+    """
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    write_output(path, text)
+    return text
 
 
 def finite(value: Any) -> Any:

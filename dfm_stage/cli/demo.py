@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dfm_stage.cli.command import command_parser, new_folder, run_command
+from dfm_stage.cli.command import (
+    PROCESSES,
+    SEED,
+    command_parser,
+    dated_folder,
+    new_folder,
+    option,
+    run_command,
+)
 from dfm_stage.cli.progress import Progress
 from dfm_stage.errors import DfmError
 
@@ -24,21 +31,20 @@ LARGE_MULTISINE = {
         "kind": "multisine", "amplitude_v": 0.8, "low_hz": 1.0, "high_hz": 70.0, "period_s": 8.0,
         "odd": True, "detection_lines": True}}}}
 EPILOG = "example:\n  ./run demo --out my_demo"
+OPTIONS = (
+    option("--out", metavar="DIR", help="new folder for bags and pages (default: demo/<date and "
+           "time>)"),
+    option("--model", default="paper_stage", help="model.yaml of the simulated stage, a path or a "
+           "name in config/models (default: %(default)s)"),
+    SEED,
+    PROCESSES,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the demonstration; 0 when it worked, 2 with one line when it could not."""
-    parser = command_parser("demo", __doc__, EPILOG)
-    parser.add_argument("--out", metavar="DIR", help="new folder for bags and pages "
-                        "(default: demo/<date and time>)")
-    parser.add_argument("--model", default="paper_stage",
-                        help="model.yaml of the simulated stage, a path or a name in "
-                        "config/models (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="fixes the noise (default: 0)")
-    parser.add_argument("--processes", action="store_true",
-                        help="one process per node instead of all in this one")
-    options = parser.parse_args(argv)
-    out = Path(options.out or f"demo/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
+    options = command_parser("demo", __doc__, EPILOG, OPTIONS).parse_args(argv)
+    out = dated_folder(options.out, "demo")
     return run_command(
         lambda: _demo(out, options.model, options.seed, not options.processes),
         stopped=f"stopped; what was recorded is in {out}")
@@ -134,15 +140,12 @@ def _gains(model: Path) -> dict[str, float | str]:
 
 
 def _show_scans(bags: dict[str, Path], picture: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     from dfm_stage.recording import read_record
 
-    figure, axes = plt.subplots(1 + len(bags), 1, sharex=True, figsize=(8, 6), dpi=120,
-                                constrained_layout=True)
+    figure = Figure(figsize=(8, 6), dpi=120, layout="constrained")
+    axes = figure.subplots(1 + len(bags), 1, sharex=True)
     print(f"   {'tracking error':24} {'line RMS':>12} {'line peak':>12} {'turn peak':>12}   um")
     for index, (label, bag) in enumerate(bags.items()):
         record = read_record(bag)
@@ -169,4 +172,3 @@ def _show_scans(bags: dict[str, Path], picture: Path) -> None:
     for each in axes:
         each.grid(alpha=0.3)
     figure.savefig(picture)
-    plt.close(figure)

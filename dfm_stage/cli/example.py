@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dfm_stage.cli.command import command_parser, output_folder, run_command
+from dfm_stage.cli.command import command_parser, option, output_folder, run_command
 
 if TYPE_CHECKING:
     from dfm_stage.recording import Record
@@ -27,18 +27,18 @@ examples:
 then:
   ./run diagnose example/multisine.csv --holdout example/sweep.csv --model example/model.yaml
 """
+OPTIONS = (
+    option("folder", nargs="?", default="example", metavar="DIR",
+           help="folder to write to (default: %(default)s)"),
+    option("--format", choices=FORMATS, default="csv",
+           help="CSV, MATLAB .mat, or .mat as dSPACE exports it (default: %(default)s)"),
+    option("--seed", type=int, default=1, help="fixes the noise (default: 1)"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the files; 0 done, 2 where they cannot be written."""
-    parser = command_parser("example", __doc__, EPILOG)
-    parser.add_argument("folder", nargs="?", default="example", metavar="DIR",
-                        help="folder to write to (default: %(default)s)")
-    parser.add_argument("--format", choices=FORMATS, default="csv",
-                        help="CSV, MATLAB .mat, or .mat as dSPACE exports it (default: "
-                        "%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="fixes the noise (default: 1)")
-    options = parser.parse_args(argv)
+    options = command_parser("example", __doc__, EPILOG, OPTIONS).parse_args(argv)
     return run_command(lambda: _write(output_folder(options.folder), options.format,
                                       options.seed))
 
@@ -93,6 +93,3 @@ def _write_dspace(record: Record, path: Path) -> None:
     except OSError as error:
         raise write_error(path, error) from None
 
-
-if __name__ == "__main__":
-    raise SystemExit(main())

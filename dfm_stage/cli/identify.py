@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dfm_stage.cli.command import (
+    NO_REPORT,
     add_column_options,
+    add_options,
     command_parser,
     finite,
+    json_option,
     names_in,
+    option,
     output_folder,
     read_with,
     run_command,
-    write_output,
+    write_json,
 )
 from dfm_stage.cli.progress import steps
 from dfm_stage.errors import DfmError
@@ -35,45 +38,41 @@ examples:
   ./run identify log.csv --time t --input iq --output theta --input-unit A --output-unit rad
 """
 FEWEST_SAMPLES = 100
+"""A shorter record is refused: it holds too little of a stage's motion to fit a noise model to."""
+OPTIONS = (
+    option("bags", nargs="*", metavar="BAG",
+           help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together"),
+    option("--record", action="append", default=[], metavar="BAG",
+           help="one more record to fit, as BAG"),
+    option("--holdout", action="append", default=[], metavar="BAG",
+           help="a record to predict and not to fit; without one, the last quarter of the first "
+           "record"),
+    option("--out", default="identified", metavar="DIR",
+           help="folder for identify.json, model.yaml and report.html (default: %(default)s)"),
+    option("--axis", metavar="NAME", help="axis, where a record has several"),
+    option("--model", metavar="FILE",
+           help="model.yaml to start from, a path or a name in config/models (default: second "
+           "order behind amplifier lag and delay)"),
+    option("--free", action="append", default=[], metavar="NAME[,NAME]",
+           help="estimate these as well: a parameter (mass, cubic_stiffness.k3) or an effect"),
+    option("--only", action="append", default=[], metavar="NAME[,NAME]",
+           help="estimate these and nothing else"),
+    option("--fix", action="append", default=[], metavar="NAME[=VALUE]",
+           help="hold a parameter, at VALUE if given"),
+    option("--noise", choices=("auto", "white"), default="auto",
+           help="noise model: an autoregression of fitting order, or white"),
+    option("--skip", type=float, default=0.0, metavar="SECONDS",
+           help="leave out the start of each record"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Identify from bags or CSV files; 0 done, 1 no model found, 2 unusable input."""
-    options = _parser().parse_args(argv)
-    return run_command(lambda: _identify(options))
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("identify", __doc__, EPILOG)
-    parser.add_argument("bags", nargs="*", metavar="BAG",
-                        help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together")
-    parser.add_argument("--record", action="append", default=[], metavar="BAG",
-                        help="one more record to fit, as BAG")
-    parser.add_argument("--holdout", action="append", default=[], metavar="BAG",
-                        help="a record to predict and not to fit; without one, the last quarter "
-                        "of the first record")
-    parser.add_argument("--out", default="identified", metavar="DIR",
-                        help="folder for identify.json, model.yaml and report.html "
-                        "(default: %(default)s)")
-    parser.add_argument("--axis", metavar="NAME", help="axis, where a record has several")
-    parser.add_argument("--model", metavar="FILE",
-                        help="model.yaml to start from, a path or a name in config/models "
-                        "(default: second order behind amplifier lag and delay)")
-    parser.add_argument("--free", action="append", default=[], metavar="NAME[,NAME]",
-                        help="estimate these as well: a parameter (mass, cubic_stiffness.k3) or "
-                        "an effect")
-    parser.add_argument("--only", action="append", default=[], metavar="NAME[,NAME]",
-                        help="estimate these and nothing else")
-    parser.add_argument("--fix", action="append", default=[], metavar="NAME[=VALUE]",
-                        help="hold a parameter, at VALUE if given")
-    parser.add_argument("--noise", choices=("auto", "white"), default="auto",
-                        help="noise model: an autoregression of fitting order, or white")
-    parser.add_argument("--skip", type=float, default=0.0, metavar="SECONDS",
-                        help="leave out the start of each record")
+    parser = command_parser("identify", __doc__, EPILOG, OPTIONS)
     add_column_options(parser)
-    parser.add_argument("--json", action="store_true", help="print identify.json, nothing else")
-    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
-    return parser
+    add_options(parser, (json_option("identify.json"), NO_REPORT))
+    options = parser.parse_args(argv)
+    return run_command(lambda: _identify(options))
 
 
 def _identify(options: argparse.Namespace) -> int:
@@ -96,8 +95,7 @@ def _identify(options: argparse.Namespace) -> int:
         found = identify(sources[:len(paths)], model=model, free=free, fixed=fixed,
                          holdout=sources[len(paths):], noise=options.noise, step=step)
         step("report")
-        result = _result(found, names)
-        write_output(out / "identify.json", json.dumps(result, indent=1, allow_nan=False) + "\n")
+        text = write_json(out / "identify.json", {**finite(found.to_dict()), "records": names})
         save_model(_signed(found, paths), out / "model.yaml")
         if not options.no_report:
             from dfm_stage.cli.identify_report import write_report
@@ -105,7 +103,7 @@ def _identify(options: argparse.Namespace) -> int:
             write_report(found, out / "report.html",
                          [record.provenance.words for record in records])
     if options.json:
-        print(json.dumps(result, indent=1, allow_nan=False))
+        print(text, end="")
     else:
         _print(found, out, not options.no_report)
     if not found.estimate.ok:
@@ -154,10 +152,6 @@ def _fixed(item: str) -> tuple[str, float | None]:
     return name.strip(), value
 
 
-def _result(found: Identification, paths: Sequence[str]) -> dict[str, Any]:
-    return {**finite(found.to_dict()), "records": list(paths)}
-
-
 def _signed(found: Identification, paths: Sequence[str]) -> Model:
     """Return the model with where it comes from and how well its parameters are known."""
     from dataclasses import replace
@@ -171,13 +165,11 @@ def _signed(found: Identification, paths: Sequence[str]) -> Model:
 def _print(found: Identification, out: Path, report: bool) -> None:
     from dfm_stage.reporting import format_number, format_quantity
 
-    rows = [("natural frequency", found.natural_frequency_hz),
-            ("damping ratio", found.damping_ratio),
-            ("gain", found.gain), *found.estimate.quantities().items()]
-    wide = max(len(name) for name, _ in rows)
-    for name, q in rows:
+    rows = {**found.headline, **found.estimate.quantities()}
+    wide = max(map(len, rows))
+    for name, q in rows.items():
         if math.isfinite(q.value):
-            print(f"  {name:<{wide}}  {format_quantity(q.value, q.unit, q.ci95)}")
+            print(f"  {name:<{wide}}  {q}")
     for name, value in found.estimate.held.items():
         unit = found.model.parameter(name).unit
         print(f"  {name:<{wide}}  {format_quantity(value, unit)} (held)")
@@ -193,8 +185,7 @@ def _print(found: Identification, out: Path, report: bool) -> None:
     if found.paper:
         print("  beside the paper's G(s) = 1/(s^2 + 1.705 s + 600.7):")
         for row in found.paper:
-            ours = format_quantity(row.ours.value, row.ours.unit, row.ours.ci95)
-            print(f"    {row.symbol:<4} {ours}, paper {row.paper:g}, "
+            print(f"    {row.symbol:<4} {row.ours}, paper {row.paper:g}, "
                   f"{format_number(row.deviation_percent)} %")
     for test in found.tests:
         print(f"  residual {test.name.replace('_', ' ')}: {test.text} (p = {test.p_value:.2g})")
@@ -203,6 +194,3 @@ def _print(found: Identification, out: Path, report: bool) -> None:
     pages = "identify.json, model.yaml" + (", report.html" if report else "")
     print(f"  {pages} in {out}")
 
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.model_fit import linear_plant
 from dfm_stage.identification.paper import PAPER_MODE
 from dfm_stage.identification.plant import LinearPlant
-from dfm_stage.identification.quantity import Quantity as Found
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -30,12 +29,16 @@ from dfm_stage.reporting import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from dfm_stage.identification.frequency_response import Distortion
     from dfm_stage.identification.residuals import LineResidual, ResidualTest
     from dfm_stage.identification.workflow import Identification
     from dfm_stage.reporting.table import Cell
 
-Array = NDArray[np.float64]
 CURVE_POINTS = 600
+SHARP = 0.25
+"""Damping ratio below which the curve has more points about a resonance."""
+EXPLAINED = 1.2
+"""RMS left over, times the noise floor, up to which the page says that the model explains all."""
 
 
 def write_report(found: Identification, path: Path, records: Sequence[str]) -> None:
@@ -59,27 +62,20 @@ def write_report(found: Identification, path: Path, records: Sequence[str]) -> N
     page.write(path)
 
 
-def _shown(q: Found) -> Quantity:
-    return Quantity(q.value, q.unit, q.ci95)
-
-
 def _lead(page: Page, found: Identification) -> None:
     first = found.evaluations[0]
     unit = found.sources[0].axis.position_unit
     ratio = first.fit.rms / first.floor.rms if first.floor.rms > 0.0 else math.inf
-    gain = format_quantity(found.gain.value, found.gain.unit, found.gain.ci95)
     if math.isfinite(found.natural_frequency_hz.value):
-        q, z = found.natural_frequency_hz, found.damping_ratio
-        said = (f"The stage resonates at {format_quantity(q.value, q.unit, q.ci95)} with a "
-                f"damping ratio of {format_quantity(z.value, z.unit, z.ci95)}; its static gain is "
-                f"{gain}.")
+        said = (f"The stage resonates at {found.natural_frequency_hz} with a damping ratio of "
+                f"{found.damping_ratio}; its static gain is {found.gain}.")
     else:
-        said = f"The stage has no spring; its gain is {gain}."
+        said = f"The stage has no spring; its gain is {found.gain}."
     said += (f" What the model leaves over is {format_quantity(first.fit.rms, unit)} RMS, "
              f"{ratio:.2f} times the noise floor.")
     if not found.estimate.ok:
         page.lead(said, found.estimate.status.replace("_", " "), "bad")
-    elif ratio > 1.2:
+    elif ratio > EXPLAINED:
         page.lead(said, "something is missing", "warn")
     else:
         page.lead(said, "explained", "good")
@@ -90,23 +86,21 @@ def _lead(page: Page, found: Identification) -> None:
 def _numbers(page: Page, found: Identification) -> None:
     page.section("Parameters", "Values with 95 % intervals, which account for the colour of the "
                  "noise. " + _sentence(found.estimate.identifiability.text))
-    rows: list[list[Cell]] = [
-        [name, _shown(q), ""] for name, q in
-        (("natural frequency", found.natural_frequency_hz), ("damping ratio", found.damping_ratio),
-         ("gain", found.gain)) if math.isfinite(q.value)]
-    rows += [[name, _shown(q), "estimated"] for name, q in found.estimate.quantities().items()]
+    rows: list[list[Cell]] = [[name, q, ""] for name, q in found.headline.items()
+                              if math.isfinite(q.value)]
+    rows += [[name, q, "estimated"] for name, q in found.estimate.quantities().items()]
     rows += [[name, Quantity(value, found.model.parameter(name).unit), "held"]
              for name, value in found.estimate.held.items()]
     page.table(("quantity", "value", ""), rows)
     if found.paper:
         page.table(("coefficient", "paper", "ours", "deviation (%)"),
-                   [[row.symbol, row.paper, _shown(row.ours), row.deviation_percent]
+                   [[row.symbol, row.paper, row.ours, row.deviation_percent]
                     for row in found.paper],
                    "Beside the paper's G(s) = 1/(s² + 1.705 s + 600.7), read as "
                    "b / (s² + c/m s + k/m)")
     if found.transfer_function is not None:
         fit = found.transfer_function
-        page.table(("coefficient", "value"), [[n, _shown(fit.quantity(n))] for n in fit.names],
+        page.table(("coefficient", "value"), [[n, fit.quantity(n)] for n in fit.names],
                    "Cross-check: the transfer function fitted to the frequency response alone, "
                    f"misfit {fit.misfit:.2f} (1 = down to the noise)")
 
@@ -114,16 +108,14 @@ def _numbers(page: Page, found: Identification) -> None:
 def _bode(page: Page, found: Identification) -> None:
     if not found.responses:
         return
-    source = found.sources[0]
-    drawn: list[Response] = []
-    low, high = math.inf, 0.0
-    for measured in found.responses:
-        name = "measured" if len(found.responses) == 1 else f"measured {len(drawn) + 1}"
-        drawn.append(Response(name, measured.frequency_hz, measured.response,
-                              np.sqrt(measured.variance), True))
-        low, high = min(low, measured.frequency_hz[0]), max(high, measured.frequency_hz[-1])
-    frequency = np.geomspace(low, high, CURVE_POINTS)
-    frequency = np.sort(np.concatenate((frequency, _near_resonance(found, low, high))))
+    source, many = found.sources[0], len(found.responses) > 1
+    drawn = [Response(f"measured {number}" if many else "measured", measured.frequency_hz,
+                      measured.response, np.sqrt(measured.variance), True)
+             for number, measured in enumerate(found.responses, start=1)]
+    low = min(float(measured.frequency_hz[0]) for measured in found.responses)
+    high = max(float(measured.frequency_hz[-1]) for measured in found.responses)
+    frequency = np.sort(np.concatenate((np.geomspace(low, high, CURVE_POINTS),
+                                        _near_resonance(found, low, high))))
     omega = 2.0 * math.pi * frequency
     plant = linear_plant(found.model)
     drawn.append(Response("model", frequency,
@@ -140,27 +132,25 @@ def _bode(page: Page, found: Identification) -> None:
                  "lag and the delay, the paper's G(s) with ours.")
     page.figure(bode_figure(drawn, unit=first.unit), "Magnitude and phase, measured and modelled")
     if first.distortion is not None:
-        rows = []
-        for kind in ("odd", "even"):
-            level = getattr(first.distortion, kind)
-            if level is None:
-                continue
-            decibel = first.distortion.decibel(kind)
-            rows.append([kind, Quantity(level, first.output_unit),
-                         Quantity(first.distortion.noise, first.output_unit),
-                         decibel if decibel is not None and math.isfinite(decibel) else None,
-                         first.distortion.significant(kind)])
         page.table(("lines not excited", "level", "noise alone", "over excited lines (dB)",
-                    "distortion"), rows)
+                    "distortion"), _distortion_rows(first.distortion, first.output_unit))
+
+
+def _distortion_rows(found: Distortion, unit: str) -> list[list[Cell]]:
+    levels = {"odd": found.odd, "even": found.even}
+    return [[kind, Quantity(level, unit), Quantity(found.noise, unit),
+             decibel if decibel is not None and math.isfinite(decibel) else None,
+             found.significant(kind)]
+            for kind, level in levels.items() if level is not None
+            for decibel in [found.decibel(kind)]]
 
 
 def _near_resonance(found: Identification, low: float, high: float) -> Array:
-    points = [mode.natural_frequency_hz * (1.0 + mode.damping_ratio * np.linspace(-4.0, 4.0, 41))
-              for mode in linear_plant(found.model).modes
-              if mode.stiffness > 0.0 and mode.damping_ratio < 0.25]
-    if not points:
-        return np.empty(0)
-    near = np.concatenate(points)
+    widths = np.linspace(-4.0, 4.0, 41)
+    near = np.concatenate([np.empty(0), *(
+        mode.natural_frequency_hz * (1.0 + mode.damping_ratio * widths)
+        for mode in linear_plant(found.model).modes
+        if mode.stiffness > 0.0 and mode.damping_ratio < SHARP)])
     return np.asarray(near[(near > low) & (near < high)])
 
 
@@ -216,12 +206,10 @@ def _line_figure(lines: LineResidual) -> Drawing:
     with page_style():
         axis.semilogx(lines.frequency_hz, lines.ratio, "o", color="C0", markersize=3.0)
         axis.axhline(lines.band, color="C1", linewidth=1.0)
-        axis.set_yscale("log")
+        axis.set(yscale="log", xlabel="frequency (Hz)", ylabel="power ratio")
         for each in (axis.xaxis, axis.yaxis):
             each.set_major_formatter(lambda value, _: f"{value:g}")
             each.set_minor_formatter("")
-        axis.set_ylabel("power ratio")
-        axis.set_xlabel("frequency (Hz)")
     worst = int(np.argmax(lines.ratio))
     return Drawing(figure, Table(
         ("", "frequency (Hz)", "ratio"),

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import json
+import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.cli.command import command_parser, new_folder, run_command, write_output
+from dfm_stage.cli.command import (
+    PROCESSES,
+    SEED,
+    command_parser,
+    dated_folder,
+    json_option,
+    new_folder,
+    option,
+    run_command,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from dfm_stage.model import Model
@@ -27,26 +36,25 @@ examples:
   ./run paper --quick --out quick
   ./run paper --model my_stage.yaml
 """
+OPTIONS = (
+    *(option(name, default=default, metavar="FILE", help=f"model.yaml of {what}, a path or a name "
+             "in config/models (default: %(default)s)") for name, default, what in (
+        ("--model", "paper_stage", "the stage"),
+        ("--two-mode-model", "paper_two_mode", "the stage of the LQR section"),
+        ("--xy-model", "xy_stage", "the XY stage"))),
+    option("--out", metavar="DIR", help="new folder for paper.json, report.html and the bags "
+           "(default: paper/<date and time>)"),
+    SEED,
+    option("--quick", action="store_true", help="simulate the stage directly instead of through "
+           "the node graph: same signals and analysis, no bags"),
+    PROCESSES,
+    json_option("paper.json"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Compare with the paper; 0 done, 2 unusable input."""
-    parser = command_parser("paper", __doc__, EPILOG)
-    for option, default, what in (
-            ("--model", "paper_stage", "the stage"),
-            ("--two-mode-model", "paper_two_mode", "the stage of the LQR section"),
-            ("--xy-model", "xy_stage", "the XY stage")):
-        parser.add_argument(option, default=default, metavar="FILE", help=f"model.yaml of {what}, "
-                            "a path or a name in config/models (default: %(default)s)")
-    parser.add_argument("--out", metavar="DIR", help="new folder for paper.json, report.html and "
-                        "the bags (default: paper/<date and time>)")
-    parser.add_argument("--seed", type=int, default=0, help="fixes the noise (default: 0)")
-    parser.add_argument("--quick", action="store_true", help="simulate the stage directly instead "
-                        "of through the node graph: same signals and analysis, no bags")
-    parser.add_argument("--processes", action="store_true",
-                        help="one process per node instead of all in this one")
-    parser.add_argument("--json", action="store_true", help="print paper.json, nothing else")
-    options = parser.parse_args(argv)
+    options = command_parser("paper", __doc__, EPILOG, OPTIONS).parse_args(argv)
     return run_command(lambda: _paper(options))
 
 
@@ -59,20 +67,17 @@ def _paper(options: argparse.Namespace) -> int:
     from dfm_stage.paper.workflow import NAMES, STEPS, Models, compare
     from dfm_stage.trajectory import load_experiment
 
-    out = Path(options.out or f"paper/{datetime.now().astimezone():%Y%m%d_%H%M%S}")
     models = Models(load_model(options.model), load_model(options.two_mode_model),
                     load_model(options.xy_model))
     experiments = {name: load_experiment(find_experiment(name)) for name in NAMES}
-    folder = new_folder(out)
+    folder = new_folder(dated_folder(options.out, "paper"))
     stage = (DirectStage(options.seed) if options.quick else
              GraphStage(folder, options.seed, not options.processes))
     started = time.monotonic()
-    count = 0
+    numbers = itertools.count(1)
 
     def step(name: str) -> None:
-        nonlocal count
-        count += 1
-        print(f"[{count:2d}/{STEPS}, {time.monotonic() - started:4.0f} s] {name}",
+        print(f"[{next(numbers):2d}/{STEPS}, {time.monotonic() - started:4.0f} s] {name}",
               file=sys.stderr, flush=True)
 
     # Half as many elements per blade are 0.4 % stiffer.
@@ -80,8 +85,7 @@ def _paper(options: argparse.Namespace) -> int:
     seconds = time.monotonic() - started
     used = {"model": models.stage.name, "two_mode_model": models.two_mode.name,
             "xy_model": models.xy.name, "records": stage.description}
-    text = json.dumps(as_json(found.rows, used), indent=1, allow_nan=False) + "\n"
-    write_output(folder / "paper.json", text)
+    text = write_json(folder / "paper.json", as_json(found.rows, used))
     write_page(found, folder / "report.html",
                {**used, "Seed": options.seed, "Took": f"{seconds:.0f} s"})
     if options.json:
@@ -125,10 +129,7 @@ class GraphStage:
 
     def _free(self, name: str) -> Path:
         """Return a folder for a bag that is not there yet."""
-        path, number = self.folder / "bags" / name, 1
-        while path.exists():
-            number += 1
-            path = self.folder / "bags" / f"{name}_{number}"
+        path = next(path for path in _numbered(self.folder / "bags", name) if not path.exists())
         path.parent.mkdir(exist_ok=True)
         return path
 
@@ -136,17 +137,19 @@ class GraphStage:
         """Write a model beside the bags, once for each different one, and return its path."""
         from dfm_stage.model import load_model, save_model
 
-        models = self.folder / "models"
+        bare, models = replace(model, document=None), self.folder / "models"
         models.mkdir(exist_ok=True)
-        number = 1
-        while True:
-            path = models / f"{model.name}{'' if number == 1 else f'_{number}'}.yaml"
-            if not path.exists():
-                save_model(replace(model, document=None), path)
-                return str(path.resolve())
-            if replace(load_model(path), document=None) == replace(model, document=None):
-                return str(path.resolve())
-            number += 1
+        path = next(path for path in _numbered(models, model.name, ".yaml") if not path.exists()
+                    or replace(load_model(path), document=None) == bare)
+        if not path.exists():
+            save_model(bare, path)
+        return str(path.resolve())
+
+
+def _numbered(folder: Path, name: str, suffix: str = "") -> Iterator[Path]:
+    """Yield name, name_2, name_3 and so on in a folder."""
+    return (folder / f"{name}{'' if number == 1 else f'_{number}'}{suffix}"
+            for number in itertools.count(1))
 
 
 def _print(found: Comparison, seconds: float) -> None:
@@ -169,6 +172,3 @@ def _print(found: Comparison, seconds: float) -> None:
     print(f"* follows from printed numbers. {len(found.rows)} rows: {within} within 1 %, "
           f"{outside} further off, {without} without a number in the paper; {seconds:.0f} s")
 
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -45,8 +45,8 @@ class Progress:
         filled = round(_BAR * min(1.0, fraction))
         bar = "#" * filled + "." * (_BAR - filled)
         text = f"{self._what} [{bar}] {100 * fraction:3.0f} %{left}"
-        self._stream.write(f"\r{text:<79}" if self._terminal else f"{text}\n")
-        self._stream.flush()
+        print(f"\r{text:<79}" if self._terminal else f"{text}\n", end="", file=self._stream,
+              flush=True)
 
     def __enter__(self) -> Progress:
         return self
@@ -54,8 +54,7 @@ class Progress:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
                  traceback: TracebackType | None) -> None:
         if self._terminal and self._said:
-            self._stream.write("\r" + " " * 79 + "\r")
-            self._stream.flush()
+            print("\r" + " " * 79, end="\r", file=self._stream, flush=True)
 
 
 @contextmanager
@@ -75,8 +74,7 @@ def steps(what: str, quiet: bool = False, stream: TextIO | None = None
     def draw() -> None:
         nonlocal shown
         text = f"{what}: {name}, {time.monotonic() - begun:.0f} s"
-        out.write(f"\r{text:<{shown}}")
-        out.flush()
+        print(f"\r{text:<{shown}}", end="", file=out, flush=True)
         shown = len(text)
 
     def tick() -> None:
@@ -89,8 +87,7 @@ def steps(what: str, quiet: bool = False, stream: TextIO | None = None
         if live:
             draw()
         elif not quiet and time.monotonic() - begun > _FIRST_AFTER_S:
-            out.write(f"{what}: {name}\n")
-            out.flush()
+            print(f"{what}: {name}", file=out, flush=True)
 
     thread = threading.Thread(target=tick, daemon=True)
     if live:
@@ -101,5 +98,4 @@ def steps(what: str, quiet: bool = False, stream: TextIO | None = None
         finished.set()
         if live:
             thread.join()
-            out.write(f"\r{'':<{shown}}\r")
-            out.flush()
+            print(f"\r{'':<{shown}}", end="\r", file=out, flush=True)

@@ -6,9 +6,8 @@ import argparse
 import signal
 from collections.abc import Sequence
 
-from dfm_stage.cli.command import command_parser, run_command
+from dfm_stage.cli.command import command_parser, option, run_command
 
-PORT = 8042
 EPILOG = """\
 examples:
   ./run view                       # then open http://127.0.0.1:8042/
@@ -16,16 +15,17 @@ examples:
 The page finds every axis of the ROS domain by itself, before or after it was opened, and shows
 30 frames a second. Escape disarms all axes. config/foxglove/stage.json is the same for Foxglove.
 """
+OPTIONS = (
+    option("--port", type=int, default=8042, metavar="N",
+           help="port of 127.0.0.1, 0 for any (default: %(default)s)"),
+    option("--watch-only", action="store_true", help="no button but disarm"),
+    option("--open", action="store_true", help="open it in the browser"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until Ctrl-C (130) or SIGTERM (0); 2 where the port is taken."""
-    parser = command_parser("view", __doc__, EPILOG)
-    parser.add_argument("--port", type=int, default=PORT, metavar="N",
-                        help="port of 127.0.0.1, 0 for any (default: %(default)s)")
-    parser.add_argument("--watch-only", action="store_true", help="no button but disarm")
-    parser.add_argument("--open", action="store_true", help="open it in the browser")
-    options = parser.parse_args(argv)
+    options = command_parser("view", __doc__, EPILOG, OPTIONS).parse_args(argv)
     return run_command(lambda: _view(options))
 
 
@@ -56,6 +56,3 @@ def _view(options: argparse.Namespace) -> int:
         watcher.close()
     return 130 if signal.SIGINT in asked else 0
 
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -9,8 +9,9 @@ otherwise each node is a process of its own. Every graph has a ROS domain of its
 given, so two at once do not see each other. Nodes are waited for by asking them, not by sleeping.
 """
 
-from dfm_stage.harness.node_set import HarnessError, Launched, NodeSet
+from dfm_stage.harness.node_set import HarnessError, Launched, NodeSet, NotReachedError
 from dfm_stage.harness.stage_graph import RunResult, StageGraph
 from dfm_stage.nodes.share import find_experiment
 
-__all__ = ["HarnessError", "Launched", "NodeSet", "RunResult", "StageGraph", "find_experiment"]
+__all__ = ["HarnessError", "Launched", "NodeSet", "NotReachedError", "RunResult", "StageGraph",
+           "find_experiment"]

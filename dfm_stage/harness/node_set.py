@@ -31,7 +31,7 @@ from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, qui
 from dfm_stage.nodes.security import require_what_was_asked
 from dfm_stage.nodes.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 
-__all__ = ["HarnessError", "Launched", "NodeSet"]
+__all__ = ["HarnessError", "Launched", "NodeSet", "NotReachedError"]
 
 _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
@@ -43,6 +43,10 @@ _DEAF = ("; this process's own port in shared memory is gone (was another proces
 
 class HarnessError(DfmError):
     """A node set did not come up, an experiment did not finish, or a node died."""
+
+
+class NotReachedError(HarnessError):
+    """A node did not find another, or did not answer in time, as happens on a busy machine."""
 
 
 @dataclass
@@ -180,7 +184,7 @@ class NodeSet:
                 if answer.ready:
                     break
                 if time.monotonic() > deadline:
-                    raise HarnessError(f"{launched.full_name} is not ready: {answer.message}")
+                    raise NotReachedError(f"{launched.full_name} is not ready: {answer.message}")
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -210,7 +214,7 @@ class NodeSet:
                         said = "".join(f"; {name} says: {text}"
                                        for name, text in self._complaints.items() if text)
                         said += _DEAF if self._deaf else ""
-                        raise HarnessError(f"{what}: not there after {timeout_s:.3g} s{said}")
+                        raise NotReachedError(f"{what}: not there after {timeout_s:.3g} s{said}")
         if interrupted and not self._closing:
             raise KeyboardInterrupt
 
@@ -305,7 +309,7 @@ class NodeSet:
             if answered:
                 return answered[0]
             if time.monotonic() >= deadline:
-                raise HarnessError(f"service {name} does not answer within {timeout_s:g} s")
+                raise NotReachedError(f"service {name} does not answer within {timeout_s:g} s")
 
     def _client(self, kind: Any, name: str, anew: bool = False) -> Any:
         """Return the client of a service, which is kept until the end.

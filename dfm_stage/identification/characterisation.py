@@ -25,6 +25,8 @@ EXPERIMENTS: Mapping[str, str] = {
 """What can be characterised, and the experiment in config/experiments that does it."""
 ANOTHER_MODE = 2.0
 """Misfit of one mode (1 = down to the noise) from which a second one is tried."""
+SECOND_HELPS = 0.5
+"""Share of that misfit that a second mode must come below to be kept."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,11 @@ class DynamicTest:
                 "std": np.sqrt(response.variance).tolist(), "unit": response.unit}
 
 
-Result = StaticTest | RingDown | StepResponse | DynamicTest
+Characterisation = StaticTest | RingDown | StepResponse | DynamicTest
 
 
 def characterise(kind: str, record: Record, *, force_constant: float | None = None,
-                 axis: str | None = None) -> Result:
+                 axis: str | None = None) -> Characterisation:
     """Analyse the record of one of `EXPERIMENTS`; `force_constant` (N per unit) is for static.
 
     Raises
@@ -79,7 +81,7 @@ def characterise(kind: str, record: Record, *, force_constant: float | None = No
     likely = fit_transfer_function(measured)
     if likely.misfit > ANOTHER_MODE:
         second = fit_transfer_function(measured, modes=2)
-        likely = second if second.ok and second.misfit < 0.5 * likely.misfit else likely
+        likely = second if second.ok and second.misfit < SECOND_HELPS * likely.misfit else likely
     return DynamicTest(measured, fit_constrained(measured), likely)
 
 

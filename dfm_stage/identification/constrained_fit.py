@@ -19,16 +19,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.errors import IdentificationError
+from dfm_stage.identification.fitting import central_differences
 from dfm_stage.identification.frequency_response import FrequencyResponse
 from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.quantity import Quantity, propagate
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-LATEST = 20.0
-"""Bound of lag and of delay, samples."""
-_MAX_DAMPING_RATIO = 0.999
+FEWEST_FREQUENCIES = 4
+"""Two numbers each, for five coefficients: of three, one number would judge the fit."""
+LOW = np.array([-10.0, 1e-3, 1e-2, 0.0, 0.0])
+HIGH = np.array([10.0, 1e3, 1e2, 20.0, 20.0])
+"""Bounds: numerator, damping and stiffness over their start, lag and delay in samples."""
+MAX_DAMPING_RATIO = 0.999
+"""The stage is underdamped; at 1 the two poles meet and the partial fractions have no value."""
+ITERATIONS, TOLERANCE = 300, 1e-15
+"""Of the search: it is cheap, and is to end at the minimum, not near it."""
+AT_BOUND = 1e-9
+"""Share of the range, or scaled constraint, within which a bound or constraint is active."""
+STEP, SMALLEST = 1e-5, 1e-2
+"""Relative step of the Jacobian, and the scaled coefficient below which it is absolute."""
+SHORTEST_LAG = 1e-9
+"""Lag (samples) that stands for none in the partial fractions."""
+_NAMES = ("numerator", "damping", "stiffness", "lag", "delay")
 
 
 @dataclass(frozen=True)
@@ -68,72 +81,97 @@ def fit_constrained(measured: FrequencyResponse, *,
     IdentificationError
         If there are fewer than four frequencies or the minimisation fails.
     """
-    if measured.omega.size < 4:
+    if measured.omega.size < FEWEST_FREQUENCIES:
         raise IdentificationError(f"{measured.omega.size} frequencies are too few for a transfer "
                                   "function: measure four or more")
-    start = _start(measured)
-    period = measured.sample_period
-    # Lag and delay are counted in samples, the rest in units of the start.
-    scale = np.array([*np.abs(start[:3]), period, period])
-    low = np.array([-10.0, 1e-3, 1e-2, 0.0, 0.0])
-    high = np.array([10.0, 1e3, 1e2, LATEST, LATEST])
-    target = measured.response
-
-    def relative(v: Array) -> Array:
-        error = _response(v * scale, measured.omega, period) / target - 1.0
-        return np.concatenate((error.real, error.imag))
-
-    def cost(v: Array) -> float:
-        rest = relative(v)
-        return float(rest @ rest) / measured.omega.size
-
-    def slope(v: Array) -> Array:
-        return np.asarray(2.0 / measured.omega.size * _jacobian(relative, v).T @ relative(v))
-
-    def underdamped(v: Array) -> float:
-        c, k = (v * scale)[1:3]
-        return float((4.0 * _MAX_DAMPING_RATIO**2 * k - c * c) / scale[2])
-
-    constraints: list[dict[str, Any]] = [{"type": "ineq", "fun": underdamped}]
-    if static_gain is not None:
-        low_gain, high_gain = static_gain.ci95 or (static_gain.value, static_gain.value)
-        unit = scale[0] / scale[2]
-
-        def above(v: Array) -> float:
-            return float((v[0] / v[2] * unit - low_gain) / abs(static_gain.value))
-
-        def below(v: Array) -> float:
-            return float((high_gain - v[0] / v[2] * unit) / abs(static_gain.value))
-
-        constraints += [{"type": "ineq", "fun": above}, {"type": "ineq", "fun": below}]
-    found = minimize(cost, start / scale, jac=slope, method="SLSQP",
-                     bounds=list(zip(low, high, strict=True)), constraints=constraints,
-                     options={"maxiter": 300, "ftol": 1e-15})
-    if not np.all(np.isfinite(found.x)) or not math.isfinite(cost(found.x)):
+    misfit = _Misfit(measured, static_gain)
+    found = minimize(
+        misfit.cost, misfit.start, jac=misfit.slope, method="SLSQP",
+        bounds=list(zip(LOW, HIGH, strict=True)),
+        constraints=[{"type": "ineq", "fun": each} for each in misfit.constraints.values()],
+        options={"maxiter": ITERATIONS, "ftol": TOLERANCE})
+    if not np.all(np.isfinite(found.x)) or not math.isfinite(misfit.cost(found.x)):
         raise IdentificationError(f"the constrained minimisation failed: {found.message}; measure "
                                   "closer to the resonance")
-    v = np.clip(found.x, low, high)
-    names = ("numerator", "damping", "stiffness", "lag", "delay")
-    active = [n for n, x, a, b in zip(names, v, low, high, strict=True)
-              if x - a < 1e-9 * (b - a) or b - x < 1e-9 * (b - a)]
-    blocked = [names.index(n) for n in active]
-    tight = [label for label, each in zip(("underdamped", "gain above", "gain below"),
-                                          constraints, strict=False)
-             if each["fun"](v) < 1e-9]
-    covariance = (_covariance(_jacobian(relative, v), relative(v), measured, blocked)
-                  * np.outer(scale, scale))
-    values = v * scale
-    unit_b = f"{measured.unit}/s^2"
+    v = np.clip(found.x, LOW, HIGH)
+    at_bound = np.minimum(v - LOW, HIGH - v) < AT_BOUND * (HIGH - LOW)
+    active = (*(name for name, each in zip(_NAMES, at_bound, strict=True) if each),
+              *(name for name, each in misfit.constraints.items() if each(v) < AT_BOUND))
+    return _result(v * misfit.scale, misfit.covariance(v, ~at_bound), measured.unit,
+                   math.sqrt(misfit.cost(v)), active,
+                   "converged" if found.success else found.message)
 
-    def part(index: int, unit: str) -> Quantity:
-        return propagate(lambda x: float(x[index]), values, covariance, unit)
+
+def _result(values: Array, covariance: Array, unit: str, misfit: float, active: tuple[str, ...],
+            status: str) -> ConstrainedFit:
+    def of(function: Callable[[Array], float], its_unit: str) -> Quantity:
+        return propagate(function, values, covariance, its_unit)
 
     return ConstrainedFit(
-        _plant(values), part(0, unit_b), part(1, "1/s"), part(2, "1/s^2"), part(3, "s"),
-        part(4, "s"), propagate(lambda x: math.sqrt(x[2]), values, covariance, "rad/s"),
-        propagate(lambda x: float(x[1]) / (2.0 * math.sqrt(x[2])), values, covariance, ""),
-        propagate(lambda x: float(x[0] / x[2]), values, covariance, measured.unit),
-        math.sqrt(cost(v)), (*active, *tight), "converged" if found.success else found.message)
+        _plant(values), of(lambda x: float(x[0]), f"{unit}/s^2"), of(lambda x: float(x[1]), "1/s"),
+        of(lambda x: float(x[2]), "1/s^2"), of(lambda x: float(x[3]), "s"),
+        of(lambda x: float(x[4]), "s"), of(lambda x: math.sqrt(x[2]), "rad/s"),
+        of(lambda x: float(x[1]) / (2.0 * math.sqrt(x[2])), ""),
+        of(lambda x: float(x[0] / x[2]), unit), misfit, active, status)
+
+
+class _Misfit:
+    """The relative misfit of scaled coefficients v (5,), where it starts, what constrains it.
+
+    Lag and delay are counted in samples, the rest in units of the start.
+    """
+
+    def __init__(self, measured: FrequencyResponse, static_gain: Quantity | None) -> None:
+        start, period = _start(measured), measured.sample_period
+        self.measured = measured
+        self.scale = np.array([*np.abs(start[:3]), period, period])
+        self.start = start / self.scale
+        self.constraints: dict[str, Callable[[Array], float]] = {"underdamped": self._underdamped}
+        if static_gain is not None:
+            low, high = static_gain.ci95 or (static_gain.value, static_gain.value)
+            unit, size = self.scale[0] / self.scale[2], abs(static_gain.value)
+            self.constraints |= {
+                "gain above": lambda v: float((v[0] / v[2] * unit - low) / size),
+                "gain below": lambda v: float((high - v[0] / v[2] * unit) / size)}
+
+    def relative(self, v: Array) -> Array:
+        """Return H / G - 1, real and imaginary parts one after the other."""
+        measured = self.measured
+        error = _response(v * self.scale, measured.omega,
+                          measured.sample_period) / measured.response - 1.0
+        return np.concatenate((error.real, error.imag))
+
+    def jacobian(self, v: Array) -> Array:
+        """Return the Jacobian of `relative`; all but the numerator stay positive."""
+        low = np.array([-np.inf, 0.0, 0.0, 0.0, 0.0])
+        return central_differences(self.relative, v, STEP * np.maximum(np.abs(v), SMALLEST), low,
+                                   np.full(v.size, np.inf))
+
+    def cost(self, v: Array) -> float:
+        """Return the mean squared misfit."""
+        rest = self.relative(v)
+        return float(rest @ rest) / self.measured.omega.size
+
+    def slope(self, v: Array) -> Array:
+        """Return the gradient of `cost`."""
+        return np.asarray(2.0 / self.measured.omega.size * self.jacobian(v).T @ self.relative(v))
+
+    def covariance(self, v: Array, free: NDArray[np.bool_]) -> Array:
+        """Sandwich (White 1980): what noise, or the misfit where it is larger, does to v.
+
+        In the units of the coefficients; zero for those that are not `free`.
+        """
+        part = self.jacobian(v)[:, free]
+        noise = 0.5 * self.measured.variance / np.abs(self.measured.response) ** 2
+        weight = np.maximum(np.concatenate((noise, noise)), self.relative(v)**2)
+        inverse = np.linalg.pinv(part.T @ part)
+        full = np.zeros((v.size, v.size))
+        full[np.ix_(free, free)] = inverse @ (part.T * weight) @ part @ inverse
+        return full * np.outer(self.scale, self.scale)
+
+    def _underdamped(self, v: Array) -> float:
+        c, k = (v * self.scale)[1:3]
+        return float((4.0 * MAX_DAMPING_RATIO**2 * k - c * c) / self.scale[2])
 
 
 def _response(x: Array, omega: Array, period: float) -> Complex:
@@ -144,7 +182,7 @@ def _response(x: Array, omega: Array, period: float) -> Complex:
     (e^(p f) - 1) / p.
     """
     b, c, k = (float(each) for each in x[:3])
-    lag, delay = max(float(x[3]), 1e-9 * period), max(float(x[4]), 0.0)
+    lag, delay = max(float(x[3]), SHORTEST_LAG * period), max(float(x[4]), 0.0)
     root = cmath.sqrt(0.25 * c * c - k)
     poles = (-0.5 * c + root, -0.5 * c - root, complex(-1.0 / lag))
     whole = math.floor(delay / period)
@@ -176,28 +214,3 @@ def _start(measured: FrequencyResponse) -> Array:
     ratio = float(np.clip(gain / (2.0 * size[at]), 1e-3, 0.7))
     half = 0.5 * measured.sample_period
     return np.array([sign * gain * omega**2, 2.0 * ratio * omega, omega**2, half, half])
-
-
-def _jacobian(residual: Callable[[Array], Array], v: Array) -> Array:
-    columns = []
-    for j in range(v.size):
-        step = 1e-5 * max(abs(v[j]), 1e-2)
-        up, down = v.copy(), v.copy()
-        up[j] += step
-        down[j] = max(v[j] - step, 0.0) if j > 0 else v[j] - step
-        columns.append((residual(up) - residual(down)) / (up[j] - down[j]))
-    return np.asarray(np.array(columns).T)
-
-
-def _covariance(jacobian: Array, rest: Array, measured: FrequencyResponse,
-                blocked: list[int]) -> Array:
-    """Sandwich (White 1980): what noise, or the misfit where it is larger, does to the result."""
-    free = [j for j in range(jacobian.shape[1]) if j not in blocked]
-    part = jacobian[:, free]
-    noise = 0.5 * measured.variance / np.abs(measured.response) ** 2
-    weight = np.maximum(np.concatenate((noise, noise)), rest**2)
-    inverse = np.linalg.pinv(part.T @ part)
-    inner = inverse @ (part.T * weight) @ part @ inverse
-    full = np.zeros((jacobian.shape[1], jacobian.shape[1]))
-    full[np.ix_(free, free)] = inner
-    return full

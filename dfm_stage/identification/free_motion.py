@@ -13,13 +13,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array, Complex
+from dfm_stage.identification.fitting import noise_level
+
 EVALUATIONS = 30
+"""Of the search for the poles, at most: a bound of time, as it starts close by."""
 RINGS = 1.2
 """Another mode is looked for while more than this many times the noise is left over."""
+HELPS = 0.9
+"""A mode is kept that leaves less than this share of what was left over without it."""
+START_DAMPING = 0.03
+"""Damping ratio from which the search for a pole starts, that of a flexure in air."""
+FREQUENCY_RANGE, LARGEST_DECAY = (0.5, 20.0), 20.0
+"""Frequency and decay over their starts, within which the search stays."""
+GRID = 160
+"""Frequencies at which the rest is looked at: 3 % apart over two decades."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +47,7 @@ class Window:
     @property
     def noise(self) -> float:
         """Standard deviation of white noise, from second differences."""
-        return float(np.std(np.diff(self.output, 2))) / math.sqrt(6.0)
+        return noise_level(self.output)
 
     def design(self, poles: Array) -> Array:
         """Columns known and those of the free motion of `poles` (decay, frequency, ...)."""
@@ -90,7 +100,7 @@ def ringing_poles(windows: Sequence[Window], low: float, high: float,
     while poles.size < 2 * most and _left(windows, poles) > RINGS * noise:
         guess = np.concatenate((poles, _strongest(windows, poles, low, high)))
         found = _refined(windows, guess)
-        if _left(windows, found) > 0.9 * _left(windows, poles):
+        if _left(windows, found) > HELPS * _left(windows, poles):
             break
         poles = found
     return poles
@@ -106,19 +116,20 @@ def _refined(windows: Sequence[Window], guess: Array) -> Array:
     size = max(_left(windows, guess), 1e-15)
     found = least_squares(
         lambda p: np.concatenate([w.rest(p * scale) for w in windows]) / size, guess / scale,
-        bounds=(np.where(np.arange(guess.size) % 2, 0.5, 0.0), np.full(guess.size, 20.0)),
+        bounds=(np.where(np.arange(guess.size) % 2, FREQUENCY_RANGE[0], 0.0),
+                np.where(np.arange(guess.size) % 2, FREQUENCY_RANGE[1], LARGEST_DECAY)),
         x_scale=0.01, max_nfev=EVALUATIONS)
     return np.asarray(found.x * scale)
 
 
 def _strongest(windows: Sequence[Window], poles: Array, low: float, high: float) -> Array:
     """Start from the frequency at which the windows' rest is the strongest."""
-    grid = np.geomspace(low, high, 160)
+    grid = np.geomspace(low, high, GRID)
     power = np.zeros(grid.size)
     # Four samples of the highest frequency are enough to find the strongest one.
     period = float(windows[0].time[1])
     stride = max(1, int(math.pi / (2.0 * high * period)))
-    turns: dict[int, NDArray[np.complex128]] = {}
+    turns: dict[int, Complex] = {}
     for w in windows:
         rest = (w.rest(poles) * np.hanning(w.time.size))[::stride]
         if rest.size not in turns:
@@ -127,4 +138,4 @@ def _strongest(windows: Sequence[Window], poles: Array, low: float, high: float)
         own = (w.omega > 0.0) & (np.abs(grid - w.omega) < 2.0 * math.pi / w.time[-1])
         power += np.where(own, 0.0, line)
     omega = float(grid[int(np.argmax(power))])
-    return np.array([0.03 * omega, omega])
+    return np.array([START_DAMPING * omega, omega])

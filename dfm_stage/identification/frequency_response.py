@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex, Lines
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.local_polynomial import local_polynomial
 from dfm_stage.identification.periods import (
+    FEWEST_PERIODS,
     Periodicity,
     excited_lines,
     find_period,
@@ -29,8 +30,11 @@ from dfm_stage.identification.periods import (
 if TYPE_CHECKING:
     import control
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+
+ABOVE_NOISE = 2.0
+"""Times the noise from which the level of lines that were not excited is distortion."""
+NEIGHBOURS, FEWEST_LINES = 3, 14
+"""Lines on either side over which the noise is averaged, and lines from which that is done."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +52,19 @@ class Distortion:
 
     def decibel(self, kind: str) -> float | None:
         """Return the level of `odd` or `even` over the excited lines, noise power removed."""
-        level = {"odd": self.odd, "even": self.even}[kind]
+        level = self._level(kind)
         if level is None or self.excited <= 0.0:
             return None
         power = max(level**2 - self.noise**2, 0.0)
         return 10.0 * math.log10(power / self.excited**2) if power > 0.0 else -math.inf
 
     def significant(self, kind: str) -> bool:
-        """Whether the level stands clearly (twice) above the noise."""
-        level = {"odd": self.odd, "even": self.even}[kind]
-        return level is not None and level > 2.0 * self.noise
+        """Whether the level stands clearly (`ABOVE_NOISE` times) above the noise."""
+        level = self._level(kind)
+        return level is not None and level > ABOVE_NOISE * self.noise
+
+    def _level(self, kind: str) -> float | None:
+        return {"odd": self.odd, "even": self.even}[kind]
 
 
 @dataclass(frozen=True)
@@ -72,7 +79,6 @@ class FrequencyResponse:
     dof : degrees of freedom of `variance`
     lines : (F,) multiples of the base frequency, empty for a record that is not periodic
     periods_used, periods_total : how many went in and how many there were
-    noise : (F,) standard deviation of one period's output line, output unit
     distortion : levels at lines that were not excited, None without such lines
     """
 
@@ -81,7 +87,7 @@ class FrequencyResponse:
     variance: Array
     dof: float
     sample_period: float
-    lines: NDArray[np.int64]
+    lines: Lines
     periods_used: int
     periods_total: int
     input_unit: str
@@ -96,14 +102,28 @@ class FrequencyResponse:
         return self.omega / (2.0 * math.pi)
 
     @property
-    def covariance(self) -> Array:
-        """Covariances (F, 2, 2) of real and imaginary part (circular noise)."""
-        return np.asarray(0.5 * self.variance[:, None, None] * np.eye(2))
-
-    @property
     def unit(self) -> str:
         """Unit of `response`."""
         return f"{self.output_unit}/{self.input_unit}"
+
+    @property
+    def period(self) -> int | None:
+        """Period of the excitation in samples, None where it does not repeat."""
+        if self.method != "periods" or not self.lines.size:
+            return None
+        base = self.omega[0] / self.lines[0]
+        return round(2.0 * math.pi / float(base * self.sample_period))
+
+    def to_dict(self) -> dict[str, Any]:
+        """As identify.json keeps it; a variance that could not be measured has no std."""
+        return {
+            "method": self.method, "unit": self.unit, "periods_used": self.periods_used,
+            "periods_total": self.periods_total, "frequency_hz": self.frequency_hz.tolist(),
+            "real": self.response.real.tolist(), "imag": self.response.imag.tolist(),
+            "std": [math.sqrt(v) if math.isfinite(v) else None for v in self.variance],
+            "lines": self.lines.tolist(),
+            "distortion": None if self.distortion is None else {
+                **vars(self.distortion), "unit": self.output_unit}}
 
     def to_control(self) -> control.FrequencyResponseData:
         """Return the response as `control.FRD`."""
@@ -137,7 +157,7 @@ class FrequencyResponse:
 
 def frequency_response(input_: Array, output: Array, sample_period: float, *,
                        reference: Array | None = None, period: int | None = None,
-                       lines: NDArray[np.int64] | None = None, drop: int | None = None,
+                       lines: Lines | None = None, drop: int | None = None,
                        poles: Sequence[complex] = (), input_unit: str = "V",
                        output_unit: str = "m") -> FrequencyResponse:
     """Measure the response from `input_` to `output` (both (N,)).
@@ -175,7 +195,7 @@ def _periodicity(u: Array, reference: Array | None,
                  period: int | None) -> tuple[Array, Periodicity | None]:
     """Return the signal that repeats and how; the input without one."""
     if period is not None:
-        if not 2 <= period <= u.size // 2:
+        if not FEWEST_PERIODS <= period <= u.size // FEWEST_PERIODS:
             raise IdentificationError(f"a period of {period} samples does not fit twice into "
                                       f"{u.size}: record at least two periods")
         count = u.size // period
@@ -188,7 +208,7 @@ def _periodicity(u: Array, reference: Array | None,
     return u, None
 
 
-def _lines_of(exciting: Array, found: Periodicity) -> NDArray[np.int64]:
+def _lines_of(exciting: Array, found: Periodicity) -> Lines:
     late = np.fft.rfft(found.fold(exciting)[found.count // 2:], axis=1) / found.period
     spread = late.std(axis=0, ddof=1) / math.sqrt(len(late)) if len(late) > 1 else None
     lines = excited_lines(np.abs(late.mean(axis=0)), spread)
@@ -198,36 +218,36 @@ def _lines_of(exciting: Array, found: Periodicity) -> NDArray[np.int64]:
 
 
 def _periodic(u: Array, y: Array, sample_period: float, found: Periodicity,
-              lines: NDArray[np.int64], drop: int | None, input_unit: str,
+              lines: Lines, drop: int | None, input_unit: str,
               output_unit: str) -> FrequencyResponse:
-    warnings: list[str] = []
     size = found.period
     inputs = np.fft.rfft(found.fold(u), axis=1) / size
     outputs = np.fft.rfft(found.fold(y), axis=1) / size
     transient = settled_from(outputs[:, lines]) if drop is None else drop
     used = found.count - transient
-    if used < 2:
+    if used < FEWEST_PERIODS:
         raise IdentificationError(f"{used} of {found.count} periods are left after the transient:"
                                   " record more periods")
-    if drop is None and transient == found.count - max(found.count // 2, 2) and transient > 0:
-        warnings.append("the transient lasts into the later half of the record: the frequency "
-                        "response still holds part of it")
+    latest = found.count - max(found.count // 2, FEWEST_PERIODS)
+    warnings = () if drop is not None or not transient == latest > 0 else (
+        ("the transient lasts into the later half of the record: the frequency response still "
+         "holds part of it"),)
     inputs, outputs = inputs[transient:], outputs[transient:]
     mean_u, mean_y = inputs.mean(axis=0), outputs.mean(axis=0)
     response = mean_y[lines] / mean_u[lines]
     error = outputs[:, lines] - response * inputs[:, lines]
     scatter = np.sum(np.abs(error) ** 2, axis=0) / (used - 1)
-    neighbours = 3 if lines.size >= 14 else 0
+    neighbours = NEIGHBOURS if lines.size >= FEWEST_LINES else 0
     noise = local_mean(scatter, neighbours)
     variance = noise / used / np.abs(mean_u[lines]) ** 2
     distortion = _distortion(lines, mean_u, mean_y, outputs, response)
     return FrequencyResponse(
         np.asarray(2.0 * math.pi * lines / (size * sample_period)), response, variance,
         2.0 * (used - 1) * (2 * neighbours + 1), sample_period, lines, used, found.count,
-        input_unit, output_unit, "periods", distortion, tuple(warnings))
+        input_unit, output_unit, "periods", distortion, warnings)
 
 
-def _distortion(lines: NDArray[np.int64], mean_u: Complex, mean_y: Complex, outputs: Complex,
+def _distortion(lines: Lines, mean_u: Complex, mean_y: Complex, outputs: Complex,
                 response: Complex) -> Distortion | None:
     """Compare lines inside the band that were not excited with the noise at the same lines.
 
@@ -243,11 +263,10 @@ def _distortion(lines: NDArray[np.int64], mean_u: Complex, mean_y: Complex, outp
                                                                       response.imag)
     rest = np.abs(mean_y[silent] - linear * mean_u[silent]) ** 2
     noise = np.sum(np.abs(outputs[:, silent] - mean_y[silent]) ** 2, axis=0) / (used - 1) / used
-    odd, even = rest[silent % 2 == 1], rest[silent % 2 == 0]
-    return Distortion(
-        float(np.sqrt(np.mean(np.abs(mean_y[lines]) ** 2))), float(np.sqrt(np.mean(noise))),
-        float(np.sqrt(np.mean(odd))) if odd.size else None,
-        float(np.sqrt(np.mean(even))) if even.size else None)
+    odd, even = (float(np.sqrt(np.mean(part))) if part.size else None
+                 for part in (rest[silent % 2 == 1], rest[silent % 2 == 0]))
+    return Distortion(float(np.sqrt(np.mean(np.abs(mean_y[lines]) ** 2))),
+                      float(np.sqrt(np.mean(noise))), odd, even)
 
 
 def _aperiodic(u: Array, y: Array, sample_period: float, reference: Array | None,

@@ -13,14 +13,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex, Lines
 from dfm_stage.identification.errors import IdentificationError
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 DEGREE = 2
+"""Of the polynomials: the curvature of a resonance over the few lines of one fit."""
+EXCITED = 1e-3
+"""Amplitude of a line over the largest, averaged over a fit, from which the input excites it."""
+WINDOWS = 4
+"""Fits side by side that the samples must suffice for."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ def local_polynomial(input_: Array, output: Array, sample_period: float, *,
     cause = input_ if reference is None or np.ptp(reference) == 0.0 else reference
     unknowns = 2 * (DEGREE + 1)
     samples = cause.size
-    if samples < 4 * (2 * half_width + 1):
+    if samples < WINDOWS * (2 * half_width + 1):
         raise IdentificationError(f"{samples} samples are too few for a frequency response: "
                                   "record longer")
     x = np.fft.rfft(cause) / samples
@@ -79,10 +81,10 @@ def local_polynomial(input_: Array, output: Array, sample_period: float, *,
     return LocalEstimate(np.asarray(omega), response, variance, 2.0 * free)
 
 
-def _centres(amplitude: Array, half_width: int, points: int) -> NDArray[np.int64]:
+def _centres(amplitude: Array, half_width: int, points: int) -> Lines:
     last = amplitude.size - half_width - 1
     inner = np.arange(half_width + 1, last)
     spread = np.convolve(amplitude, np.ones(2 * half_width + 1) / (2 * half_width + 1), "same")
-    strong = inner[spread[inner] > 1e-3 * spread[inner].max()]
+    strong = inner[spread[inner] > EXCITED * spread[inner].max()]
     wanted = np.unique(np.round(np.geomspace(strong[0], strong[-1], points)).astype(np.int64))
     return wanted[np.isin(wanted, strong)]

@@ -6,9 +6,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array, Complex, Lines
+
+SHORTEST_PERIOD, FEWEST_PERIODS = 8, 2
+"""In samples: of fewer, no multisine has lines; and in whole periods, to repeat at all."""
+REPETITION = 0.05
+"""Difference (1 = unrelated) up to which a signal repeats: a measured input has some noise."""
+HUMP = 0.5
+"""Difference (1 = unrelated) that a shift must pass before a repetition counts: a smooth signal
+repeats itself at tiny shifts."""
+AS_GOOD = 2.0
+"""Times the smallest difference at which a shorter period is as good: that of its noise."""
+SMALLEST_DIFFERENCE = 1e-9
+"""Rounding of the correlation; an exact repetition differs by no more."""
+RUN_NOISE, RUN_ROUNDING, RUN_WINDOW_TOLERANCE = 4.0, 1e-6, 20.0
+"""How far a window of the repeating stretch may differ: times the smallest difference, plus
+rounding, times what a short window scatters more than the mean."""
+WINDOWS_A_PERIOD = 20
+"""Windows in which the repeating stretch is looked for: fine enough to cut off rest and start."""
+DECADES, SMALLEST_GAP = 3.0, 0.3
+"""How far (log10) below the largest line others are looked for; how wide a gap is a border."""
+STANDS_OUT = 4.0
+"""Standard deviations of its amplitude by which an excited line exceeds zero."""
+FEWEST_TO_COMPARE = 3
+"""Periods: of two, no later half says what settled looks like."""
+SMOOTHED_OVER = 5
+"""Lines on either side over which the noise is averaged."""
+SETTLED = 11.5
+"""log(1 / false alarms): one record in a hundred thousand settled looks unsettled."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +51,8 @@ class Periodicity:
         return np.asarray(signal[self.start:stop].reshape(self.count, self.period))
 
 
-def find_period(signal: Array, *, minimum: int = 8, tolerance: float = 0.05) -> Periodicity | None:
+def find_period(signal: Array, *, minimum: int = SHORTEST_PERIOD,
+                tolerance: float = REPETITION) -> Periodicity | None:
     """Find the shortest exact repetition in `signal` (N,), None where there is none.
 
     The difference function d(P) = mean (x(t) - x(t+P))^2 / (2 var) (de Cheveigne and Kawahara
@@ -36,7 +63,7 @@ def find_period(signal: Array, *, minimum: int = 8, tolerance: float = 0.05) -> 
     """
     x = np.asarray(signal, dtype=float)
     active = np.flatnonzero(x != x[0])
-    if active.size < 2 * minimum:
+    if active.size < FEWEST_PERIODS * minimum:
         return None
     moving = np.flatnonzero(np.diff(x) != 0.0)
     first, last = int(moving[0]), int(moving[-1]) + 2
@@ -45,21 +72,19 @@ def find_period(signal: Array, *, minimum: int = 8, tolerance: float = 0.05) -> 
     if difference.size <= minimum:
         return None
     candidates = difference[minimum:]
-    if candidates.min() > tolerance:
-        return None
-    # A smooth signal repeats itself at tiny shifts: only what comes after the first hump counts.
-    hump = np.flatnonzero(candidates > 0.5)
+    hump = np.flatnonzero(candidates > HUMP)
     if not hump.size:
         return None
     later = candidates[hump[0]:]
     best = float(later.min())
     if best > tolerance:
         return None
-    good = np.flatnonzero(later <= 2.0 * best + 1e-9)
+    good = np.flatnonzero(later <= AS_GOOD * best + SMALLEST_DIFFERENCE)
     period = int(minimum + hump[0] + good[0])
-    run_start, run_stop = _repeating_run(x, period, 4.0 * max(best, 1e-9) + 1e-6)
+    run_start, run_stop = _repeating_run(
+        x, period, RUN_NOISE * max(best, SMALLEST_DIFFERENCE) + RUN_ROUNDING)
     count = (run_stop - run_start) // period
-    if count < 2:
+    if count < FEWEST_PERIODS:
         return None
     return Periodicity(period, run_stop - count * period, count)
 
@@ -84,7 +109,7 @@ def _repeating_run(x: Array, period: int, tolerance: float) -> tuple[int, int]:
     Compared a window of a twentieth of the period at a time, so that noise does not end the run.
     """
     power = float(np.var(x[np.flatnonzero(np.diff(x))[0]:]))
-    window = max(period // 20, 1)
+    window = max(period // WINDOWS_A_PERIOD, 1)
     squared = (x[period:] - x[:-period]) ** 2 / (2.0 * power)
     sums = np.concatenate(([0.0], np.cumsum(squared)))
     blocks = squared.size // window
@@ -93,22 +118,17 @@ def _repeating_run(x: Array, period: int, tolerance: float) -> tuple[int, int]:
     stop = squared.size
     edges = np.unique(np.append(stop - window * np.arange(blocks, -1, -1), 0))
     means = (sums[edges[1:]] - sums[edges[:-1]]) / np.diff(edges)
-    good = means <= 20.0 * tolerance
-    best_length, best = 0, (0, 0)
-    begin = None
-    for i in range(good.size + 1):
-        if i < good.size and good[i]:
-            begin = i if begin is None else begin
-        elif begin is not None:
-            if i - begin > best_length:
-                best_length, best = i - begin, (begin, i)
-            begin = None
-    if best_length == 0:
+    # Edges of the runs of good windows, as (first, last + 1); the longest of them, the first of
+    # equals.
+    good = np.concatenate(([False], means <= RUN_WINDOW_TOLERANCE * tolerance, [False]))
+    runs = np.flatnonzero(np.diff(good)).reshape(-1, 2)
+    if not runs.size:
         return 0, 0
-    return int(edges[best[0]]), int(edges[best[1]]) + period
+    first, last = runs[np.argmax(np.diff(runs))]
+    return int(edges[first]), int(edges[last]) + period
 
 
-def excited_lines(input_spectrum: Array, noise: Array | None = None) -> NDArray[np.int64]:
+def excited_lines(input_spectrum: Array, noise: Array | None = None) -> Lines:
     """Return the DFT lines that carry the excitation, from mean amplitudes (period // 2 + 1,).
 
     The line amplitudes of a multisine fall into two groups with a gap between them; the widest
@@ -121,22 +141,18 @@ def excited_lines(input_spectrum: Array, noise: Array | None = None) -> NDArray[
     if largest <= 0.0:
         return np.empty(0, dtype=np.int64)
     logs = np.sort(np.log10(np.maximum(amplitude[1:] / largest, 1e-12)))
-    upper = logs[logs > -3.0]
-    below = logs[logs <= -3.0]
-    ladder = np.concatenate((below[-1:], upper)) if below.size else upper
-    if ladder.size < 2:
-        border = -3.0
-    else:
-        gaps = np.diff(ladder)
-        widest = int(np.argmax(gaps))
-        border = float(ladder[widest] + 0.5 * gaps[widest]) if gaps[widest] > 0.3 else -3.0
+    ladder = logs[max(int(np.count_nonzero(logs <= -DECADES)) - 1, 0):]
+    gaps = np.diff(ladder, append=ladder[-1])
+    widest = int(np.argmax(gaps))
+    border = (float(ladder[widest] + 0.5 * gaps[widest]) if gaps[widest] > SMALLEST_GAP
+              else -DECADES)
     chosen = amplitude > largest * 10.0**border
     if noise is not None:
-        chosen &= amplitude > 4.0 * noise
+        chosen &= amplitude > STANDS_OUT * noise
     return np.flatnonzero(chosen).astype(np.int64)
 
 
-def settled_from(lines: NDArray[np.complex128]) -> int:
+def settled_from(lines: Complex) -> int:
     """Return how many leading periods (rows of (M, F) line spectra) still hold a transient.
 
     Each period is compared with the mean of the later half; the noise of a line comes from that
@@ -145,17 +161,17 @@ def settled_from(lines: NDArray[np.complex128]) -> int:
     looked at.
     """
     count, width = lines.shape
-    if count < 3:
+    if count < FEWEST_TO_COMPARE:
         return 0
     half = max(count // 2, 2)
     late = lines[-half:]
     centre = late.mean(axis=0)
     variance = np.sum(np.abs(late - centre) ** 2, axis=0) / (half - 1)
-    smooth = local_mean(variance, 5)
+    smooth = local_mean(variance, SMOOTHED_OVER)
     smooth = np.maximum(smooth, 1e-6 * np.mean(smooth) + 1e-300)
-    limit = (np.log(max(width, 1)) + 11.5) * (1.0 + 1.0 / half)
+    limit = (np.log(max(width, 1)) + SETTLED) * (1.0 + 1.0 / half)
     # Few periods leave the variance itself uncertain.
-    limit *= 1.0 + 3.0 / np.sqrt((half - 1) * min(width, 11))
+    limit *= 1.0 + 3.0 / np.sqrt((half - 1) * min(width, 2 * SMOOTHED_OVER + 1))
     deviation = np.max(np.abs(lines - centre) ** 2 / smooth, axis=1)
     bad = np.flatnonzero(deviation[: count - half] > limit)
     return int(bad[-1]) + 1 if bad.size else 0

@@ -10,14 +10,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import toeplitz
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array, Lines
+from dfm_stage.identification.periods import FEWEST_PERIODS
 
 LEVEL = 0.01
 """A test is failed when its p value falls below this."""
+BAND, LINE_LEVEL = 0.99, 1e-3
+"""Share of noise inside the band of a correlation, and outside the limit of all lines together."""
+LONGEST_LAG = 4
+"""Longest lags that fit into a record: at longer ones too few products are averaged."""
+STRENGTH = 1e-6
+"""Over the largest: directions of the input that carry less do not count as excited."""
+FEWEST_TO_SPLIT = 3
+"""Periods, to tell what repeats from what does not, line by line."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +40,7 @@ class ResidualTest:
     statistic: float
     dof: int
     p_value: float
-    lags: NDArray[np.int64]
+    lags: Lines
     correlation: Array
     band: Array
     text: str
@@ -52,17 +60,13 @@ def whiteness(innovations: Array, *, lags: int = 30, fitted: int = 0) -> Residua
     """Test (Ljung and Box) that `innovations` (N,) are white; `fitted` noise coefficients."""
     e = innovations - innovations.mean()
     samples = e.size
-    lags = max(min(lags + fitted, samples // 4), fitted + 1)
+    lags = max(min(lags + fitted, samples // LONGEST_LAG), fitted + 1)
     power = float(e @ e)
     index = np.arange(1, lags + 1)
     correlation = np.array([float(e[k:] @ e[:-k]) for k in index]) / max(power, 1e-300)
     statistic = samples * (samples + 2) * float(np.sum(correlation**2 / (samples - index)))
-    dof = lags - fitted
-    p = float(stats.chi2.sf(statistic, dof))
-    band = np.full(lags, stats.norm.ppf(0.995) / math.sqrt(samples))
-    text = ("white" if p >= LEVEL else
-            f"not white: correlation {_largest(correlation):.3f} at its largest")
-    return ResidualTest("whiteness", statistic, dof, p, index, correlation, band, text)
+    return _test("whiteness", statistic, lags - fitted, index, correlation, samples,
+                 ("white", "not white"))
 
 
 def input_correlation(innovations: Array, input_: Array, *, lags: int = 30) -> ResidualTest:
@@ -74,22 +78,28 @@ def input_correlation(innovations: Array, input_: Array, *, lags: int = 30) -> R
     """
     e, u = innovations - innovations.mean(), input_ - input_.mean()
     samples = e.size
-    lags = max(min(lags, samples // 4), 1)
+    lags = max(min(lags, samples // LONGEST_LAG), 1)
     index = np.arange(1, lags + 1)
     deviation = math.sqrt(max(float(e @ e) * float(u @ u), 1e-300))
     cross = np.array([float(e[k:] @ u[:-k]) for k in index]) / deviation
     auto = np.array([float(u[k:] @ u[: samples - k]) for k in range(lags)])
     auto /= max(float(u @ u), 1e-300)
     strength, directions = np.linalg.eigh(toeplitz(auto))
-    kept = strength > 1e-6 * strength[-1]
+    kept = strength > STRENGTH * strength[-1]
     seen = directions[:, kept].T @ cross
     statistic = samples * float(np.sum(seen**2 / strength[kept]))
-    dof = int(np.count_nonzero(kept))
+    return _test("input_correlation", statistic, int(np.count_nonzero(kept)), index, cross,
+                 samples, ("independent of the input", "depends on the input"))
+
+
+def _test(name: str, statistic: float, dof: int, lags: Lines, correlation: Array, samples: int,
+          verdicts: tuple[str, str]) -> ResidualTest:
     p = float(stats.chi2.sf(statistic, dof))
-    band = np.full(lags, stats.norm.ppf(0.995) / math.sqrt(samples))
-    text = ("independent of the input" if p >= LEVEL else
-            f"depends on the input: correlation {_largest(cross):.3f} at its largest")
-    return ResidualTest("input_correlation", statistic, dof, p, index, cross, band, text)
+    band = np.full(lags.size, stats.norm.ppf(0.5 * (1.0 + BAND)) / math.sqrt(samples))
+    largest = float(correlation[int(np.argmax(np.abs(correlation)))])
+    clean, failed = verdicts
+    text = clean if p >= LEVEL else f"{failed}: correlation {largest:.3f} at its largest"
+    return ResidualTest(name, statistic, dof, p, lags, correlation, band, text)
 
 
 @dataclass(frozen=True)
@@ -105,31 +115,26 @@ class LineResidual:
     band: float
 
     @property
-    def worst_hz(self) -> float:
-        """The frequency at which most is left over."""
-        return float(self.frequency_hz[int(np.argmax(self.ratio))])
-
-    @property
     def passed(self) -> bool:
         """Whether no line stands out."""
         return bool(np.max(self.ratio) <= self.band)
 
 
-def line_residuals(residual: Array, period: int, lines: NDArray[np.int64],
+def line_residuals(residual: Array, period: int, lines: Lines,
                    sample_period: float) -> LineResidual | None:
     """Compare the residual (N,) that repeats with `period` with what does not repeat.
 
     None where fewer than three periods fit.
     """
     count = residual.size // period
-    if count < 3:
+    if count < FEWEST_TO_SPLIT:
         return None
     rows = residual[residual.size - count * period:].reshape(count, period)
     spectra = np.fft.rfft(rows, axis=1)[:, lines] / period
     mean = spectra.mean(axis=0)
     noise = np.sum(np.abs(spectra - mean) ** 2, axis=0) / (count - 1) / count
     ratio = np.abs(mean) ** 2 / np.maximum(noise, 1e-300)
-    level = 1.0 - 1e-3 / max(lines.size, 1)
+    level = 1.0 - LINE_LEVEL / max(lines.size, 1)
     band = float(stats.f.ppf(level, 2, 2 * (count - 1)))
     return LineResidual(np.asarray(lines / (period * sample_period)), np.asarray(ratio), band)
 
@@ -140,11 +145,7 @@ def noise_floor_from_periods(output: Array, period: int) -> float | None:
     Slow drift of the mean counts as noise.
     """
     count = output.size // period
-    if count < 2:
+    if count < FEWEST_PERIODS:
         return None
     rows = output[output.size - count * period:].reshape(count, period)
     return float(np.sqrt(np.sum((rows - rows.mean(axis=0)) ** 2) / (period * (count - 1))))
-
-
-def _largest(values: Array) -> float:
-    return float(values[int(np.argmax(np.abs(values)))])

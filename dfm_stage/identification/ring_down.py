@@ -9,17 +9,32 @@ d = ln(X_0 / X_n) / n (Eq. 1 of the paper) uses two of them.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
+from dfm_stage.identification.fitting import fit_line, noise_level, turning_point
 from dfm_stage.identification.quantity import Quantity, interval, propagate
 
-Array = NDArray[np.float64]
+FEWEST_CROSSINGS = 3
+"""Of the resting place: two half cycles, to know how long one is."""
+FEWEST_EXTREMES = 7
+"""Three whole cycles: of fewer, the three coefficients of the decay leave too little over."""
+OVER_NOISE = 10.0
+"""An extreme is used while it is this many times the noise: its height is then good to 10 %."""
+CROSSES = 5.0
+"""Times the noise that the position leaves the resting place by between two crossings of it."""
+REACH = 0.2
+"""Share of half a cycle, on either side, through which the quartic of an extreme is laid."""
+EVEN_SPACING = (0.5, 2.0)
+"""Half cycles shorter or longer than this, against their median, are no swing of the stage."""
+PRECISION = 1e-15
+"""Of the search for the decay: to the last digit, as the problem is small."""
 
 
 def damping_ratio(decrement: float) -> float:
@@ -95,31 +110,30 @@ def ring_down(position: Array, sample_period: float, *, input_: Array | None = N
         release = int(changes[-1]) + 1
     free = y[release:]
     time, value = _extremes(free, sample_period)
-    noise = float(np.std(np.diff(free, 2))) / math.sqrt(6.0)
     size = np.abs(np.diff(value)) / 2.0
     if size.size:
-        small = np.flatnonzero(size < max(smallest * size[0], 10.0 * noise))
+        small = np.flatnonzero(size < max(smallest * size[0], OVER_NOISE * noise_level(free)))
         last = int(small[0]) + 1 if small.size else value.size
         last = min(last, 2 * cycles + 1) if cycles is not None else last
         time, value = time[:last], value[:last]
-    if value.size < 7:
+    if value.size < FEWEST_EXTREMES:
         raise IdentificationError(f"only {value.size} extremes stand out after the release at "
                                   f"{release * sample_period:g} s: deflect more or record longer")
     values, covariance = _fit(value)
     dof = value.size - 3
-    decrement = propagate(lambda v: float(v[2]), values, covariance, "", dof)
-    ratio = propagate(lambda v: damping_ratio(float(v[2])), values, covariance, "", dof)
-    printed = propagate(lambda v: damping_ratio_as_printed(float(v[2])), values, covariance, "",
-                        dof)
+
+    def of(function: Callable[[Array], float], unit: str = "") -> Quantity:
+        return propagate(function, values, covariance, unit, dof)
+
+    ratio = of(lambda v: damping_ratio(float(v[2])))
     half = value.size // 2
-    cycles_used = 0.5 * (value.size - 1)
     whole = 2 * ((value.size - 1) // 2)
     apart = (value[0] - values[0]) / (value[whole] - values[0])
     return RingDown(
-        decrement, ratio, printed, _natural_frequency(time, np.abs(value - values[0]), ratio),
-        propagate(lambda v: float(v[0]), values, covariance, "m", dof),
+        of(lambda v: float(v[2])), ratio, of(lambda v: damping_ratio_as_printed(float(v[2]))),
+        _natural_frequency(time, np.abs(value - values[0]), ratio), of(lambda v: float(v[0]), "m"),
         2.0 / whole * math.log(abs(apart)), _part(value[:half + 1], values[0]),
-        _part(value[half:], values[0]), cycles_used, time, value,
+        _part(value[half:], values[0]), 0.5 * (value.size - 1), time, value,
         np.asarray(np.abs(_curve(values, value.size) - values[0])), release)
 
 
@@ -128,28 +142,22 @@ def _extremes(free: Array, sample_period: float) -> tuple[Array, Array]:
     tail = free[free.size // 2:]
     weight = np.hanning(tail.size)
     around = free - float(weight @ tail / weight.sum())
-    noise = float(np.std(np.diff(free, 2))) / math.sqrt(6.0)
     # A crossing counts when the swing left the noise since the one before.
-    sign = np.where(np.abs(around) > 5.0 * noise, np.sign(around), 0.0)
+    sign = np.where(np.abs(around) > CROSSES * noise_level(free), np.sign(around), 0.0)
     known = np.flatnonzero(sign)
     turns = known[1:][np.diff(sign[known]) != 0.0]
-    if turns.size < 3:
+    if turns.size < FEWEST_CROSSINGS:
         return np.empty(0), np.empty(0)
     half = float(np.median(np.diff(turns)))
-    reach = max(round(0.2 * half), 3)
+    short, long = (share * half for share in EVEN_SPACING)
+    reach = max(round(REACH * half), 3)
     time, value = [], []
     for start, stop in zip(turns[:-1].tolist(), turns[1:].tolist(), strict=True):
         at = start + int(np.argmax(np.abs(around[start:stop])))
-        if at < reach or at + reach >= free.size or not 0.5 * half < stop - start < 2.0 * half:
-            continue
-        u = np.arange(-reach, reach + 1) / reach
-        fit = np.polynomial.Polynomial.fit(u, free[at - reach:at + reach + 1], 4,
-                                           domain=[-1, 1], window=[-1, 1])
-        roots = fit.deriv().roots()
-        real = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)]
-        top = float(real[np.argmin(np.abs(real))]) if real.size else 0.0
-        time.append((at + top * reach) * sample_period)
-        value.append(float(fit(top)))
+        if reach <= at < free.size - reach and short < stop - start < long:
+            place, height = turning_point(free, at, reach)
+            time.append(place * sample_period)
+            value.append(height)
     return np.array(time), np.array(value)
 
 
@@ -167,7 +175,7 @@ def _fit(extreme: Array) -> tuple[Array, Array]:
     start = np.array([offset, first, max(-2.0 * slope, 1e-6)])
     scale = np.array([abs(first), abs(first), 1.0])
     found = least_squares(lambda v: (_curve(v * scale, extreme.size) - extreme) / abs(first),
-                          start / scale, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+                          start / scale, xtol=PRECISION, ftol=PRECISION, gtol=PRECISION)
     variance = 2.0 * float(found.cost) / max(extreme.size - 3, 1)
     covariance = variance * np.linalg.inv(found.jac.T @ found.jac) * np.outer(scale, scale)
     return np.asarray(found.x * scale), np.asarray(covariance)
@@ -177,11 +185,8 @@ def _part(extreme: Array, offset: float) -> Quantity:
     """Return the decrement of some extremes about a known offset, by a line through the logs."""
     count = extreme.size
     height = np.log(np.maximum(np.abs(extreme - offset), 1e-300))
-    design = np.column_stack((np.arange(count), np.ones(count)))
-    line, *_ = np.linalg.lstsq(design, height, rcond=None)
-    rest = height - design @ line
-    variance = float(rest @ rest) / max(count - 2, 1)
-    error = math.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0])
+    line, rest, inverse = fit_line(np.arange(count, dtype=float), height)
+    error = math.sqrt(float(rest @ rest) / max(count - 2, 1) * inverse[0, 0])
     value = -2.0 * float(line[0])
     return Quantity(value, "", interval(value, 2.0 * error, max(count - 2, 1)))
 
@@ -191,12 +196,9 @@ def _natural_frequency(time: Array, size: Array, ratio: Quantity) -> Quantity:
 
     The smaller an extreme, the less sure its time: each counts with its `size`.
     """
-    count = time.size
-    design = np.column_stack((np.arange(count), np.ones(count))) * size[:, None]
-    line, *_ = np.linalg.lstsq(design, time * size, rcond=None)
-    rest = time * size - design @ line
-    dof = count - 2
-    error = math.sqrt(float(rest @ rest) / dof * np.linalg.inv(design.T @ design)[0, 0])
+    line, rest, inverse = fit_line(np.arange(time.size, dtype=float), time, size)
+    dof = time.size - 2
+    error = math.sqrt(float(rest @ rest) / dof * inverse[0, 0])
     half = float(line[0])
     root = math.sqrt(1.0 - ratio.value**2)
     value = math.pi / half / root

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.recording import AxisRecord
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

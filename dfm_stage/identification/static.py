@@ -14,16 +14,24 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
+from dfm_stage.identification.fitting import fit_line
 from dfm_stage.identification.free_motion import Window, ringing_poles
 from dfm_stage.identification.quantity import Quantity, interval, t95
 
-Array = NDArray[np.float64]
 USED_SHARE = 0.6
 """How much of a level, from its end, is looked at."""
+FEWEST_LEVELS = 3
+"""Different forces: two leave nothing over of a line to tell its linearity by."""
+FORCE_DIGITS = 9
+"""Decimals (N) to which forces are equal that are one level of the staircase."""
+OUTSIDE_N = 1e-3
+"""How far beyond the outermost level (N) a deflection may be asked for: rounding of a load."""
+FEWEST_SAMPLES = 20
+"""In a level: its rest and the free motion in it have five coefficients."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,8 @@ class StaticTest:
     offset_m : deflection of that line without force
     nonlinearity_m : (L,) distance of every level from the line
     linearity : largest of them over the travel, %
-    loop_force_n, loop_width_m : (P,) deflection coming down less coming up, per force
-    hysteresis : largest loop width, m; `hysteresis_percent` over the travel, %
+    hysteresis : largest deflection coming down less coming up at one force, m;
+        `hysteresis_percent` over the travel, %
     """
 
     levels: tuple[Level, ...]
@@ -64,8 +72,6 @@ class StaticTest:
     offset_m: Quantity
     nonlinearity_m: Array
     linearity: Quantity
-    loop_force_n: Array
-    loop_width_m: Array
     hysteresis: Quantity
     hysteresis_percent: Quantity
 
@@ -76,11 +82,11 @@ class StaticTest:
 
     def deflection_at(self, force_n: float) -> Quantity:
         """Return the deflection at a load: that of its levels, or between the two next to it."""
-        forces, at = np.unique(np.round(self.force_n, 9), return_inverse=True)
+        forces, at = np.unique(np.round(self.force_n, FORCE_DIGITS), return_inverse=True)
         means = np.array([self.position_m[at == i].mean() for i in range(forces.size)])
         errors = np.array([math.sqrt(sum(self.levels[j].error_m**2 for j in np.flatnonzero(
             at == i))) / np.count_nonzero(at == i) for i in range(forces.size)])
-        if not forces[0] - 1e-3 <= force_n <= forces[-1] + 1e-3:
+        if not forces[0] - OUTSIDE_N <= force_n <= forces[-1] + OUTSIDE_N:
             raise IdentificationError(f"a load of {force_n:g} N lies outside the test, "
                                       f"{forces[0]:.3g} to {forces[-1]:.3g} N: apply more")
         value = float(np.interp(force_n, forces, means))
@@ -109,33 +115,28 @@ def static_test(input_: Array, position: Array, sample_period: float, force_cons
         If there are fewer than three levels at different inputs.
     """
     levels = find_levels(np.asarray(input_, dtype=float), np.asarray(position, dtype=float),
-                         sample_period, max(round(hold_s / sample_period), 20))
+                         sample_period, max(round(hold_s / sample_period), FEWEST_SAMPLES))
     force = force_constant * np.array([level.input for level in levels])
     x = np.array([level.position_m for level in levels])
-    if np.unique(np.round(force, 9)).size < 3:
+    if np.unique(np.round(force, FORCE_DIGITS)).size < FEWEST_LEVELS:
         raise IdentificationError(f"{len(levels)} levels of held input are too few for a static "
                                   f"test: hold three or more for {hold_s:g} s each")
-    design = np.column_stack((force, np.ones_like(force)))
-    (slope, offset), *_ = np.linalg.lstsq(design, x, rcond=None)
-    rest = x - design @ np.array([slope, offset])
+    (slope, offset), rest, inverse = fit_line(force, x)
     dof = x.size - 2
     noise = float(np.mean([level.error_m**2 for level in levels]))
     variance = max(float(rest @ rest) / max(dof, 1), noise)
-    covariance = variance * np.linalg.inv(design.T @ design)
+    covariance = variance * inverse
     stiffness = 1.0 / float(slope)
     width = stiffness**2 * math.sqrt(covariance[0, 0])
     travel = float(np.ptp(x))
     worst = float(np.max(np.abs(rest)))
     error = math.sqrt(noise) * _largest_of(x.size)
-    loop_force, loop_width, loop_error = _loop(levels, force)
-    at = int(np.argmax(np.abs(loop_width))) if loop_width.size else -1
-    widest = float(loop_width[at]) if at >= 0 else math.nan
-    spread = float(loop_error[at]) * _largest_of(loop_width.size) if at >= 0 else math.nan
+    widest, spread = _loop(levels, force)
     return StaticTest(
         tuple(levels), force, x,
         Quantity(stiffness, "N/m", interval(stiffness, width, dof)),
         Quantity(float(offset), "m", interval(float(offset), math.sqrt(covariance[1, 1]), dof)),
-        rest, _percent(worst, error, travel), loop_force, loop_width,
+        rest, _percent(worst, error, travel),
         Quantity(widest, "m", interval(widest, spread)), _percent(widest, spread, travel))
 
 
@@ -153,32 +154,33 @@ def find_levels(input_: Array, position: Array, sample_period: float,
         return []
     shortest = min(w.time.size for w in windows) * sample_period
     poles = ringing_poles(windows, math.pi / shortest, 0.5 * math.pi / sample_period, 1)
-    levels: list[Level] = []
-    for (start, stop), window in zip(held, windows, strict=True):
-        solved = window.solve(poles)
-        value = float(input_[start])
-        rising = None if not levels or value == levels[-1].input else value > levels[-1].input
-        levels.append(Level(value, float(solved.amplitude[0]),
-                            math.sqrt(float(solved.covariance[0, 0])), start, stop, rising))
-    return levels
+    solved = [window.solve(poles) for window in windows]
+    values = [float(input_[start]) for start, _ in held]
+    return [Level(value, float(level.amplitude[0]), math.sqrt(float(level.covariance[0, 0])),
+                  start, stop, None if value == before else value > before)
+            for (start, stop), level, value, before in zip(
+                held, solved, values, [values[0], *values[:-1]], strict=True)]
 
 
-def _loop(levels: Iterable[Level], force: Array) -> tuple[Array, Array, Array]:
-    """Return force, width and its standard error where a level was met from both sides."""
+def _loop(levels: Iterable[Level], force: Array) -> tuple[float, float]:
+    """Return the largest width at a level that was met from both sides, and its standard error.
+
+    NaN where there is none.
+    """
     up: dict[float, list[Level]] = {}
     down: dict[float, list[Level]] = {}
     for level, f in zip(levels, force, strict=True):
         if level.rising is not None:
-            (up if level.rising else down).setdefault(round(float(f), 9), []).append(level)
-    both = sorted(up.keys() & down.keys())
-    width, error = [], []
-    for f in both:
-        above = [level.position_m for level in down[f]]
-        below = [level.position_m for level in up[f]]
-        width.append(float(np.mean(above) - np.mean(below)))
-        error.append(math.hypot(*(math.sqrt(sum(level.error_m**2 for level in side)) / len(side)
-                                  for side in (up[f], down[f]))))
-    return np.array(both), np.array(width), np.array(error)
+            side = up if level.rising else down
+            side.setdefault(round(float(f), FORCE_DIGITS), []).append(level)
+    loops = []
+    for f in sorted(up.keys() & down.keys()):
+        above, below = (np.mean([level.position_m for level in side[f]]) for side in (down, up))
+        loops.append((float(above - below), math.hypot(*(
+            math.sqrt(sum(level.error_m**2 for level in side[f])) / len(side[f])
+            for side in (up, down)))))
+    width, error = max(loops, key=lambda loop: abs(loop[0]), default=(math.nan, math.nan))
+    return width, error * _largest_of(max(len(loops), 1))
 
 
 def _percent(value: float, error: float, travel: float) -> Quantity:

@@ -11,15 +11,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
+from dfm_stage.identification.fitting import noise_level, turning_point
 from dfm_stage.identification.quantity import Quantity, interval
 
-Array = NDArray[np.float64]
 REPEATS = 60
-LEAST_OVERSHOOT = 1e-3
-"""Share of the step below which there is no overshoot to derive a damping ratio from."""
+"""Of the bootstrap: its standard errors are then good to a tenth."""
+LEAST_OVERSHOOT, OVERSHOOT_NOISE = 1e-3, 5.0
+"""Share of the step, and times the noise, below which there is no overshoot to derive a damping
+ratio from."""
+RISE = (0.1, 0.9)
+"""Shares of the step between which the rise time counts, as the paper has it."""
+LEAVES_BAND = 4.0
+"""Times the noise by which a sample leaves the band: noise alone does once in 16,000 samples."""
+FEWEST_SAMPLES, SAMPLES_BEFORE = 20, 500
+"""Needed after the step, and averaged before it to know where it starts from."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +54,12 @@ class StepResponse:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON keeps it."""
-        named = {name: getattr(self, name).to_dict() for name in _NAMES}
+        named = {name: getattr(self, name).to_dict() for name in _UNITS}
         return {**named, "band": self.band}
 
 
-_NAMES = ("rise_time", "settling_time", "overshoot", "peak_time", "initial", "final", "damping",
-          "natural_frequency")
-_UNITS = ("s", "s", "%", "s", "m", "m", "", "rad/s")
+_UNITS = {"rise_time": "s", "settling_time": "s", "overshoot": "%", "peak_time": "s",
+          "initial": "m", "final": "m", "damping": "", "natural_frequency": "rad/s"}
 
 
 def step_response(command: Array, position: Array, sample_period: float, *, band: float = 0.02,
@@ -75,10 +82,10 @@ def step_response(command: Array, position: Array, sample_period: float, *, band
             raise IdentificationError("the command never steps: nothing to respond to")
         start = int(jumps[-1]) + 1
     after = y[start:]
-    if after.size < 20:
+    if after.size < FEWEST_SAMPLES:
         raise IdentificationError("the record ends right after the step: record longer")
-    noise = float(np.std(np.diff(after[after.size // 2:], 2))) / math.sqrt(6.0)
-    before = y[max(start - 500, 0):start + 1]
+    noise = noise_level(after[after.size // 2:])
+    before = y[max(start - SAMPLES_BEFORE, 0):start + 1]
     values = np.array(_figures(before, after, sample_period, band, final, noise))
     if not math.isfinite(values[0]):
         raise IdentificationError("the response does not rise through 10 and 90 % of the step: "
@@ -89,7 +96,7 @@ def step_response(command: Array, position: Array, sample_period: float, *, band
                                band, final, noise) for _ in range(REPEATS)])
     errors = again.std(axis=0, ddof=1)
     found = {name: Quantity(float(v), unit, interval(float(v), float(e)))
-             for name, v, unit, e in zip(_NAMES, values, _UNITS, errors, strict=True)}
+             for (name, unit), v, e in zip(_UNITS.items(), values, errors, strict=True)}
     return StepResponse(**found, band=band, start=start)
 
 
@@ -99,11 +106,11 @@ def _figures(before: Array, after: Array, period: float, band: float, final: flo
     last = _resting(after) if final is None else final
     height = last - first
     if height == 0.0:
-        return (math.nan,) * len(_NAMES)
+        return (math.nan,) * len(_UNITS)
     share = (after - first) / height
-    low, high = _crossing(share, 0.1), _crossing(share, 0.9)
+    low, high = (_crossing(share, level) for level in RISE)
     # Noise must not end the settling late: the band is left by what stands out of it.
-    outside = np.flatnonzero(np.abs(share - 1.0) > max(band, 4.0 * noise / abs(height)))
+    outside = np.flatnonzero(np.abs(share - 1.0) > max(band, LEAVES_BAND * noise / abs(height)))
     settled = 0.0
     if outside.size:
         at = int(outside[-1])
@@ -111,7 +118,8 @@ def _figures(before: Array, after: Array, period: float, band: float, final: flo
     top = int(np.argmax(share))
     overshoot, peak = _peak(share, top)
     ratio = natural = math.nan
-    if max(LEAST_OVERSHOOT, 5.0 * noise / abs(height)) < overshoot < 1.0 and peak > 0.0:
+    least = max(LEAST_OVERSHOOT, OVERSHOOT_NOISE * noise / abs(height))
+    if least < overshoot < 1.0 and peak > 0.0:
         log = math.log(overshoot)
         ratio = -log / math.hypot(math.pi, log)
         natural = math.pi / (peak * period * math.sqrt(1.0 - ratio**2))
@@ -144,10 +152,5 @@ def _peak(share: Array, top: int) -> tuple[float, float]:
     reach = max(min(top // 5, share.size - 1 - top), 2)
     if top < reach or top + reach >= share.size:
         return float(share[top]) - 1.0, float(top)
-    u = np.arange(-reach, reach + 1) / reach
-    fit = np.polynomial.Polynomial.fit(u, share[top - reach:top + reach + 1], min(4, 2 * reach),
-                                       domain=[-1, 1], window=[-1, 1])
-    roots = fit.deriv().roots()
-    real = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)]
-    at = float(real[np.argmin(np.abs(real))]) if real.size else 0.0
-    return float(fit(at)) - 1.0, top + at * reach
+    place, height = turning_point(share, top, reach)
+    return height - 1.0, place

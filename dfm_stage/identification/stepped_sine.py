@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.free_motion import Window, ringing_poles
 from dfm_stage.identification.frequency_response import FrequencyResponse
 
-Array = NDArray[np.float64]
+SHORTEST_WINDOW = 12
+"""Samples at a frequency: sine, offset and two modes that ring have seven coefficients."""
+NO_MOTION = 1e-12
+"""Amplitude of the input below which it does not move: rounding."""
 Segments = Sequence[tuple[float, int, int]]
 
 
@@ -58,7 +61,7 @@ def stepped_sine_response(input_: Array, output: Array, sample_period: float, se
         raise IdentificationError("a stepped sine needs at least one frequency")
     windows, drive = [], []
     for f, first, end in sorted(segments):
-        if not 0 <= first < end <= u.size or end - first < 12:
+        if not 0 <= first < end <= u.size or end - first < SHORTEST_WINDOW:
             raise IdentificationError(f"the window of {f:g} Hz, samples {first} to {end}, does "
                                       f"not lie inside the record of {u.size}")
         omega = 2.0 * math.pi * f
@@ -66,7 +69,7 @@ def stepped_sine_response(input_: Array, output: Array, sample_period: float, se
         known = np.column_stack((np.cos(omega * time), -np.sin(omega * time),
                                  np.ones_like(time)))
         re, im, _ = np.linalg.lstsq(known, u[first:end], rcond=None)[0]
-        if math.hypot(re, im) < 1e-12:
+        if math.hypot(re, im) < NO_MOTION:
             raise IdentificationError(f"the input does not move at {f:g} Hz")
         windows.append(Window(time, y[first:end], known, omega))
         drive.append(complex(re, im))

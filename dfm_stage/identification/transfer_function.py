@@ -13,21 +13,37 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.errors import IdentificationError
+from dfm_stage.identification.fitting import central_differences
 from dfm_stage.identification.frequency_response import FrequencyResponse
 from dfm_stage.identification.least_squares import minimise
 from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.quantity import Quantity, propagate
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 DAMPING_RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 LATENESS = (0.0, 1.0, 3.0)
 """Damping ratios and delays (samples) from which the search for a mode starts."""
+GRID = 120
+"""Frequencies of a mode from which the search starts, besides those that were measured."""
+EQUAL_SHARE = 0.05
+"""Share of the response added to the noise in the search for a start: no line rules it alone."""
+LATEST = 1000.0
+"""Bound of lag and of delay, samples."""
+STEP, SMALLEST_STEP = 1e-5, 1e-3
+"""Step of the Jacobian over a coefficient, and the least of that over its scale."""
+SMALLEST_SCALE = 1e-6
+"""Scale (SI) of a coefficient that starts at zero."""
+FEWEST_FREE = 2
+"""Numbers that must be left over of the coefficients, to judge the misfit by."""
+LEVEL = 0.999
+"""Quantile of chi-square over which a misfit is more than noise, and widens the intervals."""
+SURE = 1e-6
+"""Share of the response that no line is taken to be better known than: rounding of a record."""
+RANK = 1e-12
+"""Over the largest: singular values and columns below it are rounding."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +88,6 @@ class TransferFunctionFit:
         """Return output per constant input; infinite for a free body."""
         return self._derived(lambda plant: plant.static_gain, self.unit)
 
-    def numerator(self, mode: int = 0) -> Quantity:
-        """Return the numerator b of a mode (force constant over mass)."""
-        return self._derived(lambda plant: plant.modes[mode].numerator, f"{self.unit}/s^2")
-
     def _derived(self, function: Callable[[LinearPlant], float], unit: str) -> Quantity:
         if not math.isfinite(function(self.plant)):
             return Quantity(math.inf, unit, None)
@@ -100,9 +112,10 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
     """
     shape = _Shape(modes, free_body, lag, delay, measured)
     sigma = _sigma(measured)
-    if 2 * measured.omega.size < shape.count + 2:
-        raise IdentificationError(f"{measured.omega.size} lines are too few for {shape.count} "
-                                  "coefficients: excite more lines or fit fewer modes")
+    if 2 * measured.omega.size < len(shape.names) + FEWEST_FREE:
+        raise IdentificationError(f"{measured.omega.size} lines are too few for "
+                                  f"{len(shape.names)} coefficients: excite more lines or fit "
+                                  "fewer modes")
 
     def residual(x: Array) -> Array:
         error: Complex = (shape.plant(x).sampled_response(measured.omega, measured.sample_period)
@@ -114,20 +127,14 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
     low, high = shape.limits()
 
     def jacobian(x: Array, _: Array) -> Array:
-        columns = []
-        for j in range(x.size):
-            step = 1e-5 * max(abs(x[j]), 1e-3 * scale[j])
-            up, down = x.copy(), x.copy()
-            up[j] = min(x[j] + step, high[j])
-            down[j] = max(x[j] - step, low[j])
-            columns.append(np.asarray((residual(up) - residual(down)) / (up[j] - down[j])))
-        return np.asarray(np.array(columns).T)
+        step = STEP * np.maximum(np.abs(x), SMALLEST_STEP * scale)
+        return central_differences(residual, x, step, low, high)
 
     solution = minimise(residual, jacobian, start, scale, low, high,
                         max_iterations=max_iterations)
-    freedom = solution.residual.size - shape.count
+    freedom = solution.residual.size - len(shape.names)
     misfit = solution.cost / max(freedom, 1)
-    excess = misfit if misfit > stats.chi2.ppf(0.999, freedom) / freedom else 1.0
+    excess = misfit if misfit > stats.chi2.ppf(LEVEL, freedom) / freedom else 1.0
     covariance = _covariance(solution.jacobian) * excess
     status = "converged" if solution.converged else "not_converged"
     message = solution.reason
@@ -142,19 +149,18 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
 def _covariance(jacobian: Array) -> Array:
     """Return (J^T J)^-1 (p, p), infinite for coefficients that do not matter."""
     norms = np.linalg.norm(jacobian, axis=0)
-    seen = norms > 1e-12 * np.max(norms)
+    seen = norms > RANK * np.max(norms)
     scaled = jacobian[:, seen] / norms[seen]
     covariance = np.zeros((norms.size, norms.size))
-    covariance[np.ix_(seen, seen)] = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12) / np.outer(
+    covariance[np.ix_(seen, seen)] = np.linalg.pinv(scaled.T @ scaled, rcond=RANK) / np.outer(
         norms[seen], norms[seen])
     covariance[~seen, ~seen] = np.inf
     return covariance
 
 
 def _sigma(measured: FrequencyResponse) -> Array:
-    """Return the standard error per line, never below a millionth of the response."""
-    sigma = np.sqrt(measured.variance)
-    return np.asarray(np.maximum(sigma, 1e-6 * np.abs(measured.response)))
+    """Return the standard error per line, never below `SURE` of the response."""
+    return np.maximum(np.sqrt(measured.variance), SURE * np.abs(measured.response))
 
 
 class _Shape:
@@ -162,71 +168,54 @@ class _Shape:
 
     def __init__(self, modes: int, free_body: bool, lag: bool, delay: bool,
                  measured: FrequencyResponse) -> None:
-        self.modes, self.free_body, self.lag, self.delay = modes, free_body, lag, delay
+        self.free_body, self.lag, self.delay = free_body, lag, delay
         self.measured = measured
-        names: list[str] = []
-        units: list[str] = []
-        for i in range(modes):
-            mark = "" if modes == 1 else f"_{i + 1}"
-            names += [f"numerator{mark}", f"damping{mark}"]
-            units += [f"{measured.unit}/s^2", "1/s"]
-            if not (free_body and i == 0):
-                names.append(f"stiffness{mark}")
-                units.append("1/s^2")
-        names += ["lag"] * lag + ["delay"] * delay
-        units += ["s"] * (lag + delay)
-        self.names, self.units = tuple(names), tuple(units)
-
-    @property
-    def count(self) -> int:
-        return len(self.names)
+        self.marks = [f"_{i + 1}" for i in range(modes)] if modes > 1 else [""]
+        units = {"numerator": f"{measured.unit}/s^2", "damping": "1/s", "stiffness": "1/s^2"}
+        layout = {f"{name}{mark}": unit for mark in self.marks for name, unit in units.items()}
+        if free_body:
+            del layout[f"stiffness{self.marks[0]}"]
+        layout |= {"lag": "s"} if lag else {}
+        layout |= {"delay": "s"} if delay else {}
+        self.names, self.units = tuple(layout), tuple(layout.values())
+        self.late = np.array([name in ("lag", "delay") for name in self.names])
 
     def plant(self, x: Array) -> LinearPlant:
-        modes, at = [], 0
-        for i in range(self.modes):
-            free = self.free_body and i == 0
-            modes.append(Mode(float(x[at]), float(x[at + 1]), 0.0 if free else float(x[at + 2])))
-            at += 2 if free else 3
-        lag = float(x[at]) if self.lag else 0.0
-        return LinearPlant(tuple(modes), max(lag, 0.0),
-                           max(float(x[-1]), 0.0) if self.delay else 0.0)
+        v = dict(zip(self.names, x.tolist(), strict=True))
+        return LinearPlant(
+            tuple(Mode(v[f"numerator{mark}"], v[f"damping{mark}"], v.get(f"stiffness{mark}", 0.0))
+                  for mark in self.marks),
+            max(v.get("lag", 0.0), 0.0), max(v.get("delay", 0.0), 0.0))
 
     def vector(self, plant: LinearPlant) -> Array:
-        values: list[float] = []
-        for i, mode in enumerate(plant.modes):
-            values += [mode.numerator, mode.damping]
-            if not (self.free_body and i == 0):
-                values.append(mode.stiffness)
-        return np.array(values + [plant.lag] * self.lag + [plant.delay] * self.delay)
+        values = {"lag": plant.lag, "delay": plant.delay}
+        for mark, mode in zip(self.marks, plant.modes, strict=True):
+            values |= {f"{name}{mark}": value for name, value in vars(mode).items()}
+        return np.array([values[name] for name in self.names])
 
     def scale(self, start: Array) -> Array:
-        period = self.measured.sample_period
-        minimum = [period if n in ("lag", "delay") else 1e-6 for n in self.names]
-        return np.maximum(np.abs(start), minimum)
+        return np.maximum(np.abs(start), np.where(self.late, self.measured.sample_period,
+                                                  SMALLEST_SCALE))
 
     def limits(self) -> tuple[Array, Array]:
         low = np.array([-np.inf if n.startswith("numerator") else 0.0 for n in self.names])
-        high = np.full(self.count, np.inf)
-        for j, name in enumerate(self.names):
-            if name in ("lag", "delay"):
-                high[j] = 1000.0 * self.measured.sample_period
-        return low, high
+        return low, np.where(self.late, LATEST * self.measured.sample_period, np.inf)
 
     def start(self, sigma: Array) -> Array:
         """Search a grid of poles, one mode after the other; numerators follow linearly."""
         omega, response = self.measured.omega, self.measured.response
         period = self.measured.sample_period
-        weight = 1.0 / (sigma + 0.05 * np.abs(response))
+        weight = 1.0 / (sigma + EQUAL_SHARE * np.abs(response))
         s = 1j * omega
         hold = -np.expm1(-s * period) / (s * period)
-        grid = np.unique(np.concatenate((np.geomspace(0.5 * omega[0], 1.2 * omega[-1], 120),
+        grid = np.unique(np.concatenate((np.geomspace(0.5 * omega[0], 1.2 * omega[-1], GRID),
                                          omega)))
         sprung = np.array([(2.0 * z * w, w * w) for w in grid for z in DAMPING_RATIOS])
         free = np.array([(c, 0.0) for c in (0.0, *grid / 10.0)])
         late_by = LATENESS if self.lag or self.delay else (0.0,)
         found: list[tuple[float, float]] = []
         late = 0.0
-        for i in range(self.modes):
+        for i in range(len(self.marks)):
             pairs = free if self.free_body and i == 0 else sprung
             best = math.inf
             for lateness in late_by:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
@@ -33,9 +33,14 @@ from dfm_stage.identification.transfer_function import (
 )
 from dfm_stage.model import BASE_PARAMETERS, Model
 
-Array = NDArray[np.float64]
 LIMITS = {parameter.name: parameter for parameter in BASE_PARAMETERS}
 
+PERIOD_TOLERANCE = 1e-6
+"""Relative difference up to which two sampling periods are the same."""
+SPRING_HELPS = 0.98
+"""Misfit over that of a free body which a spring must come below, or it explains nothing more."""
+TIMES_TRANSIENT = 3
+"""Measurements of a response: poles, and so the transient removed, change little after two."""
 PAPER_MASS = 1.082
 """Moving mass (kg) assumed where no model gives one: 650 N/m over (24.51 rad/s)^2."""
 
@@ -68,6 +73,12 @@ class Identification:
         """The estimate behind the model."""
         return self.fit.estimate
 
+    @property
+    def headline(self) -> dict[str, Quantity]:
+        """The figures that everybody asks for, by name."""
+        return {"natural frequency": self.natural_frequency_hz,
+                "damping ratio": self.damping_ratio, "gain": self.gain}
+
     def to_dict(self) -> dict[str, Any]:
         """As identify.json keeps it."""
         unit = self.sources[0].axis.position_unit
@@ -87,7 +98,7 @@ class Identification:
             "residual_tests": [t.to_dict() for t in self.tests], **estimate,
             "transfer_function": (self.transfer_function.to_dict()
                                   if self.transfer_function else None),
-            "frequency_response": [_response_dict(r) for r in self.responses],
+            "frequency_response": [r.to_dict() for r in self.responses],
             "paper": [row.to_dict() for row in self.paper], "warnings": list(self.warnings),
         }
 
@@ -119,8 +130,10 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
         if np.ptp(source.axis.position) == 0.0:
             raise IdentificationError(f"{source.name}: the position never changes: check the "
                                       "encoder, or leave the record out")
-    if model is None:
-        _check_excited(sources)
+    if model is None and all(np.ptp(source.axis.input) == 0.0 for source in sources):
+        raise IdentificationError(f"{', '.join(source.name for source in sources)}: the input is "
+                                  "constant: excite the stage, or give the model whose free "
+                                  "motion the record shows")
     fixed = dict(fixed or {})
     warnings = [f"{s.name}: {w}" for s in sources for w in s.warnings]
     step("frequency response")
@@ -133,9 +146,12 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     fit = fit_model(start, [s.run() for s in sources], names, noise=noise, starts=others)
     if fit.estimate.status == "failed":
         raise IdentificationError(f"{sources[0].name}: {fit.estimate.message}")
-    warnings += _remarks(fit.estimate)
+    if fit.estimate.status != "converged":
+        warnings.append(fit.estimate.message)
+    if not fit.estimate.identifiability.complete and fit.estimate.status != "not_identifiable":
+        warnings.append(fit.estimate.identifiability.text)
     step("residuals")
-    period = _period_of(responses[0]) if responses and responses[0] is not None else None
+    period = responses[0].period if responses[0] is not None else None
     evaluations = tuple(judged(s.name, part, period)
                         for s, part in zip(sources, fit.fits, strict=True))
     tests, lines = residual_tests(sources[0], fit.fits[0], responses[0], period)
@@ -145,7 +161,8 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     step("hold-out")
     held_out = hold_out(sources, holdout, fit, names, noise, period)
     frequency, ratio, gain = summary(fit)
-    paper = _paper_rows(fit) if _like_the_paper(sources[0]) else ()
+    axis = sources[0].axis
+    paper = _paper_rows(fit) if (axis.input_unit, axis.position_unit) == ("V", "m") else ()
     return Identification(fit, tuple(sources), tuple(r for r in responses if r is not None),
                           transfer, evaluations, held_out, tests, lines, frequency, ratio, gain,
                           paper, tuple(warnings))
@@ -191,31 +208,24 @@ def _check_alike(sources: Sequence[Source]) -> None:
             raise IdentificationError(f"{source.name} is in {' and '.join(units)}, {first.name} "
                                       f"in {first.axis.input_unit} and "
                                       f"{first.axis.position_unit}: use records in the same units")
-        if abs(source.sample_period / first.sample_period - 1.0) > 1e-6:
+        if abs(source.sample_period / first.sample_period - 1.0) > PERIOD_TOLERANCE:
             raise IdentificationError(f"{source.name} is sampled every {source.sample_period:g} "
                                       f"s, {first.name} every {first.sample_period:g} s: resample "
                                       "one of them")
 
 
-def _check_excited(sources: Sequence[Source]) -> None:
-    if all(np.ptp(source.axis.input) == 0.0 for source in sources):
-        names = ", ".join(source.name for source in sources)
-        raise IdentificationError(f"{names}: the input is constant: excite the stage, or give the "
-                                  "model whose free motion the record shows")
-
-
-def _shape_of(model: Model | None) -> tuple[int, bool, bool, bool]:
-    """Return modes, free body, lag, delay of the transfer function to fit."""
+def _shape_of(model: Model | None) -> dict[str, Any]:
+    """Return which transfer function to fit, as `fit_transfer_function` takes it."""
     if model is None:
-        return 1, False, True, True
+        return {}
     plant = linear_plant(model)
-    return (len(plant.modes), plant.modes[0].stiffness <= 0.0,
-            "amplifier_time_constant" in model.base
+    return {"modes": len(plant.modes), "free_body": plant.modes[0].stiffness <= 0.0,
+            "lag": "amplifier_time_constant" in model.base
             or model.effect("amplifier_bandwidth") is not None,
-            "delay" in model.base or model.effect("transport_delay") is not None)
+            "delay": "delay" in model.base or model.effect("transport_delay") is not None}
 
 
-def _respond(sources: Sequence[Source], shape: tuple[int, bool, bool, bool],
+def _respond(sources: Sequence[Source], shape: Mapping[str, Any],
              warnings: list[str]) -> tuple[list[FrequencyResponse | None],
                                            TransferFunctionFit | None]:
     """Measure the responses; fit the first, with its free motion taken out once it is known."""
@@ -239,29 +249,27 @@ def _sprung_or_free(responses: Sequence[FrequencyResponse | None], sprung: Trans
     """Return the fit of a body without a spring where a spring explains nothing more."""
     measured = next(r for r in responses if r is not None)
     free = fit_transfer_function(measured, free_body=True)
-    if not free.ok or (sprung.ok and sprung.misfit < 0.98 * free.misfit):
+    if not free.ok or (sprung.ok and sprung.misfit < SPRING_HELPS * free.misfit):
         return sprung
     warnings.append("no spring shows in the frequency response: identified as a free body")
     return free
 
 
-def measure_response(source: Source, shape: tuple[int, bool, bool, bool] = (1, False, True, True)
+def measure_response(source: Source, shape: Mapping[str, Any]
                      ) -> tuple[FrequencyResponse, TransferFunctionFit | None]:
     """Return the frequency response of a record and the transfer function fitted to it.
 
-    `shape` is (modes, first without a spring, lag, delay).
+    `shape` says what to fit, as `fit_transfer_function` takes it.
     """
-    modes, free_body, lag, delay = shape
     poles: tuple[complex, ...] = ()
     fitted = None
-    for _ in range(3):
+    for _ in range(TIMES_TRANSIENT):
         measured = frequency_response(
             source.axis.input, source.axis.position, source.sample_period,
             reference=source.driver, poles=poles, input_unit=source.axis.input_unit,
             output_unit=source.axis.position_unit)
         try:
-            fitted = fit_transfer_function(measured, modes=modes, free_body=free_body, lag=lag,
-                                           delay=delay)
+            fitted = fit_transfer_function(measured, **shape)
         except IdentificationError:
             return measured, None
         if measured.method != "periods":
@@ -323,43 +331,8 @@ def _allowed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
     return {n: min(max(values[n], p.low), p.high) for n, p in limits.items()}
 
 
-def _remarks(estimate: Estimate) -> list[str]:
-    remarks = [] if estimate.status == "converged" else [estimate.message]
-    if not estimate.identifiability.complete and estimate.status != "not_identifiable":
-        remarks.append(estimate.identifiability.text)
-    return remarks
-
-
-def _period_of(response: FrequencyResponse) -> int | None:
-    if response.method != "periods" or not response.lines.size:
-        return None
-    base = response.omega[0] / response.lines[0]
-    return round(2.0 * math.pi / float(base * response.sample_period))
-
-
-def _like_the_paper(source: Source) -> bool:
-    return (source.axis.input_unit, source.axis.position_unit) == ("V", "m")
-
-
 def _paper_rows(fit: ModelFit) -> tuple[PaperRow, ...]:
     return compare_with_paper(
         plant_quantity(fit, lambda p: p.modes[0].numerator, "m/(V s^2)"),
         plant_quantity(fit, lambda p: p.modes[0].damping, "1/s"),
         plant_quantity(fit, lambda p: p.modes[0].stiffness, "1/s^2"))
-
-
-def _response_dict(response: FrequencyResponse) -> dict[str, Any]:
-    finite = np.where(np.isfinite(response.variance), response.variance, -1.0)
-    distortion = response.distortion
-    return {
-        "method": response.method, "unit": response.unit,
-        "periods_used": response.periods_used, "periods_total": response.periods_total,
-        "frequency_hz": [float(f) for f in response.frequency_hz],
-        "real": [float(x) for x in response.response.real],
-        "imag": [float(x) for x in response.response.imag],
-        "std": [math.sqrt(v) if v >= 0.0 else None for v in finite],
-        "lines": [int(k) for k in response.lines],
-        "distortion": None if distortion is None else {
-            "excited": distortion.excited, "noise": distortion.noise, "odd": distortion.odd,
-            "even": distortion.even, "unit": response.output_unit},
-    }

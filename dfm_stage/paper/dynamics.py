@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.paper import PAPER_MODE
-from dfm_stage.identification.plant import LinearPlant
+from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.ring_down import (
     RingDown,
@@ -21,12 +21,11 @@ from dfm_stage.identification.static import StaticTest
 from dfm_stage.identification.step_response import StepResponse, step_response
 from dfm_stage.model import Model
 from dfm_stage.model.beam import BladeChain, manipulator_chain
-from dfm_stage.model.flexure import DoubleParallelogram, chosen_manipulator
+from dfm_stage.model.flexure import chosen_manipulator
 from dfm_stage.paper.printed import PRINTED
 from dfm_stage.paper.row import Row, derived, ours_only, printed
 from dfm_stage.recording import AxisRecord
 
-Array = NDArray[np.float64]
 INTERMEDIATE_KG = 0.15
 """Mass of the intermediate stage: chosen, the paper does not print it."""
 
@@ -120,14 +119,9 @@ class BeamTheory:
     """The beam equation's stage: chosen geometry, the model's mass; modes and answer to a step."""
 
     chain: BladeChain
-    manipulator: DoubleParallelogram
     stiffness_n_m: float
     omega: float
     second_hz: float
-
-    def step(self, time_s: Array, force_n: float, ratio: float, late_s: float) -> Array:
-        """Return the deflection after a force, (N,), m, later by `late_s`."""
-        return self.chain.step_response(time_s - late_s, force_n, ratio)
 
 
 def beam_theory(model: Model) -> BeamTheory:
@@ -144,7 +138,7 @@ def beam_theory(model: Model) -> BeamTheory:
     stage = model.base["mass"] - 0.25 * INTERMEDIATE_KG - share
     chain = manipulator_chain(manipulator, stage, INTERMEDIATE_KG)
     first, second = chain.modes(2)
-    return BeamTheory(chain, manipulator, manipulator.stiffness_n_m(), first.omega,
+    return BeamTheory(chain, manipulator.stiffness_n_m(), first.omega,
                       second.frequency_hz)
 
 
@@ -176,16 +170,18 @@ def theory_rows(theory: BeamTheory, test: DynamicTest, static: StaticTest,
     ]
 
 
+def unit_step(mode: Mode, time_s: Array) -> Array:
+    """Return the answer (N,) of an underdamped mode to a unit step of its input at time zero."""
+    rate, damped = 0.5 * mode.damping, math.sqrt(mode.stiffness - 0.25 * mode.damping**2)
+    return np.asarray(mode.numerator / mode.stiffness * (1.0 - np.exp(-rate * time_s) * (
+        np.cos(damped * time_s) + rate / damped * np.sin(damped * time_s))))
+
+
 def step_rows(ours: StepResponse, sample_period: float) -> list[Row]:
     """Return rise and settling time and overshoot beside those of Eq. 3."""
-    printed_plant = LinearPlant((PAPER_MODE,))
     time = np.asarray(np.arange(round(20.0 / sample_period)) * sample_period)
-    c, k = PAPER_MODE.damping, PAPER_MODE.stiffness
-    rate, damped = 0.5 * c, math.sqrt(k - 0.25 * c * c)
-    answer = printed_plant.static_gain * (1.0 - np.exp(-rate * time) * (
-        np.cos(damped * time) + rate / damped * np.sin(damped * time)))
-    there = step_response(np.zeros(time.size), answer, sample_period, start=0,
-                          final=printed_plant.static_gain)
+    there = step_response(np.zeros(time.size), unit_step(PAPER_MODE, time), sample_period,
+                          start=0, final=LinearPlant((PAPER_MODE,)).static_gain)
     reason = ("the paper names it as a result of the transient test and prints no number; this is "
               "Eq. 3's; ours counts from the command and so has delay and lag in it")
     return [

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.ring_down import RingDown
 from dfm_stage.identification.static import StaticTest
-from dfm_stage.recording import Record
 from dfm_stage.reporting import (
     Drawing,
     Response,
@@ -19,10 +18,10 @@ from dfm_stage.reporting import (
     bode_figure,
     new_figure,
     page_style,
+    statistics,
     thinned,
 )
 
-Array = NDArray[np.float64]
 Curves = Mapping[str, tuple[Array, Array]]
 _LINE = 30
 """Characters of a legend that fit side by side on a phone."""
@@ -52,8 +51,7 @@ def static_figure(test: StaticTest, theory_n_m: float | None = None,
             top.plot(1e3 * printed[1], printed[0], "x", color="C3", markersize=7.0,
                      label="paper, Table 1")
         top.set_ylabel("force (N)")
-        bottom.set_ylabel(f"off the line ({unit})")
-        bottom.set_xlabel("deflection (mm)")
+        bottom.set(xlabel="deflection (mm)", ylabel=f"off the line ({unit})")
         top.legend(loc="upper left")
         figure.align_ylabels()
     rows = [[float(f), float(1e3 * p), float(1e6 * e), "" if level.rising is None else
@@ -76,8 +74,7 @@ def decay_figure(position: Array, sample_period: float, decay: RingDown) -> Draw
         for sign in (1.0, -1.0):
             axis.plot(decay.time_s, offset + sign * 1e3 * decay.envelope_m, "--", color="C2",
                       linewidth=1.2, label="fitted envelope" if sign > 0 else None)
-        axis.set_xlabel("time after the release (s)")
-        axis.set_ylabel("position (mm)")
+        axis.set(xlabel="time after the release (s)", ylabel="position (mm)")
         axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=3,
                     columnspacing=1.0, handlelength=1.4)
         axis.margins(x=0.01)
@@ -125,9 +122,7 @@ def curves_figure(curves: Curves, ylabel: str, *, difference: Curves | None = No
                 style = {"linewidth": 2.6, "alpha": 0.5} if i == 0 and len(curves) > 1 else {
                     "linewidth": 1.2, "linestyle": ("-", "-", "--", ":")[min(i, 3)]}
                 axis.plot(*thinned(x, factor * y), label=name, color=f"C{i}", **style)
-                rows.append([name, label, float(factor * np.mean(y)),
-                             float(factor * np.sqrt(np.mean(y**2))), float(factor * np.min(y)),
-                             float(factor * np.max(y))])
+                rows.append([name, label, *statistics(factor * y)])
             axis.set_ylabel(label)
             axis.margins(x=0.0)
             if len(names) > 1 and (axis is axes[0, 0] or not set(group) <= set(curves)):
@@ -136,8 +131,3 @@ def curves_figure(curves: Curves, ylabel: str, *, difference: Curves | None = No
         axes[-1, 0].set_xlabel(xlabel)
         figure.align_ylabels()
     return Drawing(figure, Table(("curve", "axis", "mean", "RMS", "min", "max"), rows))
-
-
-def axis_of(record: Record, axis: str | None = None) -> tuple[Array, Array]:
-    """Return time and position of a record."""
-    return record.time, record.axis(axis).position

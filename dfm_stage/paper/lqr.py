@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import eigvals
 
+from dfm_stage.arrays import Array
 from dfm_stage.control import (
     LqrSpec,
     algebraic,
@@ -24,11 +25,9 @@ from dfm_stage.identification.plant import LinearPlant
 from dfm_stage.model import Model
 from dfm_stage.paper.printed import LQR_A, LQR_B, LQR_C, PRINTED
 from dfm_stage.paper.row import Row, derived, ours_only
-from dfm_stage.paper.stage import Stage
-from dfm_stage.recording import Record
+from dfm_stage.paper.stage import Stage, reference_of, true_position
 from dfm_stage.trajectory import Experiment, load_experiment
 
-Array = NDArray[np.float64]
 PLACE = "sec. 5"
 STEP_M = 1e-3
 MODEL_ERROR = 0.05
@@ -63,8 +62,6 @@ def printed_plant(a: Array = LQR_A, b: Array = LQR_B, c: Array = LQR_C) -> Print
     size = len(a)
     pencil = np.block([[a, b[:, None]], [c[None], np.zeros((1, 1))]])
     mask = np.diag([1.0] * size + [0.0])
-    from scipy.linalg import eigvals
-
     zeros = eigvals(pencil, mask)
     zeros = zeros[np.isfinite(zeros)]
     return PrintedPlant(
@@ -212,7 +209,7 @@ def error_dynamics_rows(gain: Array) -> list[Row]:
         sides.append(rate - (LQR_A @ r - LQR_A @ target))
         inputs.append(LQR_B * u)
     left, right = np.concatenate(sides), np.concatenate(inputs)
-    sign = float(right @ left / (right @ right))
+    sign = proportional(right, left)
     place = np.array([0.0, 0.0, 0.0, STEP_M / LQR_C[3]])
     moving = place + np.array([0.0, 0.0, 1.0, 0.0]) * place[3] * 2.0 * math.pi
     return [
@@ -226,6 +223,11 @@ def error_dynamics_rows(gain: Array) -> list[Row]:
                 _added_rank(gain, moving), "", "with a velocity in x_ref, A x_ref leaves the "
                 "range of B and no v makes the error vanish"),
     ]
+
+
+def proportional(x: Array, y: Array) -> float:
+    """Return the factor by which `x` (N,) comes closest to `y` (N,)."""
+    return float(x @ y / (x @ x))
 
 
 def _added_rank(gain: Array, target: Array) -> float:
@@ -274,29 +276,22 @@ def regulate(stage: Stage, model: Model, step: Callable[[str], None]) -> Regulat
     for key, (name, spec) in zip(KEYS, LAWS.items(), strict=True):
         step(f"LQR {name}")
         record = stage.run(_experiment(f"lqr_{key}", JUMP, spec), shifted, model)
-        laws[name] = _position(record)
-        reference = record.axis(None).reference
+        laws[name] = true_position(record)
         expected[name] = design_lqr(model, spec).steady_error(sample_model(stiffer), STEP_M,
                                                               ZERO_SHIFT_N)
         if key != "feedforward":
             step(f"LQR {name}, disturbed")
-            disturbed[name] = _position(stage.run(
+            disturbed[name] = true_position(stage.run(
                 _experiment(f"lqr_{key}_disturbed", {"kind": "hold"}, spec), pushed, model))
     time = record.time
     push = DISTURBANCE_N * np.sin(2.0 * math.pi * DISTURBANCE_HZ * time)
-    return Regulation(time, np.zeros(time.size) if reference is None else reference, laws, push,
-                      disturbed, expected)
+    return Regulation(time, reference_of(record), laws, push, disturbed, expected)
 
 
 def _experiment(name: str, reference: Mapping[str, Any], spec: LqrSpec) -> Experiment:
     return load_experiment({"name": name, "mode": "lqr", "duration_s": DURATION_S,
                             "axes": {"x": {"reference": dict(reference)}},
                             "controller": spec.to_dict()})
-
-
-def _position(record: Record) -> Array:
-    axis = record.axis(None)
-    return axis.extra.get("plant_position", axis.position)
 
 
 def regulation_rows(found: Regulation) -> list[Row]:
@@ -317,7 +312,7 @@ def regulation_rows(found: Regulation) -> list[Row]:
     moving = found.time_s >= 1.0
     position = found.disturbed[names[0]][moving]
     force = found.disturbance[moving]
-    slope = float(position @ force / (force @ force))
+    slope = proportional(force, position)
     alike = float(np.corrcoef(position, force)[0, 1])
     calm = found.disturbed[names[2]][moving]
     rows += [

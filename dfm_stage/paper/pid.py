@@ -9,10 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.control import (
-    ControlError,
     PidGains,
     Ultimate,
     margins,
@@ -25,12 +23,11 @@ from dfm_stage.control import (
 from dfm_stage.model import Model
 from dfm_stage.paper.printed import PRINTED
 from dfm_stage.paper.row import Row, derived, ours_only, printed
-from dfm_stage.paper.stage import DirectStage, Stage
+from dfm_stage.paper.stage import DirectStage, Stage, tracking_error
 from dfm_stage.paper.xy import smallest_step
 from dfm_stage.recording import Record
 from dfm_stage.trajectory import Experiment, load_experiment
 
-Array = NDArray[np.float64]
 STEP_M, SINE_M, SINE_HZ = 1e-3, 1e-3, 0.5
 PLACED_HZ = 8.0
 STEP = {"kind": "steps", "levels_m": [0.0, STEP_M], "dwell_s": 0.5}
@@ -50,7 +47,6 @@ class PidTest:
 
     limit: Ultimate
     gains: PidGains
-    placed_gains: PidGains
     swing: Record
     step: Record
     sine: Record
@@ -89,17 +85,12 @@ def run_pid(stage: Stage, model: Model, step: Any) -> PidTest:
     coarse_base = {**model.base, "encoder_resolution": PRINTED["encoder.resolution"].value}
     coarse = DirectStage().run(closed_loop("coarse_step", COARSE, 5.0, gains),
                                replace(model, base=coarse_base, document=None))
-    return PidTest(limit, gains, placed, swing, stepped, sine, better, coarse)
+    return PidTest(limit, gains, swing, stepped, sine, better, coarse)
 
 
-def tracking_error(record: Record, last_s: float) -> tuple[float, float]:
+def largest_error(record: Record, last_s: float) -> tuple[float, float]:
     """Return peak and RMS of true position less reference over the last seconds, m."""
-    axis = record.axis(None)
-    count = round(last_s / record.sample_period)
-    position = axis.extra.get("plant_position", axis.position)
-    if axis.reference is None:
-        raise ControlError("the record holds no reference, so it has no tracking error")
-    error = (position - axis.reference)[-count:]
+    error = tracking_error(record)[-round(last_s / record.sample_period):]
     return float(np.max(np.abs(error))), float(np.sqrt(np.mean(error**2)))
 
 
@@ -123,10 +114,10 @@ def pid_rows(test: PidTest, model: Model) -> list[Row]:
     lag, delay = model.base.get("amplifier_time_constant", 0.0), model.base.get("delay", 0.0)
     bare, growing = _ultimate_without_delay(model)
     period, growth = swing_of(test.swing)
-    step_peak, _ = tracking_error(test.step, 0.5)
-    sine_peak, sine_rms = tracking_error(test.sine, 4.0)
-    placed_peak, _ = tracking_error(test.placed, 4.0)
-    coarse_peak, _ = tracking_error(test.coarse, 1.0)
+    step_peak, _ = largest_error(test.step, 0.5)
+    sine_peak, sine_rms = largest_error(test.sine, 4.0)
+    placed_peak, _ = largest_error(test.placed, 4.0)
+    coarse_peak, _ = largest_error(test.coarse, 1.0)
     found = margins(sample_model(model), test.gains)
     illegible = "the reference signal of the claim is not legible"
     return [

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -24,11 +23,7 @@ class Printed:
     where: str
 
 
-def _table(*entries: tuple[str, float, str, str, str]) -> dict[str, Printed]:
-    return {name: Printed(value, unit, what, where) for name, value, unit, what, where in entries}
-
-
-PRINTED: dict[str, Printed] = _table(
+PRINTED = {name: Printed(value, unit, what, where) for name, value, unit, what, where in (
     ("table1.theory", 650.0, "N/m", "stiffness, theory", "Table 1"),
     ("table1.error", 1.0, "%", "largest error of theory against experiment", "sec. 3A"),
     ("damping.decrement", 0.218308, "", "logarithmic decrement", "sec. 3B"),
@@ -50,7 +45,7 @@ PRINTED: dict[str, Printed] = _table(
     ("xy.gauge", 10e-6, "m", "resolution of the dial gauges", "sec. 6"),
     ("xy.range", 25e-3, "m", "range of the dial gauges", "sec. 6"),
     ("xy.cross", 25e-6, "m", "motion in X while Y is driven", "sec. 6"),
-)
+)}
 
 # Table 1: load (N), deflection in theory and in practice (mm), stiffness in practice (N/mm),
 # error (%)

@@ -15,11 +15,11 @@ from dfm_stage.paper.figures import (
     response_figure,
     static_figure,
 )
-from dfm_stage.paper.lqr import DISTURBANCE_HZ, DISTURBANCE_N
+from dfm_stage.paper.lqr import DISTURBANCE_HZ, DISTURBANCE_N, proportional
 from dfm_stage.paper.printed import PRINTED, TABLE_1
 from dfm_stage.paper.row import Row
-from dfm_stage.paper.workflow import Comparison
-from dfm_stage.recording import Record
+from dfm_stage.paper.stage import reference_of, tracking_error
+from dfm_stage.paper.workflow import Comparison, Findings
 from dfm_stage.reporting import Page, Quantity, Response, format_number
 from dfm_stage.reporting.table import Cell
 
@@ -52,12 +52,11 @@ def write_page(found: Comparison, path: Path, provenance: Mapping[str, object]) 
     page.section("Where the source contradicts itself")
     page.table(("quantity", "place", "paper", "ours", "deviation (%)", "reason"),
                [_cells(row) for row in found.rows if row.contradicts])
-    draw = _Figures(page, found)
     for title, prefixes, text in SECTIONS:
         page.section(title, text)
         rows = [row for row in found.rows if row.id.split(".")[0] in prefixes]
-        for prefix in prefixes:
-            draw.of(prefix)
+        for draw in filter(None, map(FIGURES.get, prefixes)):
+            draw(page, found.findings)
         page.table(("quantity", "place", "paper", "ours", "deviation (%)", "reason"),
                    [_cells(row) for row in rows])
     page.provenance(provenance)
@@ -80,135 +79,111 @@ def _cells(row: Row) -> list[Cell]:
             row.reason]
 
 
-class _Figures:
-    """Draws the figures that belong to a section."""
-
-    def __init__(self, page: Page, found: Comparison) -> None:
-        self._page, self._found = page, found.evidence
-
-    def of(self, prefix: str) -> None:
-        """Draw what belongs to the rows that begin with `prefix`."""
-        draw: dict[str, Callable[[], None]] = {
-            "table1": self._stiffness, "damping": self._decay, "step": self._transient,
-            "response": self._response, "pid": self._tracking, "lqr": self._regulator,
-            "xy": self._plane}
-        if prefix in draw:
-            draw[prefix]()
-
-    def _stiffness(self) -> None:
-        loads = np.array([row[0] for row in TABLE_1])
-        printed = np.array([1e-3 * row[2] for row in TABLE_1])
-        self._page.figure(
-            static_figure(self._found.static, PRINTED["table1.theory"].value, (loads, printed)),
-            "Fig. 6: stiffness characteristics, force up and down; below, how far each level is "
-            "off the straight line through all of ours")
-
-    def _decay(self) -> None:
-        record = self._found.records["decay"]
-        self._page.figure(
-            decay_figure(record.axis(None).position, record.sample_period, self._found.decay),
-            "Fig. 7: logarithmic decrement curve (the text also calls the frequency response "
-            "Fig. 7)")
-
-    def _transient(self) -> None:
-        e = self._found
-        shown = e.step_time <= 4.0
-        time = e.step_time[shown]
-        measured, beam = e.step_measured[shown], e.step_theory[shown]
-        fitted = e.step_identified[shown]
-        self._page.figure(curves_figure(
-            {"measured": (time, measured), "identified G(s)": (time, fitted),
-             "beam equation": (time, beam)}, "position (mm)",
-            difference={"identified G(s)": (time, fitted - measured),
-                        "beam equation": (time, beam - measured)},
-            difference_label="less measured (µm)"),
-            "Fig. 8: transient response, experiment and models")
-
-    def _response(self) -> None:
-        test = self._found.response
-        frequency = np.geomspace(test.response.frequency_hz[0], test.response.frequency_hz[-1],
-                                 500)
-        fit = test.constrained
-        paper = LinearPlant((PAPER_MODE,), fit.lag.value, fit.delay.value)
-        self._page.figure(
-            response_figure(test, [Response(
-                "paper's G(s) behind our lag and delay", frequency, paper.sampled_response(
-                    2.0 * np.pi * frequency, test.response.sample_period))]),
-            "The frequency response of sec. 3C, stepped sine at 0.08 V")
-
-    def _tracking(self) -> None:
-        test = self._found.pid
-        time = test.sine.time
-        curves = {"reference": (time, _reference(test.sine)),
-                  "Ziegler-Nichols": (time, test.sine.axis(None).position),
-                  "placed, feedforward": (time, test.placed.axis(None).position)}
-        self._page.figure(curves_figure(curves, "position (mm)"),
-                          "Fig. 9: actual and reference position")
-        self._page.figure(curves_figure(
-            {"Ziegler-Nichols": (time, _error(test.sine))}, "error (µm)", scale=1e6,
-            difference={"placed, feedforward": (time, _error(test.placed))},
-            difference_label="error, placed (µm)"),
-            "Fig. 10: error on the sine; above under Ziegler-Nichols, below with gains placed on "
-            "the model and feedforward")
-        step = test.step
-        self._page.figure(curves_figure(
-            {"reference": (step.time, _reference(step)),
-             "Ziegler-Nichols": (step.time, step.axis(None).position)}, "position (mm)"),
-            "The 1 mm step under Ziegler-Nichols")
-
-    def _regulator(self) -> None:
-        found, e = self._found.regulation, self._found
-        curves = {"reference": (found.time_s, found.reference),
-                  **{name: (found.time_s, y) for name, y in found.laws.items()}}
-        late = found.time_s >= 0.8
-        errors = {name: (found.time_s[late], (found.reference - y)[late])
-                  for name, y in found.laws.items()}
-        self._page.figure(curves_figure(curves, "position (mm)", difference=errors,
-                                        difference_label="error (µm)"),
-                          "Fig. 11: regulation under LQR, its steady-state error (from 0.3 s "
-                          "after the step on) and the cure")
-        gain = _likest(e.regulation.disturbance, next(iter(found.disturbed.values())))
-        self._page.figure(curves_figure(
-            {f"disturbance times {1e6 * gain:.0f} µm/N": (found.time_s, gain * found.disturbance),
-             **{name: (found.time_s, y) for name, y in found.disturbed.items()}},
-            "position (µm)", scale=1e6),
-            f"Fig. 12: response to a disturbance of {DISTURBANCE_N:g} N at {DISTURBANCE_HZ:g} Hz")
-        c = e.convergence
-        self._page.figure(curves_figure(
-            {f"L{i + 1}": (c.time_s, c.gain[:, i]) for i in range(4)},
-            "gain over its limit", scale=1.0, xlabel="time (s); the end is at 4 s, P_f = 0"),
-            "The finite-horizon gain L(t) on the printed plant: constant but for the last second")
-
-    def _plane(self) -> None:
-        found = self._found.xy
-        for axis, test in found.tests.items():
-            curve = found.elements[axis]
-            order = np.argsort(test.force_n, kind="stable")
-            x = test.position_m[order]
-            k = found.mechanism.stiffness_n_m()
-            curves = {"static test": (1e3 * x, test.force_n[order]),
-                      "closed form": (1e3 * x, k * x)}
-            off = {"static test": (1e3 * x, test.force_n[order] - k * x)}
-            if curve is not None:
-                curves["finite elements"] = (1e3 * curve.along_m, curve.force_n)
-                off["finite elements"] = (1e3 * curve.along_m, curve.force_n - k * curve.along_m)
-            self._page.figure(curves_figure(
-                curves, "force (N)", scale=1.0, difference=off,
-                difference_label="less closed form (N)", difference_scale=1.0,
-                xlabel="deflection (mm)"),
-                f"Fig. {16 if axis == 'x' else 17}: {axis.upper()} direction; the paper's figure "
-                "is not legible as numbers")
+def _stiffness(page: Page, found: Findings) -> None:
+    loads = np.array([row[0] for row in TABLE_1])
+    printed = np.array([1e-3 * row[2] for row in TABLE_1])
+    page.figure(
+        static_figure(found.static, PRINTED["table1.theory"].value, (loads, printed)),
+        "Fig. 6: stiffness characteristics, force up and down; below, how far each level is "
+        "off the straight line through all of ours")
 
 
-def _reference(record: Record) -> np.ndarray:
-    reference = record.axis(None).reference
-    return np.zeros(len(record)) if reference is None else reference
+def _decay(page: Page, found: Findings) -> None:
+    record = found.records["decay"]
+    page.figure(
+        decay_figure(record.axis(None).position, record.sample_period, found.decay),
+        "Fig. 7: logarithmic decrement curve (the text also calls the frequency response "
+        "Fig. 7)")
 
 
-def _error(record: Record) -> np.ndarray:
-    axis = record.axis(None)
-    return np.asarray(axis.extra.get("plant_position", axis.position) - _reference(record))
+def _transient(page: Page, found: Findings) -> None:
+    time, measured, beam, fitted = found.transient[:, found.transient[0] <= 4.0]
+    page.figure(curves_figure(
+        {"measured": (time, measured), "identified G(s)": (time, fitted),
+         "beam equation": (time, beam)}, "position (mm)",
+        difference={"identified G(s)": (time, fitted - measured),
+                    "beam equation": (time, beam - measured)},
+        difference_label="less measured (µm)"),
+        "Fig. 8: transient response, experiment and models")
 
 
-def _likest(force: np.ndarray, position: np.ndarray) -> float:
-    return float(force @ position / (force @ force))
+def _response(page: Page, found: Findings) -> None:
+    test = found.response
+    measured = test.response.frequency_hz
+    frequency = np.geomspace(measured[0], measured[-1], 500)
+    fit = test.constrained
+    paper = LinearPlant((PAPER_MODE,), fit.lag.value, fit.delay.value)
+    page.figure(
+        response_figure(test, [Response(
+            "paper's G(s) behind our lag and delay", frequency, paper.sampled_response(
+                2.0 * np.pi * frequency, test.response.sample_period))]),
+        "The frequency response of sec. 3C, stepped sine at 0.08 V")
+
+
+def _tracking(page: Page, found: Findings) -> None:
+    test = found.pid
+    time = test.sine.time
+    curves = {"reference": (time, reference_of(test.sine)),
+              "Ziegler-Nichols": (time, test.sine.axis(None).position),
+              "placed, feedforward": (time, test.placed.axis(None).position)}
+    page.figure(curves_figure(curves, "position (mm)"), "Fig. 9: actual and reference position")
+    page.figure(curves_figure(
+        {"Ziegler-Nichols": (time, tracking_error(test.sine))}, "error (µm)", scale=1e6,
+        difference={"placed, feedforward": (time, tracking_error(test.placed))},
+        difference_label="error, placed (µm)"),
+        "Fig. 10: error on the sine; above under Ziegler-Nichols, below with gains placed on "
+        "the model and feedforward")
+    step = test.step
+    page.figure(curves_figure(
+        {"reference": (step.time, reference_of(step)),
+         "Ziegler-Nichols": (step.time, step.axis(None).position)}, "position (mm)"),
+        "The 1 mm step under Ziegler-Nichols")
+
+
+def _regulator(page: Page, found: Findings) -> None:
+    test, c = found.regulation, found.convergence
+    curves = {"reference": (test.time_s, test.reference),
+              **{name: (test.time_s, y) for name, y in test.laws.items()}}
+    late = test.time_s >= 0.8
+    errors = {name: (test.time_s[late], (test.reference - y)[late])
+              for name, y in test.laws.items()}
+    page.figure(curves_figure(curves, "position (mm)", difference=errors,
+                              difference_label="error (µm)"),
+                "Fig. 11: regulation under LQR, its steady-state error (from 0.3 s after the step "
+                "on) and the cure")
+    gain = proportional(test.disturbance, next(iter(test.disturbed.values())))
+    page.figure(curves_figure(
+        {f"disturbance times {1e6 * gain:.0f} µm/N": (test.time_s, gain * test.disturbance),
+         **{name: (test.time_s, y) for name, y in test.disturbed.items()}},
+        "position (µm)", scale=1e6),
+        f"Fig. 12: response to a disturbance of {DISTURBANCE_N:g} N at {DISTURBANCE_HZ:g} Hz")
+    page.figure(curves_figure(
+        {f"L{i + 1}": (c.time_s, c.gain[:, i]) for i in range(4)},
+        "gain over its limit", scale=1.0, xlabel="time (s); the end is at 4 s, P_f = 0"),
+        "The finite-horizon gain L(t) on the printed plant: constant but for the last second")
+
+
+def _plane(page: Page, found: Findings) -> None:
+    for axis, test in found.xy.tests.items():
+        curve = found.xy.elements[axis]
+        order = np.argsort(test.force_n, kind="stable")
+        x = test.position_m[order]
+        k = found.xy.mechanism.stiffness_n_m()
+        curves = {"static test": (1e3 * x, test.force_n[order]),
+                  "closed form": (1e3 * x, k * x)}
+        off = {"static test": (1e3 * x, test.force_n[order] - k * x)}
+        if curve is not None:
+            curves["finite elements"] = (1e3 * curve.along_m, curve.force_n)
+            off["finite elements"] = (1e3 * curve.along_m, curve.force_n - k * curve.along_m)
+        page.figure(curves_figure(
+            curves, "force (N)", scale=1.0, difference=off,
+            difference_label="less closed form (N)", difference_scale=1.0,
+            xlabel="deflection (mm)"),
+            f"Fig. {16 if axis == 'x' else 17}: {axis.upper()} direction; the paper's figure "
+            "is not legible as numbers")
+
+
+FIGURES: dict[str, Callable[[Page, Findings], None]] = {
+    "table1": _stiffness, "damping": _decay, "step": _transient, "response": _response,
+    "pid": _tracking, "lqr": _regulator, "xy": _plane}
+"""Draw what belongs to the rows whose names begin so."""

@@ -61,38 +61,29 @@ class Row:
 def printed(name: str, ours: Quantity | float | None, reason: str) -> Row:
     """Return the row of a printed number."""
     entry = PRINTED[name]
-    value, interval = _parts(ours)
-    return Row(name, entry.what, entry.where, entry.value, value, entry.unit, reason, "printed",
-               interval)
+    return _row(name, entry.what, entry.where, entry.value, ours, entry.unit, reason, "printed")
 
 
 def derived(name: str, what: str, place: str, paper: float, ours: Quantity | float | None,
             unit: str, reason: str) -> Row:
     """Return the row of a number that follows from printed ones."""
-    value, interval = _parts(ours)
-    return Row(name, what, place, float(paper), value, unit, reason, "derived", interval)
+    return _row(name, what, place, float(paper), ours, unit, reason, "derived")
 
 
 def ours_only(name: str, what: str, place: str, ours: Quantity | float | None, unit: str,
               reason: str) -> Row:
     """Return the row of a number that the paper lacks."""
-    value, interval = _parts(ours)
-    return Row(name, what, place, None, value, unit, reason, "none", interval)
+    return _row(name, what, place, None, ours, unit, reason, "none")
 
 
-def _parts(ours: Quantity | float | None) -> tuple[float | None,
-                                                   tuple[float, float] | None]:
-    if ours is None:
-        return None, None
-    if isinstance(ours, Quantity):
-        limits = ours.ci95
-        known = limits is not None and all(map(math.isfinite, limits))
-        return _finite(ours.value), limits if known else None
-    return _finite(ours), None
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def _row(name: str, what: str, place: str, paper: float | None, ours: Quantity | float | None,
+         unit: str, reason: str, kind: str) -> Row:
+    """Return a row; what is not finite counts as not known."""
+    value = ours.value if isinstance(ours, Quantity) else ours
+    limits = ours.ci95 if isinstance(ours, Quantity) else None
+    return Row(name, what, place, paper,
+               float(value) if value is not None and math.isfinite(value) else None, unit, reason,
+               kind, limits if limits is not None and all(map(math.isfinite, limits)) else None)
 
 
 def as_json(rows: list[Row], extra: Mapping[str, Any]) -> dict[str, Any]:

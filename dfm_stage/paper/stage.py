@@ -11,14 +11,12 @@ from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.control import Lqg, LqrSpec, Pid, PidGains, design_lqr
 from dfm_stage.model import Model, Plant, Simulator
 from dfm_stage.recording import AxisRecord, Provenance, Record
 from dfm_stage.trajectory import Experiment, Reference
-
-Array = NDArray[np.float64]
 
 
 class Stage(Protocol):
@@ -30,6 +28,23 @@ class Stage(Protocol):
 
     def run(self, experiment: Experiment, model: Model, design: Model | None = None) -> Record:
         """Return the record of every axis; an LQR is designed on `design`, else on `model`."""
+
+
+def true_position(record: Record) -> Array:
+    """Return where the stage of a record with one axis was, (N,), m, or what was measured."""
+    axis = record.axis(None)
+    return axis.extra.get("plant_position", axis.position)
+
+
+def reference_of(record: Record) -> Array:
+    """Return the reference of a record with one axis, (N,), m; zeros where it has none."""
+    reference = record.axis(None).reference
+    return np.zeros(len(record)) if reference is None else reference
+
+
+def tracking_error(record: Record) -> Array:
+    """Return true position less reference, (N,), m."""
+    return np.asarray(true_position(record) - reference_of(record))
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,15 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.errors import DfmError
 from dfm_stage.identification.characterisation import (
     EXPERIMENTS,
     DynamicTest,
-    Result,
     characterise,
 )
 from dfm_stage.identification.ring_down import RingDown
@@ -28,13 +28,13 @@ from dfm_stage.paper.stage import Stage
 from dfm_stage.recording import Record
 from dfm_stage.trajectory import Experiment
 
-Array = NDArray[np.float64]
 XY_EXPERIMENTS: Mapping[str, str] = {"x": "xy_static_x", "y": "xy_static_y"}
 NAMES: tuple[str, ...] = (*(EXPERIMENTS[kind] for kind in ("static", "decay", "step",
                                                            "stepped_sine")),
                           *XY_EXPERIMENTS.values())
 """The experiments of config/experiments that are needed."""
 STEPS = 17
+Analysis = TypeVar("Analysis", StaticTest, RingDown, StepResponse, DynamicTest)
 
 
 class PaperError(DfmError):
@@ -62,8 +62,11 @@ class Models:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The records and what was found in them."""
+class Findings:
+    """The records and what was found in them.
+
+    `transient` is time (s), record, beam equation and identified G(s) after the step, (4, N).
+    """
 
     records: Mapping[str, Record]
     static: StaticTest
@@ -71,10 +74,7 @@ class Evidence:
     step: StepResponse
     response: DynamicTest
     theory: dynamics.BeamTheory
-    step_time: Array
-    step_measured: Array
-    step_theory: Array
-    step_identified: Array
+    transient: Array
     pid: pid.PidTest
     two_mode: DynamicTest
     convergence: lqr.Convergence
@@ -84,10 +84,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All rows, in the order of the paper, and the evidence for the figures."""
+    """All rows, in the order of the paper, and the findings for the figures."""
 
     rows: list[Row]
-    evidence: Evidence
+    findings: Findings
     source: str
 
 
@@ -111,9 +111,12 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
         records[kind] = stage.run(experiments[name], on)
         return records[kind]
 
-    def analysed(kind: str) -> Result:
-        return characterise(kind, run(kind, EXPERIMENTS[kind], model),
-                            force_constant=model.base["force_constant"])
+    def analysed(kind: str, what: type[Analysis], on: Model = model, name: str = "") -> Analysis:
+        record = run(name or kind, EXPERIMENTS[kind], on)
+        result = characterise(kind, record, force_constant=on.base["force_constant"])
+        if not isinstance(result, what):
+            raise PaperError("a characterisation gave another result than its own")
+        return result
 
     largest = max(abs(load) for load, *_ in TABLE_1)
     experiments = {**experiments, "static": loaded_to(
@@ -122,26 +125,20 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
         experiments[name] = loaded_to(experiments[name], axis, PRINTED["xy.load"].value
                                       / models.xy.axis(axis).base["force_constant"])
 
-    held, decay, stepped, response = (analysed(kind) for kind in (
-        "static", "decay", "step", "stepped_sine"))
-    if not (isinstance(held, StaticTest) and isinstance(decay, RingDown)
-            and isinstance(stepped, StepResponse) and isinstance(response, DynamicTest)):
-        raise PaperError("a characterisation gave another result than its own")
+    held, decay = analysed("static", StaticTest), analysed("decay", RingDown)
+    stepped = analysed("step", StepResponse)
+    response = analysed("stepped_sine", DynamicTest)
     tuned = pid.run_pid(stage, model, step)
-    two = characterise("stepped_sine", run("two_mode", EXPERIMENTS["stepped_sine"],
-                                           models.two_mode))
-    if not isinstance(two, DynamicTest):
-        raise PaperError("a characterisation gave another result than its own")
+    two = analysed("stepped_sine", DynamicTest, models.two_mode, "two_mode")
     convergence, gain = lqr.riccati()
     regulation = lqr.regulate(stage, models.two_mode, step)
     plane = {axis: run(name, name, models.xy) for axis, name in XY_EXPERIMENTS.items()}
     step("finite elements")
     scanned = xy.xy_test(models.xy, plane, elements)
     theory = dynamics.beam_theory(model)
-    time, measured, expected, identified = _transient(records["step"], stepped, response, theory,
-                                                      model)
-    found = Evidence(records, held, decay, stepped, response, theory, time, measured, expected,
-                     identified, tuned, two, convergence, regulation, scanned)
+    found = Findings(records, held, decay, stepped, response, theory,
+                     _transient(records["step"], stepped, response, theory, model), tuned, two,
+                     convergence, regulation, scanned)
     return Comparison(_rows(found, models, gain), found, stage.description)
 
 
@@ -164,11 +161,10 @@ def loaded_to(experiment: Experiment, axis: str, volts: float) -> Experiment:
     return replace(experiment, axes={**experiment.axes, axis: replace(spec, excitation=signal)})
 
 
-def _rows(found: Evidence, models: Models, gain: Array) -> list[Row]:
+def _rows(found: Findings, models: Models, gain: Array) -> list[Row]:
     model, fit = models.stage, found.response.constrained
-    final = abs(found.step_measured[-1])
-    difference = 100.0 * float(np.sqrt(np.mean(
-        (found.step_theory - found.step_measured)**2))) / final
+    _, measured, theory, _ = found.transient
+    difference = 100.0 * float(np.sqrt(np.mean((theory - measured)**2))) / abs(measured[-1])
     return [
         *static.table_rows(found.static, model),
         *static.quasistatic_rows(fit.natural_frequency.value, fit.damping_ratio.value,
@@ -188,7 +184,7 @@ def _rows(found: Evidence, models: Models, gain: Array) -> list[Row]:
     ]
 
 
-def _fastest(found: Evidence) -> float:
+def _fastest(found: Findings) -> float:
     """Largest mean speed between two levels of the static test, m/s."""
     levels = found.static.levels
     period = found.records["static"].sample_period
@@ -197,8 +193,8 @@ def _fastest(found: Evidence) -> float:
 
 
 def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
-               theory: dynamics.BeamTheory, model: Model) -> tuple[Array, Array, Array, Array]:
-    """Return time, record, beam equation and identified G(s) after the step (Fig. 8)."""
+               theory: dynamics.BeamTheory, model: Model) -> Array:
+    """Return time, record, beam equation and identified G(s) after the step (Fig. 8), (4, N)."""
     data = record.axis(None)
     fit = response.constrained
     late = fit.lag.value + fit.delay.value
@@ -206,10 +202,6 @@ def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
     time = record.time[start:] - record.time[start]
     volts = float(data.input[start] - data.input[start - 1])
     force = volts * model.base["force_constant"]
-    beam = theory.step(time, force, fit.damping_ratio.value, late)
-    mode = fit.plant.modes[0]
-    rate, damped = 0.5 * mode.damping, np.sqrt(mode.stiffness - 0.25 * mode.damping**2)
-    since = np.maximum(time - late, 0.0)
-    identified = volts * mode.numerator / mode.stiffness * (1.0 - np.exp(-rate * since) * (
-        np.cos(damped * since) + rate / damped * np.sin(damped * since)))
-    return time, data.position[start:] - stepped.initial.value, beam, np.asarray(identified)
+    beam = theory.chain.step_response(time - late, force, fit.damping_ratio.value)
+    identified = volts * dynamics.unit_step(fit.plant.modes[0], np.maximum(time - late, 0.0))
+    return np.array((time, data.position[start:] - stepped.initial.value, beam, identified))

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.static import StaticTest, static_test
 from dfm_stage.model import Model
 from dfm_stage.model.flexure import FlexureError
@@ -16,7 +16,6 @@ from dfm_stage.paper.printed import PRINTED, STANDARD_GRAVITY
 from dfm_stage.paper.row import Row, derived, ours_only, printed
 from dfm_stage.recording import Record
 
-Array = NDArray[np.float64]
 PLACE = "sec. 6"
 
 

@@ -1,13 +1,20 @@
 """Reports: one self-contained HTML page, its plots and tables, numbers as people read them."""
 
+from dfm_stage.quantity import Quantity, display_unit, format_number, format_quantity
 from dfm_stage.reporting.drawing import new_figure, page_style
-from dfm_stage.reporting.figures import Drawing, Response, bode_figure, thinned, time_figure
+from dfm_stage.reporting.figures import (
+    Drawing,
+    Response,
+    bode_figure,
+    statistics,
+    thinned,
+    time_figure,
+)
 from dfm_stage.reporting.page import Page, ReportError
 from dfm_stage.reporting.table import Table
-from dfm_stage.reporting.units import Quantity, display_unit, format_number, format_quantity
 
 __all__ = [
     "Drawing", "Page", "Quantity", "ReportError", "Response", "Table", "bode_figure",
-    "display_unit", "format_number", "format_quantity", "new_figure", "page_style", "thinned",
-    "time_figure",
+    "display_unit", "format_number", "format_quantity", "new_figure", "page_style",
+    "statistics", "thinned", "time_figure",
 ]

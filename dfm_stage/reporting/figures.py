@@ -8,17 +8,16 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex
+from dfm_stage.quantity import display_unit, superscript_power
 from dfm_stage.reporting.drawing import SERIES, new_figure, page_style
 from dfm_stage.reporting.table import Cell, Table
-from dfm_stage.reporting.units import display_unit, superscript_power
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 _TABLE_ROWS = 20
 _PLOT_POINTS = 1500
 _DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)))     # lines that lie on one another stay visible
@@ -43,7 +42,7 @@ class Response:
 
     label: str
     frequency_hz: Array
-    response: NDArray[np.complex128]
+    response: Complex
     std: Array | None = None
     measured: bool = False
 
@@ -55,8 +54,10 @@ def bode_figure(responses: Sequence[Response], *, unit: str = "m/V",
     The phase is unwrapped from the lowest frequency on. The table lists up to 20 frequencies of
     the first response and every response interpolated there.
     """
-    largest = max(float(np.max(np.abs(r.response))) for r in responses)
-    factor, shown = display_unit((largest,), unit)
+    from matplotlib.ticker import MultipleLocator
+
+    factor, shown = display_unit((max(float(np.max(np.abs(r.response))) for r in responses),),
+                                 unit)
     figure, (top, bottom) = new_figure(2, height_in, sharex=True, height_ratios=(3, 2))
     with page_style():
         lines = iter(_DASHES)
@@ -70,9 +71,8 @@ def bode_figure(responses: Sequence[Response], *, unit: str = "m/V",
             if r.std is not None:
                 _bands(top, bottom, colour, r.frequency_hz, magnitude, phase, r.std * factor)
         top.set_ylabel(f"magnitude ({shown})")
-        bottom.set_ylabel("phase (°)")
-        bottom.set_xlabel("frequency (Hz)")
-        bottom.yaxis.set_major_locator(_locator(90.0))
+        bottom.set(xlabel="frequency (Hz)", ylabel="phase (°)")
+        bottom.yaxis.set_major_locator(MultipleLocator(90.0))
         _log_labels(top.yaxis)
         _log_labels(bottom.xaxis)
         top.legend(loc="best")
@@ -107,7 +107,7 @@ def time_figure(time_s: Array, panels: Sequence[tuple[str, str, Mapping[str, Arr
                 axis.plot(t, y, color=colour, label=label,
                           **(under if first else {"linewidth": 1.1}))
                 rows.append([f"{title}: {label}" if label != title else title,
-                             *_statistics(np.asarray(signal) * factor), shown])
+                             *statistics(np.asarray(signal) * factor), shown])
             axis.set_ylabel(f"{title} ({shown})" if shown else title)
             if len(signals) > 1:
                 axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
@@ -118,7 +118,8 @@ def time_figure(time_s: Array, panels: Sequence[tuple[str, str, Mapping[str, Arr
     return Drawing(figure, Table(("signal", "mean", "RMS", "min", "max", "unit"), rows))
 
 
-def _statistics(signal: Array) -> list[float]:
+def statistics(signal: Array) -> list[Cell]:
+    """Return mean, RMS, smallest and largest of a signal (N,), for a table."""
     return [float(np.nanmean(signal)), float(np.sqrt(np.nanmean(signal**2))),
             float(np.nanmin(signal)), float(np.nanmax(signal))]
 
@@ -147,7 +148,7 @@ def _bands(top: Axes, bottom: Axes, colour: str, frequency: Array, magnitude: Ar
                         linewidth=0)
 
 
-def _phase_deg(response: NDArray[np.complex128]) -> Array:
+def _phase_deg(response: Complex) -> Array:
     return np.asarray(np.degrees(np.unwrap(np.angle(response))), dtype=np.float64)
 
 
@@ -172,12 +173,8 @@ def _colours(count: int) -> list[str]:
     return [SERIES[i % len(SERIES)] for i in range(count)]
 
 
-def _locator(step: float) -> Any:
-    from matplotlib.ticker import MultipleLocator
-    return MultipleLocator(step)
-
-
 def _log_labels(axis: Any) -> None:
-    from matplotlib.ticker import FuncFormatter, NullFormatter
-    axis.set_major_formatter(FuncFormatter(lambda value, _: superscript_power(value)))
+    from matplotlib.ticker import NullFormatter
+
+    axis.set_major_formatter(lambda value, _: superscript_power(value))
     axis.set_minor_formatter(NullFormatter())

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from numbers import Integral, Real
 
-from dfm_stage.reporting.units import Quantity, format_number
+from dfm_stage.quantity import Quantity, format_number
 
 Cell = str | float | int | bool | Quantity | None
 

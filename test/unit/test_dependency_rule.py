@@ -14,12 +14,14 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import
-BASE = {"decisions", "errors", "files", "machine_code"}
+BASE = {"arrays", "decisions", "errors", "files", "machine_code", "quantity"}
 ARROWS: dict[str, set[str]] = {
+    "arrays": set(),
     "decisions": {"errors"},
     "errors": set(),
     "files": set(),
     "machine_code": set(),
+    "quantity": set(),
     "commands": set(),
     "domain": BASE,
     "model": BASE,

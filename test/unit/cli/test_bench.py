@@ -122,7 +122,7 @@ def test_an_unwritable_file_is_one_line(folder: Path, capsys) -> None:
 )
 def test_a_signal_ends_the_benchmark_too(folder: Path, number: int, code: int) -> None:
     (folder / "slow.py").write_text(SLOW)
-    command = [sys.executable, "-m", "dfm_stage.cli.bench", "--folder", str(folder), "slow"]
+    command = [sys.executable, "-m", "dfm_stage", "bench", "--folder", str(folder), "slow"]
     runner = subprocess.Popen(command, cwd=bench.ROOT, stderr=subprocess.DEVNULL)
     children = Path(f"/proc/{runner.pid}/task/{runner.pid}/children")
     while not children.read_text().split():

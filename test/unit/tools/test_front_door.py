@@ -306,7 +306,7 @@ class TestConsole:
             steps = console.Steps(lock_fd)
             steps.log_to(folder / "step.log")
             with pytest.raises(console.SetupError) as caught, steps.step("a step"):
-                steps.call(["sh", "-c", f"echo '{text}'; exit 3"], os.environ, "the step")
+                steps.call(["sh", "-c", f"echo '{text}'; exit 3"], env=os.environ, what="the step")
         return str(caught.value)
 
     def test_a_failing_step_names_reason_and_log(self, tmp_path: Path) -> None:
@@ -321,7 +321,7 @@ class TestConsole:
             steps = console.Steps(lock_fd)
             steps.log_to(tmp_path / "step.log")
             with pytest.raises(console.SetupError, match="ERROR: no"):
-                steps.call_all(commands, os.environ, "the steps", tmp_path)
+                steps.call(*commands, env=os.environ, what="the steps", cwd=tmp_path)
         assert (tmp_path / "first").read_text() == "done\n"
 
     def test_a_missing_network_is_said(self, tmp_path: Path) -> None:

@@ -1,11 +1,15 @@
-"""Numbers as people read them: a prefix that fits, digits that mean something, the interval."""
+"""Numbers with their units and 95 % intervals, and how people read them.
+
+A prefix that fits, digits that mean something, and the interval where there is one.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +20,26 @@ _SYMBOLS = {"ohm": "Ω", "deg": "°"}
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value in an SI unit with its 95 % interval, if it has one."""
+    """`value` in an SI `unit` with the 95 % interval `ci95`; None means held, not estimated."""
 
     value: float
     unit: str = ""
-    ci95: Sequence[float] | None = None
+    ci95: tuple[float, float] | None = None
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval, zero for a held value."""
+        return 0.0 if self.ci95 is None else 0.5 * (self.ci95[1] - self.ci95[0])
+
+    def covers(self, truth: float) -> bool:
+        """Whether the interval contains `truth`."""
+        return self.ci95 is not None and self.ci95[0] <= truth <= self.ci95[1]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON keeps it; limits that are not finite become null."""
+        limits = None if self.ci95 is None else [
+            float(x) if math.isfinite(x) else None for x in self.ci95]
+        return {"value": float(self.value), "unit": self.unit, "ci95": limits}
 
     def __str__(self) -> str:
         return format_quantity(self.value, self.unit, self.ci95)
@@ -58,7 +77,8 @@ def format_number(value: float, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
-def format_quantity(value: float, unit: str = "", ci95: Sequence[float] | None = None) -> str:
+def format_quantity(value: float, unit: str = "",
+                    ci95: tuple[float, float] | None = None) -> str:
     """Return "24.510 ± 0.012 rad/s": the interval to two digits decides those of the value.
 
     An interval that is not symmetric about the value (by more than a tenth) is written out.
