@@ -95,28 +95,11 @@ def compare(record: Record, axis: str, experiment: Mapping[str, Any], model: Mod
 
 
 def _on_model(model: Model, tuned: Tuned, reference: Any) -> Array:
-    from dfm_stage.control import (
-        Lqg,
-        LqrSpec,
-        ModelFeedforward,
-        Pid,
-        PidGains,
-        design_lqr,
-        run_on_model,
-    )
+    from dfm_stage.control import law_of, run_on_model
 
-    values = tuned.parameters
-    if values["mode"] == "lqr":
-        law: Pid | Lqg = Lqg(design_lqr(model, LqrSpec.from_mapping(values)),
-                             values["output_limit_v"])
-        forward = ModelFeedforward(model) if values.get("feedforward") == "model" else None
-    else:
-        gains = PidGains.from_mapping({name: value for name, value in values.items()
-                                       if name not in ("mode", "model", "feedforward")})
-        forward = ModelFeedforward(model, gains) if values.get("feedforward") == "model" else None
-        law = Pid(gains if forward is None else gains.without_feedforward(), model.sample_period)
+    law, effects = law_of(tuned.parameters, model)
     return run_on_model(model, law, reference.position, reference.velocity,
-                        reference.acceleration, forward=forward,
+                        reference.acceleration, forward=effects,
                         inverse="inverse_model" in tuned.generator)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from dfm_stage.control.errors import ControlError
-from dfm_stage.model.parameter import Parameter, ParameterError
+from dfm_stage.control.law import checked
+from dfm_stage.model.parameter import Parameter
 
 GUARD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("travel_limit_m", 7e-3, "m",
@@ -43,12 +43,9 @@ class Guard:
 
     def __init__(self, sample_period_s: float, travel_limit_m: float = 7e-3,
                  coast_time_s: float = 0.04, divergence_window_s: float = 0.5) -> None:
-        given = (travel_limit_m, coast_time_s, divergence_window_s)
-        try:
-            limit, coast, window = (parameter.checked(value, "guard") for parameter, value
-                                    in zip(GUARD_PARAMETERS, given, strict=True))
-        except ParameterError as error:
-            raise ControlError(str(error)) from None
+        limit, coast, window = checked(GUARD_PARAMETERS, {
+            "travel_limit_m": travel_limit_m, "coast_time_s": coast_time_s,
+            "divergence_window_s": divergence_window_s}, "guard").values()
         self._limit, self._squared = limit, limit * limit
         self._coast = coast / sample_period_s
         self._window = round(window / sample_period_s)

@@ -79,11 +79,16 @@ class Margins:
     crossover_hz: float
 
 
+def loop_gain(stage: Sampled, gains: PidGains) -> tuple[Array, NDArray[np.complex128]]:
+    """Return frequencies (F,), Hz, and the loop gain (F,) of stage and PID at these."""
+    f = frequency_grid(stage)
+    return f, stage.response(f) * controller_response(gains, f, stage.sample_period_s)
+
+
 def margins(stage: Sampled, gains: PidGains) -> Margins:
     """Return the margins of the sampled loop of `Pid`, as `loop_margins`."""
-    f = frequency_grid(stage)
-    loop = stage.response(f) * controller_response(gains, f, stage.sample_period_s)
-    return loop_margins(f, loop, bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0))
+    stable = bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0)
+    return loop_margins(*loop_gain(stage, gains), stable)
 
 
 def frequency_grid(stage: Sampled) -> Array:

@@ -12,13 +12,14 @@ import math
 import numpy as np
 
 from dfm_stage.control.errors import ControlError
+from dfm_stage.control.law import checked, require_known
 from dfm_stage.control.ziegler_nichols import (
     Oscillation,
     Ultimate,
     oscillation,
     ultimate_from_relays,
 )
-from dfm_stage.model.parameter import Parameter, ParameterError
+from dfm_stage.model.parameter import Parameter
 
 TUNING_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("tuning_gain_v_m", 100.0, "V/m", "proportional gain that raising starts from",
@@ -46,16 +47,12 @@ class TuningRun:
         If a parameter is not a finite number in its range.
     """
 
-    def __init__(self, sample_period_s: float, tuning_gain_v_m: float = 100.0,
-                 tuning_factor: float = 1.25, tuning_voltage_v: float = 0.5,
-                 tuning_travel_m: float = 4e-3, tuning_time_s: float = 120.0) -> None:
-        given = (tuning_gain_v_m, tuning_factor, tuning_voltage_v, tuning_travel_m, tuning_time_s)
-        try:
-            (self._gain, self._factor, self._volts, self._travel,
-             self._time_s) = (parameter.checked(value, "tuning") for parameter, value
-                              in zip(TUNING_PARAMETERS, given, strict=True))
-        except ParameterError as error:
-            raise ControlError(str(error)) from None
+    def __init__(self, sample_period_s: float, **parameters: float) -> None:
+        require_known(parameters, (each.name for each in TUNING_PARAMETERS), "tuning")
+        self._gain: float
+        self._volts: float
+        (self._gain, self._factor, self._volts, self._travel,
+         self._time_s) = checked(TUNING_PARAMETERS, parameters, "tuning").values()
         self._h = sample_period_s
         self._k = 0
         self._rest: list[float] = []

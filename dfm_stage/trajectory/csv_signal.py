@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import Option, Parameter
 from dfm_stage.trajectory.errors import TrajectoryError
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.trajectory.kind import Array, Timing, Values
 
 TIME = "time_s"
 _UNITS = {"m": {"_m": 1.0, "_mm": 1e-3, "_um": 1e-6, "_nm": 1e-9}, "v": {"_v": 1.0, "_mv": 1e-3}}

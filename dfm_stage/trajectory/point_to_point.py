@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.model.parameter import Option, Parameter
+from dfm_stage.trajectory.kind import Array, Timing, Values
 
 POINT_PARAMETERS = (
     Parameter("velocity_m_s", 0.02, "m/s", "largest velocity", 1e-9, 1e3),

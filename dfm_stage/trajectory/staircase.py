@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.model.parameter import Option, Parameter
+from dfm_stage.trajectory.kind import Array, Timing, Values
 from dfm_stage.trajectory.waveform import smooth_step
 
 

@@ -106,7 +106,7 @@ def test_the_filter_knows_the_excitation(loop):
     for _ in range(500):
         stage.added = 0.2 * float(rng.choice([-1, 1]))
         stage.run(1)
-    lqg = stage.node._laws.lqg
+    lqg = stage.node._laws.by_name["lqr"]
     predicted = lqg.design.filter.c @ (lqg._next + lqg._b * lqg.output_v)
     assert predicted == pytest.approx(stage.plant.sample().position_m, abs=3e-7)
 
@@ -246,7 +246,7 @@ def test_the_guard_watches_in_open_loop_too(loop):
 def test_feedforward_notch_and_shaper_come_from_the_model(loop):
     stage = loop(plant="raster_bench", model="raster_bench")
     stage.set(feedforward="model", notch="model")
-    assert stage.node._laws.pid.gains.notch_hz == 16.02
+    assert stage.node._laws.by_name["pid"].gains.notch_hz == 16.02
     with pytest.raises(DfmError, match="feedforward model needs the parameter model"):
         stage.set(model="")
 

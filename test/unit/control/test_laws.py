@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from dfm_stage.control import (
+    AXIS_PARAMETERS,
     GUARD_PARAMETERS,
-    LQR_PARAMETERS,
-    PID_PARAMETERS,
-    SHAPER_PARAMETERS,
-    TUNING_PARAMETERS,
+    LAWS,
     ControlError,
-    Laws,
+    LawSet,
     Pid,
     PidGains,
     ReferenceShaper,
@@ -32,11 +30,9 @@ from dfm_stage.control.sampled import closed_loop_poles, controller_response
 from dfm_stage.model import Plant, load_model
 
 H = 1e-3
-DEFAULTS = {p.name: p.default for p in (*PID_PARAMETERS, *LQR_PARAMETERS, *GUARD_PARAMETERS,
-                                        *SHAPER_PARAMETERS, *TUNING_PARAMETERS)} | {
-    "mode": "pid", "sample_period_s": H, "anti_windup": "back_calculation", "feedforward": "gains",
-    "notch": "given", "shaper": "none", "tuning": "none", "lqr_integral": True,
-    "lqr_disturbance": False, "lqr_feedforward": True}
+DEFAULTS = {p.name: p.default for p in (
+    *AXIS_PARAMETERS, *GUARD_PARAMETERS, *(p for law in LAWS.values() for p in law.parameters))} | {
+    "mode": "pid", "sample_period_s": H}
 NOTCHED = PidGains(kp=3100.0, ki=38000.0, kd=94.0, notch_hz=70.0, notch_depth_damping=0.05)
 
 
@@ -46,7 +42,7 @@ class Rig:
     def __init__(self, name: str = "raster_bench", model=None, **values) -> None:
         self.values = {**DEFAULTS, **values}
         self.model = model or load_model(name)
-        self.laws = Laws(self.values, plan_laws(self.values, self.model))
+        self.laws = LawSet(self.values, plan_laws(self.values, self.model))
         self.plant = Plant(self.model, seed=2)
         self.k = 0
 
@@ -117,7 +113,7 @@ def test_open_loop_from_the_start_is_the_excitation_alone() -> None:
 def test_the_model_limits_the_output_to_what_has_an_effect() -> None:
     model = load_model("raster_bench").with_effect("saturation", {"limit": 1.5})
     rig = Rig(model=model)
-    assert rig.laws.limit_v == rig.laws.pid.gains.output_limit_v == 1.5
+    assert rig.laws.limit_v == rig.laws.by_name["pid"].gains.output_limit_v == 1.5
     free = plan_laws({**DEFAULTS}, None)
     assert free.limit_v == 10.0
 
