@@ -100,7 +100,8 @@ def _shaping(setup: Setup) -> tuple[float, ...]:
     return tuple(shaper(frequency, damping, setup.sample_period_s, impulses).tolist())
 
 
-def law_of(parameters: Mapping[str, Any], model: Model) -> tuple[Law, EffectInput | None]:
+def law_of(parameters: Mapping[str, Any], model: Model,
+           laws: Laws = LAWS) -> tuple[Law, EffectInput | None]:
     """Return the law that a controller's parameters ask for, at rest, and what the effects of the
     model take beside it; `model` stands for the parameter of that name.
 
@@ -109,24 +110,23 @@ def law_of(parameters: Mapping[str, Any], model: Model) -> tuple[Law, EffectInpu
     ControlError
         As `plan_laws`, or if a value is not in the range of its table.
     """
-    plan, name = _plan_of(parameters, model)
-    return LAWS[name].start(plan.laws[name], model.sample_period), plan.effects
+    plan, kind = _plan_of(parameters, model, laws)
+    return kind.start(plan.laws[kind.name], model.sample_period), plan.effects
 
 
 def response_of(parameters: Mapping[str, Any], model: Model, frequency_hz: Any) -> Any:
     """Return the response from -y to u, V/m, complex (F,), of the law that parameters ask for."""
-    plan, name = _plan_of(parameters, model)
-    return LAWS[name].response(plan.laws[name], frequency_hz, model.sample_period)
+    plan, kind = _plan_of(parameters, model, LAWS)
+    return kind.response(plan.laws[kind.name], frequency_hz, model.sample_period)
 
 
-def _plan_of(parameters: Mapping[str, Any], model: Model) -> tuple[Plan, str]:
+def _plan_of(parameters: Mapping[str, Any], model: Model, laws: Laws) -> tuple[Plan, type[Law]]:
     name = parameters["mode"]
-    if name not in LAWS:
-        raise ControlError(f"mode must be one of {', '.join(LAWS)}, not {name!r}")
-    table = (*AXIS_PARAMETERS, *LAWS[name].parameters)
-    values = checked(table, parameters, name)
+    if name not in laws:
+        raise ControlError(f"mode must be one of {', '.join(laws)}, not {name!r}")
+    values = checked((*AXIS_PARAMETERS, *laws[name].parameters), parameters, name)
     values |= {"mode": name, "sample_period_s": model.sample_period}
-    return plan_laws(values, model, {name: LAWS[name]}), name
+    return plan_laws(values, model, {name: laws[name]}), laws[name]
 
 
 class LawSet:

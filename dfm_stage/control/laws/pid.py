@@ -174,7 +174,10 @@ class Pid(Law):
             output = -limit
         if slew:
             before = self.output_v
-            output = min(before + slew, max(before - slew, output))
+            if output > before + slew:
+                output = before + slew
+            elif output < before - slew:
+                output = before - slew
         short = output - wanted
         error = reference_m - position_m
         if not (self._clamping and (short * error < 0.0 or self._shortfall * error < 0.0)):

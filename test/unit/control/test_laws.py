@@ -18,6 +18,7 @@ from dfm_stage.control import (
     PidGains,
     ReferenceShaper,
     highest_mode,
+    laws_with,
     margins,
     parameter_text,
     plan_laws,
@@ -26,13 +27,14 @@ from dfm_stage.control import (
     shape,
     shaper,
 )
+from dfm_stage.control.laws import LawFileError
 from dfm_stage.control.sampled import closed_loop_poles, controller_response
 from dfm_stage.model import Plant, load_model
 
 H = 1e-3
-DEFAULTS = {p.name: p.default for p in (
-    *AXIS_PARAMETERS, *GUARD_PARAMETERS, *(p for law in LAWS.values() for p in law.parameters))} | {
-    "mode": "pid", "sample_period_s": H}
+OF_LAWS = [entry for law in LAWS.values() for entry in law.parameters]
+DEFAULTS = {entry.name: entry.default for entry in (*AXIS_PARAMETERS, *GUARD_PARAMETERS, *OF_LAWS)
+            } | {"mode": "pid", "sample_period_s": H}
 NOTCHED = PidGains(kp=3100.0, ki=38000.0, kd=94.0, notch_hz=70.0, notch_depth_damping=0.05)
 
 
@@ -146,6 +148,55 @@ def test_what_needs_a_model_says_so() -> None:
                          ({"notch": "model"}, "notch model"), ({"shaper": "zv"}, "shaper_hz")):
         with pytest.raises(ControlError, match=word):
             plan_laws({**DEFAULTS, **values}, None)
+
+
+def test_a_law_by_another_name_does_the_same() -> None:
+    """Nothing but the registry knows what the laws are called."""
+    class Classic(LAWS["pid"]):
+        name = "classic"
+
+    laws = {"classic": Classic}
+    values = {**DEFAULTS, "mode": "classic", "feedforward": "model"}
+    one, two = Rig(feedforward="model"), Rig()
+    two.laws = LawSet(values, plan_laws(values, two.model, laws), laws)
+    assert np.array_equal(one.run(500), two.run(500))
+
+
+@pytest.mark.parametrize(("law", "complaint"), [
+    ("import nothing_of_this_name", "ModuleNotFoundError"),
+    ("x = 1", "defines no class derived from Law"),
+    ("from dfm_stage.control import Law\nclass A(Law):\n    name = 'a'", "all of its methods"),
+    ("from dfm_stage.control import Pid\nclass A(Pid):\n    name = 'pid'", "name of its own"),
+    ("from dfm_stage.control import Pid\nclass A(Pid):\n    name = 'a'",
+     "parameters of the law a must begin with a_, unlike kp"),
+])
+def test_a_file_that_is_no_law_says_why(tmp_path, law: str, complaint: str) -> None:
+    (tmp_path / "law.py").write_text(law, encoding="utf-8")
+    with pytest.raises(LawFileError, match=rf"law\.py: .*{complaint}"):
+        laws_with(str(tmp_path / "law.py"))
+    with pytest.raises(LawFileError, match="no such file"):
+        laws_with(str(tmp_path / "none.py"))
+    assert tuple(LAWS) == ("pid", "lqr")
+
+
+def test_a_plan_changes_nothing_that_runs() -> None:
+    rig, other = Rig(), Rig()
+    rig.run(100)
+    plan_laws({**rig.values, "mode": "lqr", "kp": 10.0, "shaper": "zvd"}, rig.model)
+    other.run(100)
+    assert np.array_equal(rig.run(100), other.run(100))
+
+
+def test_the_lqr_does_not_wind_up_where_less_than_it_asks_for_goes_out() -> None:
+    integral = {}
+    reference = SimpleNamespace(position=1e-3, velocity=0.0, acceleration=0.0)
+    for limited in (True, False):
+        laws = Rig(mode="lqr").laws
+        for _ in range(30):
+            asked = laws.step(reference, 0.0, 1)
+            laws.tell(0.0, asked - 0.2 * limited, 0.0, limited)
+        integral[limited] = laws.by_name["lqr"].integral_v
+    assert 0.0 < integral[True] < 0.2 * integral[False]
 
 
 def test_the_highest_mode_is_the_second_or_else_the_first() -> None:

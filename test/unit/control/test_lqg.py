@@ -300,7 +300,8 @@ def test_a_new_design_gives_no_bump(first: str, second: str) -> None:
     outputs = []
     for k in range(2600):
         if k == 1500:
-            lqg.change(LqrPlan(design_lqr(model, VARIANTS[second].changed(lqr_error_m=2e-4)), 10.0))
+            spec = VARIANTS[second].changed(lqr_error_m=2e-4)
+            lqg.change(LqrPlan(design_lqr(model, spec), 10.0))
         outputs.append(lqg.step(1e-3, plant.sample().reading_m))
         plant.advance(outputs[-1], external_force_n=0.1)
     change = np.abs(np.diff(outputs))
