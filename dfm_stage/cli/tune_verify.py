@@ -43,7 +43,7 @@ class Tracking:
                 "achieved": {"rms": self.achieved_rms_m, "peak": self.achieved_peak_m}}
 
 
-def as_experiment(name: str, method: str, file: Path, axes: tuple[str, ...]) -> dict[str, Any]:
+def as_experiment(name: str, mode: str, file: Path, axes: tuple[str, ...]) -> dict[str, Any]:
     """Return the named experiment with the tuned parameters in place of its own.
 
     Raises
@@ -59,8 +59,8 @@ def as_experiment(name: str, method: str, file: Path, axes: tuple[str, ...]) -> 
              for axis, spec in found.axes.items() if axis in axes}
     if not any(given.values()):
         raise DfmError(f"{found.name}: gives no reference for axis {', '.join(axes)}")
-    return {"name": found.name, "mode": "lqr" if method == "lqr" else "pid",
-            "duration_s": found.duration_s, "seed": found.seed,
+    return {"name": found.name, "mode": mode, "duration_s": found.duration_s,
+            "seed": found.seed,
             "axes": {axis: given.get(axis, {}) for axis in axes},
             "controller": str(file.absolute())}
 

@@ -86,7 +86,7 @@ def _hold(values: Values, timing: Timing) -> Excitation:
 
 
 def _steps(values: Values, timing: Timing) -> Excitation:
-    voltage, _, _, _, period = _staircase.staircase(values, timing, "v")
+    voltage, *_, period, _ = _staircase.staircase(values, timing, "v")
     return _plain("steps", voltage, timing, period)
 
 

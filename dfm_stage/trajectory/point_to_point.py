@@ -50,8 +50,8 @@ def segments(distance_m: float, velocity_m_s: float, acceleration_m_s2: float,
 
 
 def point_to_point(values: Values,
-                   timing: Timing) -> tuple[Array, Array, Array, NDArray[np.bool_], int]:
-    """Return position, velocity, acceleration (N,), where a point is held (N,), and the period."""
+                   timing: Timing) -> tuple[Array, Array, Array, NDArray[np.bool_], int, int]:
+    """Return position, velocity, acceleration, where a point is held (N,), period and start."""
     points = values.numbers("points_m").tolist()
     if not points:
         raise values.error("points_m", "points_m is empty; give at least one point")
@@ -88,4 +88,4 @@ def point_to_point(values: Values,
     x, v, a = np.asarray(states)[part].T
     held = (push == 0.0) & (v == 0.0) & (a == 0.0)
     return (x + since * (v + since * (a / 2.0 + since * push / 6.0)),
-            v + since * (a + since * push / 2.0), a + since * push, held, period)
+            v + since * (a + since * push / 2.0), a + since * push, held, period, delay)
