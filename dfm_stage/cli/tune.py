@@ -63,7 +63,7 @@ GRAPH_OPTIONS: dict[str, dict[str, Any]] = {
         "help": "raise the gain until the loop oscillates, relay feedback, both, or only compute "
                 "on the model (default: %(default)s)"},
     "--voltage": {"type": float, "default": 0.5, "metavar": "V",
-        "help": "height of relay and kicks (default: %(default)s V)"},
+        "help": "amplitude of relay and pulses (default: %(default)s V)"},
     "--travel": {"type": float, "default": 0.004, "metavar": "M",
         "help": "stop where the stage goes further (default: %(default)s m)"},
     "--gain": {"type": float, "default": 100.0, "metavar": "V/M",

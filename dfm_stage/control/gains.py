@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from dfm_stage.control.law import OUTPUT_LIMIT, Entry, checked, require_known
+from dfm_stage.control.shaping import Notch
 from dfm_stage.model.parameter import Option, Parameter
 
 # The defaults are `pid_for` at 8 Hz on the paper's stage with 1 ms of delay and of amplifier lag.
@@ -90,6 +91,17 @@ class PidGains:
         """Return these gains with some of them replaced; errors as in `from_mapping`."""
         require_known(values, _TABLE, where)
         return replace(self, **values)
+
+    def notch(self, sample_period_s: float) -> Notch | None:
+        """Return the notch of these gains, None if there is none.
+
+        Raises
+        ------
+        ControlError
+            If its frequency is not below half the rate.
+        """
+        return Notch(self.notch_hz, sample_period_s, self.notch_depth_damping,
+                     self.notch_width_damping) if self.notch_hz else None
 
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters by name."""

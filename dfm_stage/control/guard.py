@@ -10,16 +10,16 @@ from dfm_stage.model.parameter import Parameter
 
 GUARD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("travel_limit_m", 7e-3, "m",
-              "the guard lets go where the stage would coast beyond this; 0 = no guard", 0.0, 1e3),
+              "the guard trips where the stage would coast beyond this; 0 = no guard", 0.0, 1e3),
     Parameter("coast_time_s", 0.04, "s",
               "distance coasted per velocity; 1 / (2 pi f) of a stage on a spring", 0.0, 1e3),
     Parameter("divergence_window_s", 0.5, "s",
               "six swings from limit to limit within this time are a diverging loop; 0 = never",
               0.0, 1e3),
 )
-_SWINGS = 6
-_IN_A_ROW = 4
-_AHEAD = 7.0
+_SWINGS = 6         # from limit to limit within the window: no step of the reference takes so many
+_IN_A_ROW = 4       # one wrong reading shows in the velocity of three samples
+_AHEAD = 7.0        # samples: those four, and the delay of the loop
 
 
 class Guard:

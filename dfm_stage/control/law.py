@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.model import Model
-from dfm_stage.model.parameter import Option, Parameter, ParameterError
+from dfm_stage.model.parameter import Option, Parameter, ParameterError, nearest
 
 if TYPE_CHECKING:
     from dfm_stage.control.tuning_runs import TuningRun
@@ -59,8 +58,8 @@ class Law(ABC):
     __slots__ = ()
     name: ClassVar[str] = ""
     parameters: ClassVar[tuple[Entry, ...]] = ()
+    # Those of the parameters whose change starts its tuning run anew.
     tuning_parameters: ClassVar[frozenset[str]] = frozenset()
-    """Those of the parameters whose change starts its tuning run anew."""
     needs_model: ClassVar[bool] = False
     saturated: bool = False
 
@@ -160,9 +159,7 @@ def checked(table: Iterable[Entry], values: Mapping[str, Any], where: str) -> di
 
 def require_known(names: Iterable[object], known: Iterable[str], where: str) -> None:
     """Raise a ControlError for a name that is not known, with the nearest one there is."""
-    there = list(known)
+    there = set(known)
     for name in names:
         if name not in there:
-            close = get_close_matches(str(name), there, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(there)}"
-            raise ControlError(f"{where}: there is no parameter {name!r}, {hint}")
+            raise ControlError(f"{where}: there is no parameter {name!r}, {nearest(name, there)}")

@@ -27,7 +27,13 @@ from numpy.typing import NDArray
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.kalman import KalmanDesign, kalman, reading_noise_m
 from dfm_stage.control.law import Entry, checked
-from dfm_stage.control.sampled import Margins, frequency_grid, loop_margins
+from dfm_stage.control.sampled import (
+    Margins,
+    StateSpace,
+    closed_loop,
+    frequency_grid,
+    loop_margins,
+)
 from dfm_stage.control.stage import Sampled, sample_model
 from dfm_stage.model import Model
 from dfm_stage.model.parameter import Option, Parameter
@@ -124,7 +130,7 @@ class LqrDesign:
         """The sample period it was designed for, s."""
         return self.stage.sample_period_s
 
-    def controller(self) -> tuple[Array, Array, Array, float]:
+    def controller(self) -> StateSpace:
         """Return (A, b, c, d) of the law from y to u with the reference at zero.
 
         State: prediction of the filter (n,), then the integral of r - y if there is one.
@@ -147,9 +153,7 @@ class LqrDesign:
 
     def closed_loop(self, stage: Sampled) -> Array:
         """Return the matrix of another stage, or the same, under this controller."""
-        a, b, c, d = self.controller()
-        return np.block([[stage.a + d * np.outer(stage.b, stage.c), np.outer(stage.b, c)],
-                         [np.outer(b, stage.c), a]])
+        return closed_loop(stage, self.controller())
 
     def margins_on(self, stage: Sampled) -> Margins:
         """Return the margins with another stage, or the same."""

@@ -28,7 +28,7 @@ from dfm_stage.control.stage import Sampled, effective_base, lags_s, sample_mode
 from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
-_SLOW_M_S = 1e-4
+_SLOW_M_S = 1e-4    # below this velocity friction is fed forward in proportion, against chatter
 _FRICTION = ("coulomb_friction", "presliding_friction")
 
 
@@ -69,8 +69,8 @@ class EffectInput:
         """Return the input that goes beside the linear one, at this point of the movement."""
         x, v = position_m, velocity_m_s
         linear = self._m * acceleration_m_s2 + self._c * v + self._k * x
-        rub = min(1.0, max(-1.0, v / _SLOW_M_S))
-        needed, share = linear - self._constant + self._friction * rub, 1.0
+        sign = min(1.0, max(-1.0, v / _SLOW_M_S))
+        needed, share = linear - self._constant + self._friction * sign, 1.0
         for force, values in self._hooks:
             alone = force(x, v, 0.0, values)
             needed -= alone

@@ -1,9 +1,9 @@
 """All the laws of one axis: one is in force, the others follow it, so that it can be changed.
 
-Every sample is `step`, which gives what the law in force asks for, then `tell`, which says what
-went out. A law that is not in force is told the same and goes on from there without a bump. The
+Every sample is `step`, which gives what the law in force asks for, then `update`, which says what
+went out. A law that is not in force follows that and goes on from there without a bump. The
 output of the last law fades out smoothly where `open_loop` takes over, because there nothing
-follows: an input that ends at once would shake the stage.
+follows: an input that ends at once would excite its modes.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from dfm_stage.model.parameter import Option, Parameter
 
 SHAPERS = {"none": 0, "zv": 2, "zvd": 3, "zvdd": 4}
 SHAPER_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("shaper_hz", 0.0, "Hz", "frequency that the shaped reference does not wake; 0 = the "
-              "highest mode of `model`", 0.0, 1e6),
+    Parameter("shaper_hz", 0.0, "Hz", "frequency that the shaped reference does not excite; 0 = "
+              "the highest mode of `model`", 0.0, 1e6),
     Parameter("shaper_damping", 0.0, "", "its damping ratio, where shaper_hz is given", 0.0, 0.99),
     Parameter("handover_s", 0.2, "s", "time in which the last law's output fades out where "
               "open_loop takes over", 0.0, 1e3),
 )
+# What holds for every law of an axis.
 AXIS_PARAMETERS: tuple[Entry, ...] = (
     OUTPUT_LIMIT,
     Option("model", "", "model.yaml, a path or a name in config/models: laws may be designed on "
@@ -39,11 +40,10 @@ AXIS_PARAMETERS: tuple[Entry, ...] = (
     Option("feedforward", "gains", "what the law adds for the reference: what its own gains say, "
            "or the inverse of model with its springs, friction and force constant",
            ("gains", "model")),
-    Option("shaper", "none", "shape the reference so that it does not wake a mode: two, three or "
-           "four impulses", tuple(SHAPERS)),
+    Option("shaper", "none", "shape the reference so that it does not excite a mode: two, three "
+           "or four impulses", tuple(SHAPERS)),
     *SHAPER_PARAMETERS,
 )
-"""What holds for every law of an axis."""
 
 
 class Point(NamedTuple):
@@ -218,8 +218,8 @@ class LawSet:
             return self._fade_from_v * u * u * (3.0 - 2.0 * u)
         return 0.0
 
-    def tell(self, position_m: float, voltage: float, added: float, limited: bool) -> bool:
-        """Tell all laws what goes out; return whether the one in force was limited.
+    def update(self, position_m: float, voltage: float, added: float, limited: bool) -> bool:
+        """Update all laws with what goes out; return whether the one in force was limited.
 
         `voltage` goes out, `added` of it is not the law's; `limited` where it is not what law and
         addition asked for.
@@ -240,7 +240,7 @@ class LawSet:
         return law is not None and law.saturated
 
     def applied(self, voltage: float, added: float) -> None:
-        """Say what the amplifier gave, where that is not what was told: it limits or is off."""
+        """Say what the amplifier gave, where it limits or is off."""
         if self._in_control is not None:
             self._in_control.applied(voltage - added)
         self._observed(voltage)

@@ -30,9 +30,12 @@ from dfm_stage.model import Model, Plant
 
 Array = NDArray[np.float64]
 FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
+# Integral weight in s, at an error weight of _ERROR_M: its pole is then well below the others.
 _INTEGRAL = 0.08
 _ERROR_M = 2.5e-4
+# Speeds of the filter that are tried, N: from trusting the model to trusting the encoder.
 _FORCE_NOISES = (0.03, 0.1, 0.3, 1.0)
+# How wrong a parameter of an identified model may be.
 _UNCERTAINTY = 0.1
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -89,3 +90,10 @@ class Option:
             wanted = f"a list of numbers in {self.unit}"
         place = f"{where}: " if where else ""
         raise ParameterError(f"{place}{self.name} must be {wanted}, not {value!r}")
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
+    """Return "did you mean ...?" for a misspelt name, or the list of what there is."""
+    names = sorted(known)
+    close = get_close_matches(str(name), names, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(names)}"

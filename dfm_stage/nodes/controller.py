@@ -234,7 +234,7 @@ class Controller(LoopNode):
         if not self._guard.check(position, voltage, limit, samples):
             self._let_go()
             voltage = added = 0.0
-        saturated = laws.tell(position, voltage, added, voltage != wanted) or saturated
+        saturated = laws.update(position, voltage, added, voltage != wanted) or saturated
         if saturated:
             self.count("saturated")
         self._sent_v, self._added_v = voltage, added

@@ -13,13 +13,14 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from dfm_stage.trajectory.errors import TrajectoryError, nearest, place
+from dfm_stage.model.parameter import nearest
+from dfm_stage.trajectory.errors import TrajectoryError, place
 from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
 from dfm_stage.trajectory.kind import choose
 from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
 
+# The mode in which no control law is in force: the excitation is the whole command.
 OPEN_LOOP = "open_loop"
-"""The mode in which no control law is in force: the excitation is the whole command."""
 _KEYS = ("name", "description", "mode", "duration_s", "axes", "model", "controller", "seed")
 
 

@@ -10,8 +10,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Option, Parameter, ParameterError
-from dfm_stage.trajectory.errors import TrajectoryError, nearest, place
+from dfm_stage.model.parameter import Option, Parameter, ParameterError, nearest
+from dfm_stage.trajectory.errors import TrajectoryError, place
 
 Array = NDArray[np.float64]
 Signal = TypeVar("Signal")

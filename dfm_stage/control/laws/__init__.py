@@ -26,8 +26,8 @@ __all__ = ["DEFAULT_LAW", "LAWS", "OPEN_LOOP", "Law", "LawFileError", "Laws", "L
 Laws = Mapping[str, type[Law]]
 LAWS: Laws = {kind.name: kind for kind in (Pid, Lqg)}
 DEFAULT_LAW = Pid.name
+# The mode in which no law is in force.
 OPEN_LOOP = "open_loop"
-"""The mode in which no law is in force."""
 
 
 class LawFileError(ControlError):

@@ -22,10 +22,10 @@ from dfm_stage.control.law import Law, Setup
 from dfm_stage.control.lqr import SPEC_PARAMETERS, LqrDesign, LqrSpec, design_lqr
 from dfm_stage.model import Model
 
+# The last designs: what a check of parameters designed is not designed again to be used.
 _DESIGNS: deque[LqrDesign] = deque(maxlen=4)
-"""The last designs: what a check of parameters designed is not designed again to be used."""
+# More missed samples than this are not predicted over.
 _MOST_MISSED = 10
-"""More missed samples than this are not predicted over."""
 
 
 class LqrPlan(NamedTuple):

@@ -31,7 +31,6 @@ from dfm_stage.control.law import OUTPUT_LIMIT, Law, Setup
 from dfm_stage.control.model_feedforward import feedforward_gains
 from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.sampled import controller_response
-from dfm_stage.control.shaping import Notch
 from dfm_stage.control.stage import sample_model
 from dfm_stage.control.tuning_runs import TUNING_PARAMETERS, GainRaising, RelayRun, TuningRun
 from dfm_stage.model.parameter import Option
@@ -41,8 +40,8 @@ NOTCH = Option("notch", "given", "notch_hz, or the highest mode of model", ("giv
 TUNING = Option("tuning", "none", "in mode pid: find the ultimate gain instead of controlling",
                 ("none", *TUNING_RUNS))
 _OWN_GAINS = tuple(each for each in GAIN_PARAMETERS if each is not OUTPUT_LIMIT)
+# More nominal periods than this are not believed of a measured one.
 _LONGEST = 10.0
-"""More nominal periods than this are not believed of a measured one."""
 
 
 class Pid(Law):
@@ -91,7 +90,7 @@ class Pid(Law):
             gains = gains.changed({
                 "feedforward_position": position, "feedforward_velocity": velocity,
                 "feedforward_acceleration": acceleration})
-        cls(gains, setup.sample_period_s)           # refuses a notch beyond half the rate
+        gains.notch(setup.sample_period_s)          # refuses one beyond half the rate
         return gains
 
     @classmethod
@@ -112,9 +111,8 @@ class Pid(Law):
             raise ControlError("pid: sample_period_s must be a positive number of seconds, "
                                f"not {sample_period_s!r}")
         self._period = float(sample_period_s)
-        self._notch: Notch | None = None
-        self.reset()
         self._use(gains)
+        self.reset()
 
     @property
     def gains(self) -> PidGains:
@@ -279,8 +277,7 @@ class Pid(Law):
         self._limit = gains.output_limit_v
         self._clamping = gains.anti_windup == "clamping"
         self._i_limit = math.inf if gains.anti_windup == "none" else gains.output_limit_v
-        self._notch = Notch(gains.notch_hz, self._period, gains.notch_depth_damping,
-                            gains.notch_width_damping) if gains.notch_hz else None
+        self._notch = gains.notch(self._period)
         (self._ki_h, self._leak, self._aw, self._decay, self._per_dt,
          self._slew_h) = self._coefficients(self._period)
 

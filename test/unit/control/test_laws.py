@@ -61,7 +61,7 @@ class Rig:
             y = self.plant.sample().reading_m
             wanted = self.laws.step(r, y, 1) + added
             volts = min(self.laws.limit_v, max(-self.laws.limit_v, wanted))
-            self.laws.tell(y, volts, added, volts != wanted)
+            self.laws.update(y, volts, added, volts != wanted)
             self.plant.advance(volts)
             out.append(volts)
             self.k += 1
@@ -134,7 +134,7 @@ def test_the_integral_does_not_wind_up_while_the_amplifier_gives_less(anti_windu
             sample = plant.sample()
             y[k] = sample.position_m
             asked = laws.step(r, sample.reading_m, 1)
-            laws.tell(sample.reading_m, asked, 0.0, False)
+            laws.update(sample.reading_m, asked, 0.0, False)
             given = min(1.0, max(-1.0, asked))
             if told and given != asked:
                 laws.applied(given, 0.0)
@@ -194,7 +194,7 @@ def test_the_lqr_does_not_wind_up_where_less_than_it_asks_for_goes_out() -> None
         laws = Rig(mode="lqr").laws
         for _ in range(30):
             asked = laws.step(reference, 0.0, 1)
-            laws.tell(0.0, asked - 0.2 * limited, 0.0, limited)
+            laws.update(0.0, asked - 0.2 * limited, 0.0, limited)
         integral[limited] = laws.by_name["lqr"].integral_v
     assert 0.0 < integral[True] < 0.2 * integral[False]
 
