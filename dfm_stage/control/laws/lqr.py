@@ -147,7 +147,11 @@ class Lqg(Law):
             self._continue_at(self._go_on - forward_v, law)
         wanted = law + self.integral_v + self._offset
         limit = self._limit
-        output = min(limit, max(-limit, wanted))
+        output = wanted
+        if wanted > limit:
+            output = limit
+        elif wanted < -limit:
+            output = -limit
         self.saturated = output != wanted
         error = reference_m - position_m
         if self._ki and (wanted - output) * error <= 0.0 and self._short * error <= 0.0:
