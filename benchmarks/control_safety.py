@@ -86,8 +86,7 @@ def _one_start(controller: Controller, real: Model, rng: np.random.Generator, se
         volts = law.step(0.0, sample.reading_m)
         if not guard.check(sample.reading_m, volts, LIMIT_V):
             volts = 0.0
-        if isinstance(law, Lqg):
-            law.applied(volts)
+        law.observe(volts)
         plant.advance(volts, external_force_n=force if k >= at else 0.0)
     worst.travel_m, worst.current_a = max(worst.travel_m, travel), max(worst.current_a, current)
     worst.outside += travel > TRAVEL_M
@@ -99,8 +98,11 @@ def _one_start(controller: Controller, real: Model, rng: np.random.Generator, se
 
 def _stable(controller: Controller, real: Model) -> bool:
     stage, law = sample_model(real), controller.law
-    poles = (np.linalg.eigvals(law.design.closed_loop(stage)) if isinstance(law, Lqg)
-             else closed_loop_poles(stage, law.gains))
+    if isinstance(law, Lqg):
+        poles = np.linalg.eigvals(law.design.closed_loop(stage))
+    else:
+        assert isinstance(law, Pid)
+        poles = closed_loop_poles(stage, law.gains)
     return bool(np.max(np.abs(poles)) < 1.0)
 
 

@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.control import (
+    EffectInput,
+    Law,
     Learner,
     Lqg,
-    LqrSpec,
     Margins,
-    ModelFeedforward,
     Pid,
     PidGains,
     Tuned,
     design_learning,
-    design_lqr,
     inverse_of,
+    law_of,
     neighbours,
     sample_model,
     tune_lqr,
@@ -33,7 +33,6 @@ from dfm_stage.model import Model, Plant
 from dfm_stage.trajectory import Reference, make_reference
 
 Array = NDArray[np.float64]
-Law = Pid | Lqg
 PASSES, PERIODS = 25, 6
 MARGIN = 0.52
 LIMIT_V = 10.0
@@ -52,7 +51,7 @@ class Controller:
     law: Law
     model: Model
     tuned: Tuned
-    forward: ModelFeedforward | None = None
+    forward: EffectInput | None = None
     inverse: bool = False
 
     @property
@@ -102,17 +101,14 @@ def controllers(model: Model, stage: Model) -> list[Controller]:
 
     The Ziegler-Nichols gains come from raising the gain on the running stage, as the paper does.
     """
-    h = model.sample_period
     classic = tune_ziegler_nichols(model, raised(stage).outcome)
     pid, lqr, inverse = _tuned(model)
-    gains, forward = gains_of(pid), None
-    if "feedforward" in pid.parameters:
-        forward, gains = ModelFeedforward(model, gains), gains.without_feedforward()
-    return [Controller("ziegler_nichols", Pid(gains_of(classic), h), model, classic),
-            Controller("pid", Pid(gains, h), model, pid, forward),
-            Controller("lqr", Lqg(design_lqr(model, LqrSpec.from_mapping(lqr.parameters))), model,
-                       lqr, ModelFeedforward(model) if "feedforward" in lqr.parameters else None),
-            Controller("inverse", Pid(gains_of(inverse), h), model, inverse, inverse=True)]
+    out = []
+    for name, tuned in (("ziegler_nichols", classic), ("pid", pid), ("lqr", lqr),
+                        ("inverse", inverse)):
+        law, forward = law_of(tuned.parameters, model)
+        out.append(Controller(name, law, model, tuned, forward, inverse=name == "inverse"))
+    return out
 
 
 def _tuned(model: Model) -> tuple[Tuned, Tuned, Tuned]:
@@ -148,22 +144,16 @@ def drive(stage: Model, controller: Controller, reference: Reference, seed: int 
         added = inverse_of(controller.model, x, v, a)
     law, forward, plant = controller.law, controller.forward, Plant(stage, seed=seed)
     law.reset()
-    effects = 0.0
     true, read, volts = np.empty(x.size), np.empty(x.size), np.empty(x.size)
     for k, (r, rv, ra) in enumerate(zip(x.tolist(), v.tolist(), a.tolist(), strict=True)):
         if each is not None:
             added = each(k, read)
         sample = plant.sample()
         true[k], read[k] = sample.position_m, sample.reading_m
-        if isinstance(law, Pid):
-            asked = law.step(r, sample.reading_m, rv, ra, 0.0,
-                             forward.at(r, rv, ra) if forward is not None else 0.0)
-        else:
-            effects = forward.parts(r, rv, ra)[1] if forward is not None else 0.0
-            asked = law.step(r, sample.reading_m, rv, ra) + effects
+        effects = forward.ahead(r, rv, ra) if forward is not None else 0.0
+        asked = law.step(r, sample.reading_m, rv, ra, 0.0, effects)
         volts[k] = min(LIMIT_V, max(-LIMIT_V, asked + float(added[k])))
-        if isinstance(law, Lqg):
-            law.applied(float(volts[k]) - effects)
+        law.observe(float(volts[k]) - effects)
         plant.advance(float(volts[k]), external_force_n=force_n)
     return true, volts
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.cli.command import command_parser, new_folder, run_command
+from dfm_stage.cli.tune import identified
 from dfm_stage.errors import DfmError
 
 if TYPE_CHECKING:
@@ -26,6 +27,33 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 REST_M_S = 1e-9
+OPTIONS: dict[str, dict[str, Any]] = {
+    "experiment": {"nargs": "?", "default": "scan_repeat", "metavar": "EXPERIMENT",
+        "help": "a name in config/experiments or a YAML file whose references start and end at "
+                "rest in the same place (default: %(default)s)"},
+    "--model": {"metavar": "FILE",
+        "help": "model.yaml to design on, a path or a name in config/models"},
+    "--bag": {"metavar": "BAG", "help": "identify that model from a bag first"},
+    "--plant": {"metavar": "FILE",
+        "help": "model the simulated stage runs (default: that of the experiment, else --model)"},
+    "--out": {"default": "learned", "metavar": "DIR",
+        "help": "new folder for signal, bag and report (default: %(default)s)"},
+    "--passes": {"type": int, "default": 25, "metavar": "N", "help": "default: %(default)s"},
+    "--gain": {"type": float, "default": 0.5, "metavar": "G",
+        "help": "share of the error taken off per pass, 0 to 1 (default: %(default)s)"},
+    "--cutoff": {"type": float, "metavar": "HZ",
+        "help": "learn up to here (default: an eighth of the sample rate)"},
+    "--uncertainty": {"type": float, "default": 0.1, "metavar": "SHARE",
+        "help": "by how much each parameter of the model may be wrong; the passes must converge "
+                "for all of that (default: %(default)s)"},
+    "--margin": {"type": float, "default": 0.5, "metavar": "M",
+        "help": "modulus margin of the feedback (default: %(default)s)"},
+    "--no-inverse": {"action": "store_true",
+        "help": "start from nothing instead of the model's inverse"},
+    "--replay": {"metavar": "DIR", "help": "run what was learnt there once more"},
+    "--seed": {"type": int, "default": 0, "help": "noise of the plant (default: 0)"},
+    "--json": {"action": "store_true", "help": "print learning.json"},
+}
 EPILOG = """examples:
   ./run learn scan_repeat --model raster_bench --out learned
   ./run learn scan_repeat --bag bags/multisine --plant raster_bench --out learned
@@ -55,32 +83,8 @@ class Axis:
 def main(argv: Sequence[str] | None = None) -> int:
     """Learn; 0 when done, 1 if it does not converge, 2 with one line if unusable."""
     parser = command_parser("learn", __doc__, EPILOG)
-    parser.add_argument("experiment", nargs="?", default="scan_repeat", metavar="EXPERIMENT",
-                        help="a name in config/experiments or a YAML file whose references start "
-                        "and end at rest in the same place (default: %(default)s)")
-    parser.add_argument("--model", metavar="FILE", help="model.yaml to design on, a path or a "
-                        "name in config/models")
-    parser.add_argument("--bag", metavar="BAG", help="identify that model from a bag first")
-    parser.add_argument("--plant", metavar="FILE", help="model the simulated stage runs (default: "
-                        "that of the experiment, else --model)")
-    parser.add_argument("--out", default="learned", metavar="DIR",
-                        help="new folder for signal, bag and report (default: %(default)s)")
-    parser.add_argument("--passes", type=int, default=25, metavar="N",
-                        help="default: %(default)s")
-    parser.add_argument("--gain", type=float, default=0.5, metavar="G", help="share of the error "
-                        "taken off per pass, 0 to 1 (default: %(default)s)")
-    parser.add_argument("--cutoff", type=float, metavar="HZ",
-                        help="learn up to here (default: an eighth of the sample rate)")
-    parser.add_argument("--uncertainty", type=float, default=0.1, metavar="SHARE",
-                        help="by how much each parameter of the model may be wrong; the passes "
-                        "must converge for all of that (default: %(default)s)")
-    parser.add_argument("--margin", type=float, default=0.5, metavar="M",
-                        help="modulus margin of the feedback (default: %(default)s)")
-    parser.add_argument("--no-inverse", action="store_true",
-                        help="start from nothing instead of the model's inverse")
-    parser.add_argument("--replay", metavar="DIR", help="run what was learnt there once more")
-    parser.add_argument("--seed", type=int, default=0, help="noise of the plant (default: 0)")
-    parser.add_argument("--json", action="store_true", help="print learning.json")
+    for name, how in OPTIONS.items():
+        parser.add_argument(name, **how)
     options = parser.parse_args(argv)
     return run_command(lambda: _run(options))
 
@@ -107,7 +111,9 @@ def _learn(options: argparse.Namespace) -> dict[str, Any]:
     try:
         name = options.model or experiment.model
         if options.bag:
-            name = _identified(options, experiment, out)
+            if len(experiment.axes) > 1:
+                raise DfmError("--bag identifies one axis; give the model of both with --model")
+            name = identified(options.bag, out / "identify", model=options.model)
         if not name:
             raise DfmError("no model: give --model FILE, or --bag BAG to identify one")
         plant = options.plant or experiment.model or name
@@ -127,26 +133,13 @@ def _learn(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _check(options: argparse.Namespace) -> None:
-    if options.passes < 1:
-        raise DfmError(f"--passes {options.passes}: give at least 1")
-    if not 0.0 < options.gain <= 1.0:
-        raise DfmError(f"--gain {options.gain:g}: give a number above 0, up to 1")
-    if not 0.0 <= options.uncertainty < 0.9:
-        raise DfmError(f"--uncertainty {options.uncertainty:g}: give a number from 0 to 0.9")
-    if not 0.0 < options.margin < 1.0:
-        raise DfmError(f"--margin {options.margin:g}: give a number between 0 and 1")
-
-
-def _identified(options: argparse.Namespace, experiment: Experiment, out: Path) -> str:
-    from dfm_stage.cli import identify
-
-    if len(experiment.axes) > 1:
-        raise DfmError("--bag identifies one axis; give the model of both with --model")
-    folder = out / "identify"
-    given = ["--model", options.model] if options.model else []
-    if identify.main([options.bag, "--out", str(folder), "--no-report", *given]) != 0:
-        raise DfmError(f"{options.bag}: no model could be identified (see above)")
-    return str(folder / "model.yaml")
+    for name, usable, wanted in (
+            ("passes", options.passes >= 1, "at least 1"),
+            ("gain", 0.0 < options.gain <= 1.0, "a number above 0, up to 1"),
+            ("uncertainty", 0.0 <= options.uncertainty < 0.9, "a number from 0 to 0.9"),
+            ("margin", 0.0 < options.margin < 1.0, "a number between 0 and 1")):
+        if not usable:
+            raise DfmError(f"--{name} {getattr(options, name):g}: give {wanted}")
 
 
 def _design(axis: str, experiment: Experiment, name: str, options: argparse.Namespace) -> Axis:
@@ -241,26 +234,29 @@ def _passes(axes: list[Axis], experiment: Experiment, plant: str, out: Path,
                    "axes": {axis.name: {} for axis in axes}})
         with Progress(f"{options.passes} passes of {experiment.name}") as progress:
             for k in range(options.passes + 1):
-                _write_signals(axes, out)
                 _one_pass(axes, graph, out, heard)
                 progress(k / options.passes)
-                if k == 0:                # the first pass starts from rest, all others from one
-                    continue
-                for axis in axes:
-                    if k == 1:
-                        axis.first_error = axis.error
-                    axis.learner.update(axis.error)
-                if all(axis.learner.stopped for axis in axes):
+                # The first pass starts from rest, all others from a pass: it teaches nothing.
+                if k and _learnt(axes, first=k == 1):
                     break
         for axis in axes:
             axis.learner.signal = axis.learner.best
-        _write_signals(axes, out)
         _one_pass(axes, graph, out, heard)
         graph.stop_recording()
 
 
+def _learnt(axes: list[Axis], first: bool) -> bool:
+    """Learn from the errors of a pass; return whether learning is over on all axes."""
+    for axis in axes:
+        if first:
+            axis.first_error = axis.error
+        axis.learner.update(axis.error)
+    return all(axis.learner.stopped for axis in axes)
+
+
 def _one_pass(axes: list[Axis], graph: StageGraph, out: Path, heard: dict[str, Any]) -> None:
-    """Run one pass and leave the error of each axis, r - y, m."""
+    """Run one pass with the signals as they are; leave the error of each axis, r - y, m."""
+    _write_signals(axes, out)
     results = graph.run(str(out / "learned.yaml"))
     for axis in axes:
         result, messages = results[axis.name], heard[axis.name]

@@ -22,6 +22,55 @@ if TYPE_CHECKING:
 METHODS = ("pid", "lqr", "ziegler_nichols")
 WAYS = ("raise_gain", "relay")
 _NO_NOISE_M = 1e-11
+OPTIONS: dict[str, dict[str, Any]] = {
+    "--model": {"metavar": "FILE",
+        "help": "model.yaml, a path or a name in config/models; with --bag, where identification "
+                "starts from"},
+    "--bag": {"metavar": "BAG", "help": "bag or CSV file the model is identified from first"},
+    "--axis": {"metavar": "NAME",
+        "help": "one axis of a model that has several (default: all of them); also the node's "
+                "namespace (default: x)"},
+    "--method": {"choices": METHODS, "default": "pid",
+        "help": "default: %(default)s, two degrees of freedom with feedforward"},
+    "--margin": {"type": float, "default": 0.5, "metavar": "M",
+        "help": "modulus margin to keep, 0 to 1 (default: %(default)s); ziegler_nichols takes "
+                "what it gets"},
+    "--limit": {"type": float, "default": 10.0, "metavar": "V",
+        "help": "largest output (default: %(default)s V)"},
+    "--no-integral": {"action": "store_true", "help": "lqr without integral action"},
+    "--disturbance": {"action": "store_true", "help": "lqr with an estimate of a drifting force"},
+    "--feedforward": {"choices": ("auto", "gains", "model", "inverse"), "default": "auto",
+        "help": "pid: three gains; the model's own input with its springs, friction and force "
+                "constant; or the inverse for the whole reference ahead (default: model where it "
+                "has such effects, else gains)"},
+    "--notch": {"action": "store_true",
+        "help": "pid: take the model's highest mode out of the feedback"},
+    "--verify": {"metavar": "EXPERIMENT",
+        "help": "run this experiment with the result on the node graph and show the error beside "
+                "the predicted one"},
+    "--plant": {"metavar": "FILE",
+        "help": "model the simulated stage runs for --verify and ziegler_nichols (default: the "
+                "model tuned on)"},
+    "--out": {"metavar": "FILE",
+        "help": "parameter file to write (default: <method>.yaml); a page and the identified "
+                "model go beside it"},
+    "--json": {"action": "store_true", "help": "print the result as JSON"},
+    "--no-report": {"action": "store_true",
+        "help": "do not write the page beside the parameter file"},
+}
+GRAPH_OPTIONS: dict[str, dict[str, Any]] = {
+    "--way": {"choices": (*WAYS, "both", "model"), "default": "both",
+        "help": "raise the gain until the loop oscillates, relay feedback, both, or only compute "
+                "on the model (default: %(default)s)"},
+    "--voltage": {"type": float, "default": 0.5, "metavar": "V",
+        "help": "amplitude of relay and pulses (default: %(default)s V)"},
+    "--travel": {"type": float, "default": 0.004, "metavar": "M",
+        "help": "stop where the stage goes further (default: %(default)s m)"},
+    "--gain": {"type": float, "default": 100.0, "metavar": "V/M",
+        "help": "gain to start from (default: %(default)s V/m)"},
+    "--duration": {"type": float, "default": 30.0, "metavar": "S",
+        "help": "time for each way (default: %(default)s s)"},
+}
 EPILOG = """examples:
   ./run tune --model paper_stage
   ./run tune --model my/model.yaml --method lqr --margin 0.6 --out lqr.yaml
@@ -36,49 +85,10 @@ then:
 def main(argv: Sequence[str] | None = None) -> int:
     """Tune; 0 when done, 1 when the loop could not be tuned, 2 with one line if unusable."""
     parser = command_parser("tune", __doc__, EPILOG)
-    parser.add_argument("--model", metavar="FILE", help="model.yaml, a path or a name in "
-                        "config/models; with --bag, where identification starts from")
-    parser.add_argument("--bag", metavar="BAG", help="bag or CSV file the model is identified "
-                        "from first")
-    parser.add_argument("--axis", metavar="NAME", help="one axis of a model that has several "
-                        "(default: all of them); also the node's namespace (default: x)")
-    parser.add_argument("--method", choices=METHODS, default="pid",
-                        help="default: %(default)s, two degrees of freedom with feedforward")
-    parser.add_argument("--margin", type=float, default=0.5, metavar="M",
-                        help="modulus margin to keep, 0 to 1 (default: %(default)s); "
-                        "ziegler_nichols takes what it gets")
-    parser.add_argument("--limit", type=float, default=10.0, metavar="V",
-                        help="largest output (default: %(default)s V)")
-    parser.add_argument("--no-integral", action="store_true", help="lqr without integral action")
-    parser.add_argument("--disturbance", action="store_true",
-                        help="lqr with an estimate of a drifting force")
-    parser.add_argument("--feedforward", choices=("auto", "gains", "model", "inverse"),
-                        default="auto", help="pid: three gains; the model's own input with its "
-                        "springs, friction and force constant; or the inverse for the whole "
-                        "reference ahead (default: model where it has such effects, else gains)")
-    parser.add_argument("--notch", action="store_true",
-                        help="pid: take the model's highest mode out of the feedback")
-    parser.add_argument("--verify", metavar="EXPERIMENT", help="run this experiment with the "
-                        "result on the node graph and show the error beside the predicted one")
-    parser.add_argument("--plant", metavar="FILE", help="model the simulated stage runs for "
-                        "--verify and ziegler_nichols (default: the model tuned on)")
-    parser.add_argument("--out", metavar="FILE", help="parameter file to write (default: "
-                        "<method>.yaml); a page and the identified model go beside it")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--no-report", action="store_true",
-                        help="do not write the page beside the parameter file")
     graph = parser.add_argument_group("ziegler_nichols, on the node graph in lockstep")
-    graph.add_argument("--way", choices=(*WAYS, "both", "model"), default="both",
-                       help="raise the gain until the loop oscillates, relay feedback, both, or "
-                       "only compute on the model (default: %(default)s)")
-    graph.add_argument("--voltage", type=float, default=0.5, metavar="V",
-                       help="height of relay and kicks (default: %(default)s V)")
-    graph.add_argument("--travel", type=float, default=4e-3, metavar="M",
-                       help="stop where the stage goes further (default: %(default)s m)")
-    graph.add_argument("--gain", type=float, default=100.0, metavar="V/M",
-                       help="gain to start from (default: %(default)s V/m)")
-    graph.add_argument("--duration", type=float, default=30.0, metavar="S",
-                       help="time for each way (default: %(default)s s)")
+    for part, table in ((parser, OPTIONS), (graph, GRAPH_OPTIONS)):
+        for name, how in table.items():
+            part.add_argument(name, **how)
     options = parser.parse_args(argv)
     return run_command(lambda: _tune(options))
 
@@ -96,7 +106,8 @@ def _tune(options: argparse.Namespace) -> int:
 
     name = options.model
     if options.bag:
-        name = _identified(options, out)
+        name = identified(options.bag, out.with_suffix(""), model=options.model,
+                          axis=options.axis)
     model = load_model(name)
     if Path(name).is_file():
         name = str(Path(name).resolve())
@@ -156,15 +167,13 @@ class TuningFailedError(DfmError):
     """A tuning run on the loop ended without a result; it was stopped safely."""
 
 
-def _identified(options: argparse.Namespace, out: Path) -> str:
+def identified(bag: str, folder: Path, **given: str | None) -> str:
+    """Identify a model from a bag and return its file; `given` are options of identify."""
     from dfm_stage.cli import identify
 
-    folder = out.with_suffix("")
-    arguments = [options.bag, "--out", str(folder), "--no-report"]
-    arguments += ["--model", options.model] if options.model else []
-    arguments += ["--axis", options.axis] if options.axis else []
-    if identify.main(arguments) != 0:
-        raise DfmError(f"{options.bag}: no model could be identified (see above)")
+    further = [word for name, value in given.items() if value for word in (f"--{name}", value)]
+    if identify.main([bag, "--out", str(folder), "--no-report", *further]) != 0:
+        raise DfmError(f"{bag}: no model could be identified (see above)")
     return str(folder / "model.yaml")
 
 
@@ -204,7 +213,8 @@ def _verify(file: Path, results: Mapping[str, Tuned], axes: Mapping[str, Model],
     from dfm_stage.cli.graph_run import run_on_graph
     from dfm_stage.cli.tune_verify import as_experiment, compare
 
-    experiment = as_experiment(options.verify, options.method, file, tuple(axes))
+    mode = next(iter(results.values())).parameters["mode"]
+    experiment = as_experiment(options.verify, mode, file, tuple(axes))
     with tempfile.TemporaryDirectory(prefix="dfm_stage_tune_") as folder:
         record = run_on_graph(experiment, Path(folder) / "bag", model=plant, axes=tuple(axes),
                               label=f"{options.verify} on the node graph")

@@ -43,7 +43,7 @@ class Tracking:
                 "achieved": {"rms": self.achieved_rms_m, "peak": self.achieved_peak_m}}
 
 
-def as_experiment(name: str, method: str, file: Path, axes: tuple[str, ...]) -> dict[str, Any]:
+def as_experiment(name: str, mode: str, file: Path, axes: tuple[str, ...]) -> dict[str, Any]:
     """Return the named experiment with the tuned parameters in place of its own.
 
     Raises
@@ -59,8 +59,8 @@ def as_experiment(name: str, method: str, file: Path, axes: tuple[str, ...]) -> 
              for axis, spec in found.axes.items() if axis in axes}
     if not any(given.values()):
         raise DfmError(f"{found.name}: gives no reference for axis {', '.join(axes)}")
-    return {"name": found.name, "mode": "lqr" if method == "lqr" else "pid",
-            "duration_s": found.duration_s, "seed": found.seed,
+    return {"name": found.name, "mode": mode, "duration_s": found.duration_s,
+            "seed": found.seed,
             "axes": {axis: given.get(axis, {}) for axis in axes},
             "controller": str(file.absolute())}
 
@@ -95,28 +95,11 @@ def compare(record: Record, axis: str, experiment: Mapping[str, Any], model: Mod
 
 
 def _on_model(model: Model, tuned: Tuned, reference: Any) -> Array:
-    from dfm_stage.control import (
-        Lqg,
-        LqrSpec,
-        ModelFeedforward,
-        Pid,
-        PidGains,
-        design_lqr,
-        run_on_model,
-    )
+    from dfm_stage.control import law_of, run_on_model
 
-    values = tuned.parameters
-    if values["mode"] == "lqr":
-        law: Pid | Lqg = Lqg(design_lqr(model, LqrSpec.from_mapping(values)),
-                             values["output_limit_v"])
-        forward = ModelFeedforward(model) if values.get("feedforward") == "model" else None
-    else:
-        gains = PidGains.from_mapping({name: value for name, value in values.items()
-                                       if name not in ("mode", "model", "feedforward")})
-        forward = ModelFeedforward(model, gains) if values.get("feedforward") == "model" else None
-        law = Pid(gains if forward is None else gains.without_feedforward(), model.sample_period)
+    law, effects = law_of(tuned.parameters, model)
     return run_on_model(model, law, reference.position, reference.velocity,
-                        reference.acceleration, forward=forward,
+                        reference.acceleration, forward=effects,
                         inverse="inverse_model" in tuned.generator)
 
 

@@ -5,29 +5,19 @@ from dfm_stage.control.feedforward import inverse_input, periodic_input
 from dfm_stage.control.gains import PID_PARAMETERS, PidGains
 from dfm_stage.control.guard import GUARD_PARAMETERS, Guard
 from dfm_stage.control.kalman import KalmanDesign, kalman
-from dfm_stage.control.laws import (
-    FEEDFORWARD,
-    LQR_SWITCHES,
-    MODES,
-    NOTCH,
-    SHAPER_PARAMETERS,
-    SHAPERS,
-    TUNING_RUNS,
-    Laws,
-    plan_laws,
-)
+from dfm_stage.control.law import Law, Setup
+from dfm_stage.control.laws import DEFAULT_LAW, LAWS, OPEN_LOOP, laws_with, modes
+from dfm_stage.control.laws.lqr import Lqg
+from dfm_stage.control.laws.pid import Pid
 from dfm_stage.control.learning import Learner, LearningDesign, design_learning, neighbours
-from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
 from dfm_stage.control.model_feedforward import (
     EffectInput,
-    ModelFeedforward,
     feedforward_gains,
     inverse_of,
 )
 from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.parameter_file import parameter_text, read_parameters, write_text
-from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
 from dfm_stage.control.sampled import Margins, loop_margins, margins
@@ -38,6 +28,15 @@ from dfm_stage.control.stage import (
     linear_stage,
     sample_model,
     sample_stage,
+)
+from dfm_stage.control.switching import (
+    AXIS_PARAMETERS,
+    SHAPER_PARAMETERS,
+    LawSet,
+    Plan,
+    Point,
+    law_of,
+    plan_laws,
 )
 from dfm_stage.control.systems import model_of, state_space
 from dfm_stage.control.tuning import (
@@ -60,16 +59,17 @@ from dfm_stage.control.ziegler_nichols import (
 )
 
 __all__ = [
-    "FEEDFORWARD", "GUARD_PARAMETERS", "LQR_PARAMETERS", "LQR_SWITCHES", "MODES", "NOTCH",
-    "PID_PARAMETERS", "SHAPERS", "SHAPER_PARAMETERS", "TUNING_PARAMETERS", "TUNING_RUNS",
-    "ControlError", "EffectInput", "GainRaising", "Guard", "KalmanDesign", "Laws", "Learner",
-    "LearningDesign", "LinearStage", "Lqg", "LqrDesign", "LqrSpec", "Margins", "ModelFeedforward",
-    "Notch", "Oscillation", "Pid", "PidDesign", "PidGains", "ReferenceShaper", "RelayRun",
-    "Sampled", "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
+    "AXIS_PARAMETERS", "DEFAULT_LAW", "GUARD_PARAMETERS", "LAWS", "LQR_PARAMETERS", "OPEN_LOOP",
+    "PID_PARAMETERS", "SHAPER_PARAMETERS", "TUNING_PARAMETERS", "ControlError", "EffectInput",
+    "GainRaising", "Guard", "KalmanDesign", "Law", "LawSet", "Learner", "LearningDesign",
+    "LinearStage", "Lqg", "LqrDesign", "LqrSpec", "Margins", "Notch", "Oscillation", "Pid",
+    "PidDesign", "PidGains", "Plan", "Point", "ReferenceShaper", "RelayRun", "Sampled", "Setup",
+    "Tuned", "TuningRun", "Ultimate", "algebraic", "design_learning", "design_lqr",
     "feedback_gain", "feedforward_gains", "finite_horizon", "highest_mode", "inverse_input",
-    "inverse_of", "kalman", "linear_stage", "loop_margins", "loop_of", "margins", "model_of",
-    "neighbours", "oscillation", "parameter_text", "periodic_input", "pid_for", "pid_with_margin",
-    "plan_laws", "predicted_errors", "read_parameters", "run_on_model", "sample_model",
-    "sample_stage", "shape", "shaper", "state_space", "tune_lqr", "tune_pid",
-    "tune_ziegler_nichols", "ultimate", "ultimate_from_relays", "write_text", "ziegler_nichols",
+    "inverse_of", "kalman", "law_of", "laws_with", "linear_stage", "loop_margins", "loop_of",
+    "margins", "model_of", "modes", "neighbours", "oscillation", "parameter_text",
+    "periodic_input", "pid_for", "pid_with_margin", "plan_laws", "predicted_errors",
+    "read_parameters", "run_on_model", "sample_model", "sample_stage", "shape", "shaper",
+    "state_space", "tune_lqr", "tune_pid", "tune_ziegler_nichols", "ultimate",
+    "ultimate_from_relays", "write_text", "ziegler_nichols",
 ]

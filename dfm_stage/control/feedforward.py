@@ -19,8 +19,8 @@ from dfm_stage.control.errors import ControlError
 from dfm_stage.control.stage import Sampled
 
 Array = NDArray[np.float64]
-_DIED_OUT = 1e-7
-_LONGEST = 2_000_000
+_DIED_OUT = 1e-7        # share left of the answer: below one count of an encoder
+_LONGEST = 2_000_000    # samples: bounds memory and time
 
 
 def periodic_input(stage: Sampled, reference: ArrayLike) -> Array:

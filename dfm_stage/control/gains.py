@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from difflib import get_close_matches
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from dfm_stage.control.errors import ControlError
-from dfm_stage.model.parameter import Parameter, ParameterError
-
-ANTI_WINDUP = ("back_calculation", "clamping", "none")
+from dfm_stage.control.law import OUTPUT_LIMIT, Entry, checked, require_known
+from dfm_stage.control.shaping import Notch
+from dfm_stage.model.parameter import Option, Parameter
 
 # The defaults are `pid_for` at 8 Hz on the paper's stage with 1 ms of delay and of amplifier lag.
 PID_PARAMETERS: tuple[Parameter, ...] = (
@@ -20,7 +18,7 @@ PID_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("kd", 94.0, "V s/m", "derivative gain", 0.0),
     Parameter("derivative_filter_s", 2.5e-3, "s", "time constant of the derivative's filter", 0.0,
               1e3),
-    Parameter("output_limit_v", 10.0, "V", "largest absolute output", 1e-9, 1e6),
+    OUTPUT_LIMIT,
     Parameter("slew_limit_v_s", 0.0, "V/s", "largest change of the output; 0 = no limit", 0.0),
     Parameter("setpoint_weight", 1.0, "", "share b of the reference in the proportional part",
               0.0, 2.0),
@@ -38,7 +36,11 @@ PID_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("notch_width_damping", 0.3, "", "damping ratio of its poles: how wide it is", 1e-3,
               10.0),
 )
-_TABLE = {parameter.name: parameter for parameter in PID_PARAMETERS}
+ANTI_WINDUP = Option("anti_windup", "back_calculation", "what keeps the integral from winding up",
+                     ("back_calculation", "clamping", "none"))
+GAIN_PARAMETERS: tuple[Entry, ...] = (*PID_PARAMETERS, ANTI_WINDUP)
+_TABLE = {each.name: each for each in GAIN_PARAMETERS}
+_DEFAULT: dict[str, Any] = {name: each.default for name, each in _TABLE.items()}
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,11 @@ class PidGains:
         If a value is not a finite number in its range; the message names it.
     """
 
-    kp: float = _TABLE["kp"].default
-    ki: float = _TABLE["ki"].default
-    kd: float = _TABLE["kd"].default
-    derivative_filter_s: float = _TABLE["derivative_filter_s"].default
-    output_limit_v: float = _TABLE["output_limit_v"].default
+    kp: float = _DEFAULT["kp"]
+    ki: float = _DEFAULT["ki"]
+    kd: float = _DEFAULT["kd"]
+    derivative_filter_s: float = _DEFAULT["derivative_filter_s"]
+    output_limit_v: float = OUTPUT_LIMIT.default
     slew_limit_v_s: float = 0.0
     setpoint_weight: float = 1.0
     derivative_weight: float = 0.0
@@ -66,19 +68,13 @@ class PidGains:
     feedforward_velocity: float = 0.0
     feedforward_acceleration: float = 0.0
     notch_hz: float = 0.0
-    notch_depth_damping: float = _TABLE["notch_depth_damping"].default
-    notch_width_damping: float = _TABLE["notch_width_damping"].default
-    anti_windup: str = "back_calculation"
+    notch_depth_damping: float = _DEFAULT["notch_depth_damping"]
+    notch_width_damping: float = _DEFAULT["notch_width_damping"]
+    anti_windup: str = _DEFAULT["anti_windup"]
 
     def __post_init__(self) -> None:
-        for name, parameter in _TABLE.items():
-            try:
-                object.__setattr__(self, name, parameter.checked(getattr(self, name), "pid"))
-            except ParameterError as error:
-                raise ControlError(str(error)) from None
-        if self.anti_windup not in ANTI_WINDUP:
-            raise ControlError(f"pid: anti_windup must be one of {', '.join(ANTI_WINDUP)}, "
-                               f"not {self.anti_windup!r}")
+        for name, value in checked(_TABLE.values(), vars(self), "pid").items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], where: str = "pid") -> PidGains:
@@ -93,18 +89,19 @@ class PidGains:
 
     def changed(self, values: Mapping[str, Any], where: str = "pid") -> PidGains:
         """Return these gains with some of them replaced; errors as in `from_mapping`."""
-        names = [field.name for field in fields(self)]
-        for name in values:
-            if name not in names:
-                close = get_close_matches(str(name), names, n=1)
-                hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(names)}"
-                raise ControlError(f"{where}: there is no parameter {name!r}, {hint}")
+        require_known(values, _TABLE, where)
         return replace(self, **values)
 
-    def without_feedforward(self) -> PidGains:
-        """Return these gains with the three feedforward gains at zero."""
-        return replace(self, feedforward_position=0.0, feedforward_velocity=0.0,
-                       feedforward_acceleration=0.0)
+    def notch(self, sample_period_s: float) -> Notch | None:
+        """Return the notch of these gains, None if there is none.
+
+        Raises
+        ------
+        ControlError
+            If its frequency is not below half the rate.
+        """
+        return Notch(self.notch_hz, sample_period_s, self.notch_depth_damping,
+                     self.notch_width_damping) if self.notch_hz else None
 
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters by name."""

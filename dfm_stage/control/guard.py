@@ -5,21 +5,21 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from dfm_stage.control.errors import ControlError
-from dfm_stage.model.parameter import Parameter, ParameterError
+from dfm_stage.control.law import checked
+from dfm_stage.model.parameter import Parameter
 
 GUARD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("travel_limit_m", 7e-3, "m",
-              "the guard lets go where the stage would coast beyond this; 0 = no guard", 0.0, 1e3),
+              "the guard trips where the stage would coast beyond this; 0 = no guard", 0.0, 1e3),
     Parameter("coast_time_s", 0.04, "s",
               "distance coasted per velocity; 1 / (2 pi f) of a stage on a spring", 0.0, 1e3),
     Parameter("divergence_window_s", 0.5, "s",
               "six swings from limit to limit within this time are a diverging loop; 0 = never",
               0.0, 1e3),
 )
-_SWINGS = 6
-_IN_A_ROW = 4
-_AHEAD = 7.0
+_SWINGS = 6         # from limit to limit within the window: no step of the reference takes so many
+_IN_A_ROW = 4       # one wrong reading shows in the velocity of three samples
+_AHEAD = 7.0        # samples: those four, and the delay of the loop
 
 
 class Guard:
@@ -43,12 +43,9 @@ class Guard:
 
     def __init__(self, sample_period_s: float, travel_limit_m: float = 7e-3,
                  coast_time_s: float = 0.04, divergence_window_s: float = 0.5) -> None:
-        given = (travel_limit_m, coast_time_s, divergence_window_s)
-        try:
-            limit, coast, window = (parameter.checked(value, "guard") for parameter, value
-                                    in zip(GUARD_PARAMETERS, given, strict=True))
-        except ParameterError as error:
-            raise ControlError(str(error)) from None
+        limit, coast, window = checked(GUARD_PARAMETERS, {
+            "travel_limit_m": travel_limit_m, "coast_time_s": coast_time_s,
+            "divergence_window_s": divergence_window_s}, "guard").values()
         self._limit, self._squared = limit, limit * limit
         self._coast = coast / sample_period_s
         self._window = round(window / sample_period_s)

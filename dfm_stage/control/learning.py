@@ -28,8 +28,8 @@ from dfm_stage.model import Model
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Law = Callable[[Array], Complex]
-_WIDTH = 0.25
-_WORSE = 3.0
+_WIDTH = 0.25       # of the cutoff, over which the low-pass falls: a smooth edge rings little
+_WORSE = 3.0        # times the best error: noise alone does not reach that
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,8 @@ def _low_pass(f: Array, cutoff_hz: float) -> Array:
 class Learner:
     """The learnt signal of one axis, pass by pass.
 
-    `signal` (N,) V is what the next pass adds; `errors` the RMS of each pass's error, m. `stopped`
+    `signal` (N,) V is what the next pass adds, `best` that of the pass with the smallest error so
+    far; `errors` the RMS of each pass's error, m. `stopped`
     is empty, or says why learning ended: then `signal` is that of the best pass.
     """
 
@@ -147,15 +148,9 @@ class Learner:
         if self.signal.shape != (design.samples,):
             raise ControlError(f"learning: the signal to start from has shape "
                                f"{self.signal.shape}, the period {design.samples} samples")
-        self._start: Array = self.signal
+        self._start = self.best = self.signal
         self.errors: list[float] = []
         self.stopped = ""
-        self._best = self.signal
-
-    @property
-    def best(self) -> Array:
-        """The signal (N,) of the pass with the smallest error so far, V."""
-        return self._best
 
     def update(self, error: ArrayLike) -> Array:
         """Learn from the error r - y (N,), m, of the pass that used `signal`; return the next.
@@ -176,10 +171,10 @@ class Learner:
         if self.errors and rms > _WORSE * min(self.errors):
             self.stopped = (f"pass {len(self.errors) + 1} has {rms / min(self.errors):.1f} times "
                             "the error of the best one")
-            self.signal = self._best
+            self.signal = self.best
             return self.signal
         if not self.errors or rms <= min(self.errors):
-            self._best = self.signal
+            self.best = self.signal
         self.errors.append(rms)
         d = self.design
         learnt = np.fft.rfft(self.signal - self._start)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,10 +26,17 @@ from numpy.typing import NDArray
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.kalman import KalmanDesign, kalman, reading_noise_m
-from dfm_stage.control.sampled import Margins, frequency_grid, loop_margins
+from dfm_stage.control.law import Entry, checked
+from dfm_stage.control.sampled import (
+    Margins,
+    StateSpace,
+    closed_loop,
+    frequency_grid,
+    loop_margins,
+)
 from dfm_stage.control.stage import Sampled, sample_model
 from dfm_stage.model import Model
-from dfm_stage.model.parameter import Parameter, ParameterError
+from dfm_stage.model.parameter import Option, Parameter
 
 Array = NDArray[np.float64]
 
@@ -45,12 +52,20 @@ LQR_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("lqr_drift_n", 1.0, "N/sqrt(s)",
               "wandering of the force that is estimated, with lqr_disturbance", 1e-12, 1e6),
 )
-_TABLE = {parameter.name: parameter for parameter in LQR_PARAMETERS}
+LQR_SWITCHES = (
+    Option("lqr_integral", True, "integral action on the tracking error"),
+    Option("lqr_disturbance", False, "estimate a drifting force and take it off the output"),
+    Option("lqr_feedforward", True, "add the model's own input for the reference; without it, it "
+           "is the paper's regulator"),
+)
+SPEC_PARAMETERS: tuple[Entry, ...] = (*LQR_PARAMETERS, *LQR_SWITCHES)
+_TABLE = {each.name: each for each in SPEC_PARAMETERS}
+_DEFAULT: dict[str, Any] = {name: each.default for name, each in _TABLE.items()}
 
 
 @dataclass(frozen=True)
 class LqrSpec:
-    """What an LQR is to weigh and to contain; names and units as in `LQR_PARAMETERS`.
+    """What an LQR is to weigh and to contain; names and units as in the tables above.
 
     `lqr_integral` adds integral action, `lqr_disturbance` the estimate of a wandering force,
     which is taken off the output, `lqr_feedforward` the model's own input for the reference.
@@ -61,28 +76,24 @@ class LqrSpec:
         If a value is not a finite number in its range; the message names it.
     """
 
-    lqr_error_m: float = _TABLE["lqr_error_m"].default
-    lqr_velocity_m_s: float = _TABLE["lqr_velocity_m_s"].default
-    lqr_integral_m_s: float = _TABLE["lqr_integral_m_s"].default
-    lqr_effort_v: float = _TABLE["lqr_effort_v"].default
-    lqr_force_noise_n: float = _TABLE["lqr_force_noise_n"].default
-    lqr_drift_n: float = _TABLE["lqr_drift_n"].default
+    lqr_error_m: float = _DEFAULT["lqr_error_m"]
+    lqr_velocity_m_s: float = _DEFAULT["lqr_velocity_m_s"]
+    lqr_integral_m_s: float = _DEFAULT["lqr_integral_m_s"]
+    lqr_effort_v: float = _DEFAULT["lqr_effort_v"]
+    lqr_force_noise_n: float = _DEFAULT["lqr_force_noise_n"]
+    lqr_drift_n: float = _DEFAULT["lqr_drift_n"]
     lqr_integral: bool = True
     lqr_disturbance: bool = False
     lqr_feedforward: bool = True
 
     def __post_init__(self) -> None:
-        for name, parameter in _TABLE.items():
-            try:
-                object.__setattr__(self, name, parameter.checked(getattr(self, name), "lqr"))
-            except ParameterError as error:
-                raise ControlError(str(error)) from None
+        for name, value in checked(_TABLE.values(), vars(self), "lqr").items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> LqrSpec:
         """Return the part of a controller's parameters that is an LQR's."""
-        names = {field.name for field in fields(cls)}
-        return cls(**{name: value for name, value in values.items() if name in names})
+        return cls(**{name: value for name, value in values.items() if name in _TABLE})
 
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters by name."""
@@ -93,7 +104,7 @@ class LqrSpec:
         return replace(self, **values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LqrDesign:
     """Everything that `Lqg` runs on, and the margins of the loop at the plant's input.
 
@@ -119,7 +130,7 @@ class LqrDesign:
         """The sample period it was designed for, s."""
         return self.stage.sample_period_s
 
-    def controller(self) -> tuple[Array, Array, Array, float]:
+    def controller(self) -> StateSpace:
         """Return (A, b, c, d) of the law from y to u with the reference at zero.
 
         State: prediction of the filter (n,), then the integral of r - y if there is one.
@@ -142,9 +153,7 @@ class LqrDesign:
 
     def closed_loop(self, stage: Sampled) -> Array:
         """Return the matrix of another stage, or the same, under this controller."""
-        a, b, c, d = self.controller()
-        return np.block([[stage.a + d * np.outer(stage.b, stage.c), np.outer(stage.b, c)],
-                         [np.outer(b, stage.c), a]])
+        return closed_loop(stage, self.controller())
 
     def margins_on(self, stage: Sampled) -> Margins:
         """Return the margins with another stage, or the same."""

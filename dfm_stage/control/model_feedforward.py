@@ -28,7 +28,7 @@ from dfm_stage.control.stage import Sampled, linear_stage, sample_model
 from dfm_stage.model import EFFECTS, Model
 
 Array = NDArray[np.float64]
-_SLOW_M_S = 1e-4
+_SLOW_M_S = 1e-4    # below this velocity friction is fed forward in proportion, against chatter
 _FRICTION = ("coulomb_friction", "presliding_friction")
 
 
@@ -70,46 +70,18 @@ class EffectInput:
         """Return the input that goes beside the linear one, at this point of the movement."""
         x, v = position_m, velocity_m_s
         linear = self._m * acceleration_m_s2 + self._c * v + self._k * x
-        rub = v / _SLOW_M_S
-        rub = min(1.0, max(-1.0, rub))
-        needed, share = linear - self._constant + self._friction * rub, 1.0
+        sign = min(1.0, max(-1.0, v / _SLOW_M_S))
+        needed, share = linear - self._constant + self._friction * sign, 1.0
         for force, values in self._hooks:
             alone = force(x, v, 0.0, values)
             needed -= alone
             share += force(x, v, 1.0, values) - alone
         return (needed / share - linear) / self._gain
 
-
-class ModelFeedforward:
-    """The input for position, velocity and acceleration of a reference, one sample at a time.
-
-    `gains`, if given, are those of the PID beside it: what its weights take off the reference is
-    put back, so that on the reference the PID has nothing to do.
-    """
-
-    __slots__ = ("_a", "_ahead", "_effects", "_r", "_v")
-
-    def __init__(self, model: Model, gains: PidGains | None = None) -> None:
-        stage = sample_model(model)
-        self._r, self._v, self._a = feedforward_gains(stage, gains)
-        found = EffectInput(model)
-        self._effects = found if found.any else None
-        self._ahead = found.ahead_s
-
-    def at(self, position_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
-        """Return the input for one sample, V (or A)."""
-        linear, effects = self.parts(position_m, velocity_m_s, acceleration_m_s2)
-        return linear + effects
-
-    def parts(self, position_m: float, velocity_m_s: float,
-              acceleration_m_s2: float) -> tuple[float, float]:
-        """Return what the linear stage takes and what its effects take, V (or A)."""
-        r, v, a = position_m, velocity_m_s, acceleration_m_s2
-        linear = self._r * r + self._v * v + self._a * a
-        if self._effects is None:
-            return linear, 0.0
-        t = self._ahead
-        return linear, self._effects.at(r + t * (v + 0.5 * t * a), v + t * a, a)
+    def ahead(self, position_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
+        """Return what to give at this sample, for where the reference is once it acts, V or A."""
+        v, a, t = velocity_m_s, acceleration_m_s2, self.ahead_s
+        return self.at(position_m + t * (v + 0.5 * t * a), v + t * a, a)
 
 
 def feedforward_gains(stage: Sampled, gains: PidGains | None = None) -> tuple[float, float, float]:

@@ -14,8 +14,8 @@ from ruamel.yaml.error import YAMLError
 from dfm_stage.control.errors import ControlError
 from dfm_stage.files import write_whole
 
+# Parameters that a node takes at its start only.
 FIXED = ("sample_period_s",)
-"""Parameters that a node takes at its start only."""
 
 
 def parameter_text(nodes: Mapping[str, Mapping[str, Any]], comments: Sequence[str] = ()) -> str:

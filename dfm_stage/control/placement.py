@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
@@ -12,7 +13,7 @@ from dfm_stage.control.sampled import Margins, margins
 from dfm_stage.control.stage import Sampled, sample_model, sample_stage
 from dfm_stage.model import Model
 
-_FILTER_RATIO = 8.0
+_FILTER_RATIO = 8.0     # of the derivative filter's corner to the bandwidth: costs 7 degrees there
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,8 @@ def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
         As in a model.yaml: mass, force_constant; damping, stiffness, delay,
         amplifier_time_constant where there are such. The margins of a one-axis Model count its
         second mode too.
-    bandwidth_hz : float
-        Distance of the complex poles from the origin over 2 pi.
-    damping_ratio, integral_ratio : float
-        zeta and alpha.
-    output_limit_v : float
-        The amplifier's limit.
+    bandwidth_hz, damping_ratio, integral_ratio : float
+        Distance of the complex poles from the origin over 2 pi; zeta and alpha.
     feedforward : bool
         Add the inverse model's output, and let the reference's velocity act in the derivative
         part; steps of the reference still give no derivative kick.
@@ -69,9 +66,33 @@ def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
         if not (math.isfinite(value) and value > 0.0):
             raise ControlError(f"{name} must be a positive number, not {value!r}")
     base, stage = _stage_of(base, sample_period_s)
+    gains = _placed(base, bandwidth_hz, damping_ratio, integral_ratio).changed(
+        {"output_limit_v": output_limit_v})
+    if feedforward:
+        gains = gains.changed(_inverse(base, gains, sample_period_s))
+    if notch is not None:
+        gains = gains.changed({"notch_hz": notch[0], "notch_depth_damping": notch[1]})
+    found = margins(stage, gains)
+    if not found.stable:
+        raise ControlError(f"bandwidth_hz = {bandwidth_hz:g} Hz is unstable with the model's "
+                           f"delay and lag at {1.0 / sample_period_s:g} Hz sampling; ask for less")
+    law = "inverse model fed forward" if feedforward else (
+        f"setpoint weight {gains.setpoint_weight:.2f} cancels the integral's pole")
+    reason = (f"poles at {bandwidth_hz:g} Hz with damping ratio {damping_ratio:g} and at "
+              f"{integral_ratio * bandwidth_hz:g} Hz for the integral; derivative filtered at "
+              f"{_FILTER_RATIO * bandwidth_hz:g} Hz; {law}; "
+              f"{f'notch at {notch[0]:.4g} Hz; ' if notch else ''}the sampled loop with delay and "
+              f"lag keeps a modulus margin of {found.modulus:.2f}, {found.phase_deg:.0f} degrees "
+              f"of phase and a gain margin of {found.gain:.1f}")
+    return PidDesign(gains, found, reason)
+
+
+def _placed(base: Mapping[str, float], bandwidth_hz: float, zeta: float,
+            alpha: float) -> PidGains:
+    """Return the gains of the equations above, without feedforward."""
     m, gain = base["mass"], base["force_constant"]
     c, k = base.get("damping", 0.0), base.get("stiffness", 0.0)
-    w, zeta, alpha = 2.0 * math.pi * bandwidth_hz, damping_ratio, integral_ratio
+    w = 2.0 * math.pi * bandwidth_hz
     kp = (m * w**2 * (1.0 + 2.0 * zeta * alpha) - k) / gain
     kd = (m * w * (2.0 * zeta + alpha) - c) / gain
     ki = m * alpha * w**3 / gain
@@ -79,31 +100,18 @@ def pid_for(base: Mapping[str, float] | Model, bandwidth_hz: float, *,
         least = math.sqrt(k / m / (1.0 + 2.0 * zeta * alpha)) / (2.0 * math.pi)
         raise ControlError(f"bandwidth_hz = {bandwidth_hz:g} Hz is below what spring and damper "
                            f"give without control; ask for more than {least:.3g} Hz")
-    filter_s = 1.0 / (_FILTER_RATIO * w)
-    weight = min(1.0, ki / (kp * alpha * w))
-    gains = PidGains(
-        kp=kp, ki=ki, kd=kd, derivative_filter_s=filter_s, output_limit_v=output_limit_v,
-        setpoint_weight=weight,
-        feedforward_position=k / gain + kp * (1.0 - weight) if feedforward else 0.0,
-        feedforward_velocity=c / gain + kd if feedforward else 0.0,
-        feedforward_acceleration=(m / gain - kd * (filter_s + 0.5 * sample_period_s)
-                                  if feedforward else 0.0))
-    if notch is not None:
-        gains = gains.changed({"notch_hz": notch[0], "notch_depth_damping": notch[1]})
-    found = margins(stage, gains)
-    if not found.stable:
-        raise ControlError(f"bandwidth_hz = {bandwidth_hz:g} Hz is unstable with the model's "
-                           f"delay and lag at {1.0 / sample_period_s:g} Hz sampling; ask for less")
-    reason = (f"poles at {bandwidth_hz:g} Hz with damping ratio {zeta:g} and at "
-              f"{alpha * bandwidth_hz:g} Hz for the integral; derivative filtered at "
-              f"{_FILTER_RATIO * bandwidth_hz:g} Hz; "
-              + ("inverse model fed forward; " if feedforward else
-                 f"setpoint weight {weight:.2f} cancels the integral's pole; ")
-              + (f"notch at {notch[0]:.4g} Hz; " if notch else "")
-            + f"the sampled loop with delay and lag keeps a modulus margin of "
-              f"{found.modulus:.2f}, {found.phase_deg:.0f} degrees of phase and a gain margin of "
-              f"{found.gain:.1f}")
-    return PidDesign(gains, found, reason)
+    return PidGains(kp=kp, ki=ki, kd=kd, derivative_filter_s=1.0 / (_FILTER_RATIO * w),
+                    setpoint_weight=min(1.0, ki / (kp * alpha * w)))
+
+
+def _inverse(base: Mapping[str, float], gains: PidGains,
+             sample_period_s: float) -> dict[str, float]:
+    """Return the feedforward gains that invert the base model with this PID beside it."""
+    gain, late = base["force_constant"], gains.derivative_filter_s + 0.5 * sample_period_s
+    return {"feedforward_position": (base.get("stiffness", 0.0) / gain
+                                     + gains.kp * (1.0 - gains.setpoint_weight)),
+            "feedforward_velocity": base.get("damping", 0.0) / gain + gains.kd,
+            "feedforward_acceleration": base["mass"] / gain - gains.kd * late}
 
 
 def pid_with_margin(base: Mapping[str, float] | Model, modulus_margin: float = 0.5, *,
@@ -121,36 +129,33 @@ def pid_with_margin(base: Mapping[str, float] | Model, modulus_margin: float = 0
     if not 0.0 < modulus_margin < 1.0:
         raise ControlError(f"modulus_margin must lie between 0 and 1, not {modulus_margin!r}")
 
-    def design(bandwidth_hz: float) -> PidDesign:
-        return pid_for(base, bandwidth_hz, sample_period_s=sample_period_s,
-                       damping_ratio=damping_ratio, integral_ratio=integral_ratio,
-                       output_limit_v=output_limit_v, feedforward=feedforward, notch=notch)
-
+    design = partial(pid_for, base, sample_period_s=sample_period_s, damping_ratio=damping_ratio,
+                     integral_ratio=integral_ratio, output_limit_v=output_limit_v,
+                     feedforward=feedforward, notch=notch)
     values, _ = _stage_of(base, sample_period_s)
     spring = math.sqrt(values.get("stiffness", 0.0) / values["mass"])
     damper = values.get("damping", 0.0) / values["mass"] / (2.0 * damping_ratio + integral_ratio)
     low = 1.02 * max(spring, damper, 1e-4 / sample_period_s) / (2.0 * math.pi)
-    best: PidDesign | None
-    try:
-        best = design(low)
-    except ControlError:
-        best = None
+    best = _if_stable(design, low)
     if best is None or best.margins.modulus < modulus_margin:
         raise ControlError(f"no bandwidth above the stage's own {low:.3g} Hz keeps a modulus "
                            f"margin of {modulus_margin:g}; lower the margin or the delay")
     high = 0.25 / sample_period_s
     while high / low > 1.01:
         middle = math.sqrt(low * high)
-        try:
-            found = design(middle)
-        except ControlError:
-            high = middle
-            continue
-        if found.margins.modulus >= modulus_margin:
+        found = _if_stable(design, middle)
+        if found is not None and found.margins.modulus >= modulus_margin:
             low, best = middle, found
         else:
             high = middle
     return best
+
+
+def _if_stable(design: Callable[[float], PidDesign], bandwidth_hz: float) -> PidDesign | None:
+    try:
+        return design(bandwidth_hz)
+    except ControlError:
+        return None
 
 
 def _stage_of(base: Mapping[str, float] | Model,

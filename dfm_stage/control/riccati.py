@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from dfm_stage.control.errors import ControlError
 
 Array = NDArray[np.float64]
-_GROWTH = 2.0
+_GROWTH = 2.0   # exponent of the largest growth between two restarts
 
 
 def finite_horizon(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, P_f: ArrayLike,

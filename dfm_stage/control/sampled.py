@@ -9,44 +9,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.control.gains import PidGains
-from dfm_stage.control.shaping import Notch
 from dfm_stage.control.stage import Sampled
 
 Array = NDArray[np.float64]
 
 
+StateSpace = tuple[Array, Array, Array, float]
+
+
+def pid_system(gains: PidGains, sample_period_s: float) -> StateSpace:
+    """Return (A, b, c, d) of the unlimited `Pid` from y to u with the reference at zero.
+
+    States: integral, derivative, and with a notch its two in the transposed direct form II.
+    """
+    tf, h = gains.derivative_filter_s, sample_period_s
+    decay, per_dt = tf / (tf + h), 1.0 / (tf + h)
+    a, c = np.diag([1.0, decay]), np.array([1.0, gains.kd])
+    b, d = np.array([gains.ki * h, per_dt * (decay - 1.0)]), gains.kp + gains.kd * per_dt
+    notch = gains.notch(h)
+    if notch is not None:
+        b_0, b_1, b_2, a_1, a_2 = notch.coefficients
+        into, own = np.array([b_1 - a_1 * b_0, b_2 - a_2 * b_0]), np.array([[-a_1, 1], [-a_2, 0]])
+        a = np.block([[a, np.zeros((2, 2))], [np.outer(into, c), own]])
+        b, c, d = np.append(b, into * d), np.append(b_0 * c, [1.0, 0.0]), b_0 * d
+    return a, -b, c, -d
+
+
+def closed_loop(stage: Sampled, law: StateSpace) -> Array:
+    """Return the matrix of a stage under a law (A, b, c, d) from y to u."""
+    a, b, c, d = law
+    return np.block([[stage.a + d * np.outer(stage.b, stage.c), np.outer(stage.b, c)],
+                     [np.outer(b, stage.c), a]])
+
+
 def closed_loop_poles(stage: Sampled, gains: PidGains) -> NDArray[np.complex128]:
-    """Return the eigenvalues of stage and unlimited PID in the z-plane, shape (n + 3,), with a
-    notch (n + 5,)."""
-    h, tf = stage.sample_period_s, gains.derivative_filter_s
-    decay, per_dt, n = tf / (tf + h), 1.0 / (tf + h), stage.b.size
-    # States: stage, integral, derivative d[k-1], y[k-1], notch; output u = -kp y + I + kd d[k].
-    size = n + (5 if gains.notch_hz else 3)
-    d_row = np.zeros(size)
-    d_row[:n], d_row[n + 1], d_row[n + 2] = -per_dt * stage.c, decay, per_dt
-    u_row = gains.kd * d_row
-    u_row[:n] -= gains.kp * stage.c
-    u_row[n] += 1.0
-    full = np.zeros((size, size))
-    if gains.notch_hz:
-        b_0, b_1, b_2, a_1, a_2 = _notch(gains, h)
-        asked = u_row
-        u_row = b_0 * asked
-        u_row[n + 3] += 1.0
-        full[n + 3] = b_1 * asked - a_1 * u_row
-        full[n + 3, n + 4] += 1.0
-        full[n + 4] = b_2 * asked - a_2 * u_row
-    full[:n, :n] = stage.a
-    full[:n] += np.outer(stage.b, u_row)
-    full[n, :n], full[n, n] = -gains.ki * h * stage.c, 1.0
-    full[n + 1] = d_row
-    full[n + 2, :n] = stage.c
-    return np.asarray(np.linalg.eigvals(full), dtype=np.complex128)
-
-
-def _notch(gains: PidGains, h: float) -> tuple[float, float, float, float, float]:
-    return Notch(gains.notch_hz, h, gains.notch_depth_damping,
-                 gains.notch_width_damping).coefficients
+    """Return the eigenvalues of stage and unlimited PID in the z-plane, shape (n + 2,), with a
+    notch (n + 4,)."""
+    poles = np.linalg.eigvals(closed_loop(stage, pid_system(gains, stage.sample_period_s)))
+    return np.asarray(poles, dtype=np.complex128)
 
 
 def controller_response(gains: PidGains, frequency_hz: Array,
@@ -56,8 +56,9 @@ def controller_response(gains: PidGains, frequency_hz: Array,
     z = np.exp(2j * math.pi * np.asarray(frequency_hz) * h)
     law = (gains.kp + gains.ki * h / (z - 1.0)
            + gains.kd * (z - 1.0) / ((tf + h) * z - tf))
-    if gains.notch_hz:
-        b_0, b_1, b_2, a_1, a_2 = _notch(gains, h)
+    notch = gains.notch(h)
+    if notch is not None:
+        b_0, b_1, b_2, a_1, a_2 = notch.coefficients
         law = law * ((b_0 * z + b_1) * z + b_2) / ((z + a_1) * z + a_2)
     return np.asarray(law)
 
@@ -79,11 +80,16 @@ class Margins:
     crossover_hz: float
 
 
+def loop_gain(stage: Sampled, gains: PidGains) -> tuple[Array, NDArray[np.complex128]]:
+    """Return frequencies (F,), Hz, and the loop gain (F,) of stage and PID at these."""
+    f = frequency_grid(stage)
+    return f, stage.response(f) * controller_response(gains, f, stage.sample_period_s)
+
+
 def margins(stage: Sampled, gains: PidGains) -> Margins:
     """Return the margins of the sampled loop of `Pid`, as `loop_margins`."""
-    f = frequency_grid(stage)
-    loop = stage.response(f) * controller_response(gains, f, stage.sample_period_s)
-    return loop_margins(f, loop, bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0))
+    stable = bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0)
+    return loop_margins(*loop_gain(stage, gains), stable)
 
 
 def frequency_grid(stage: Sampled) -> Array:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import control
 
 Complex = NDArray[np.complex128]
-_CLOSE = 1e-6
+_CLOSE = 1e-6   # relative: far above rounding, far below what a measurement tells apart
 
 
 def state_space(model: Model, sample_period_s: float | None = None) -> control.StateSpace:

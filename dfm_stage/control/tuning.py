@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,34 +12,30 @@ from numpy.typing import NDArray
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
+from dfm_stage.control.law import Law
 from dfm_stage.control.learning import neighbours
-from dfm_stage.control.lqg import Lqg
 from dfm_stage.control.lqr import LqrDesign, LqrSpec, design_lqr
 from dfm_stage.control.model_feedforward import (
     EffectInput,
-    ModelFeedforward,
     feedforward_gains,
     inverse_of,
 )
 from dfm_stage.control.modes import highest_mode
-from dfm_stage.control.pid import Pid
 from dfm_stage.control.placement import pid_with_margin
-from dfm_stage.control.sampled import (
-    Margins,
-    closed_loop_poles,
-    controller_response,
-    frequency_grid,
-    loop_margins,
-)
+from dfm_stage.control.sampled import Margins, frequency_grid, loop_gain, margins
 from dfm_stage.control.stage import command_limit, sample_model
+from dfm_stage.control.switching import law_of, response_of
 from dfm_stage.control.ziegler_nichols import Ultimate, ultimate, ziegler_nichols
 from dfm_stage.model import Model, Plant
 
 Array = NDArray[np.float64]
 FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
+# Integral weight in s, at an error weight of _ERROR_M: its pole is then well below the others.
 _INTEGRAL = 0.08
 _ERROR_M = 2.5e-4
+# Speeds of the filter that are tried, N: from trusting the model to trusting the encoder.
 _FORCE_NOISES = (0.03, 0.1, 0.3, 1.0)
+# How wrong a parameter of an identified model may be.
 _UNCERTAINTY = 0.1
 
 
@@ -88,19 +84,13 @@ def tune_pid(model: Model, modulus_margin: float = 0.5, output_limit_v: float = 
     ControlError
         If no bandwidth keeps the margin, or feedforward is none of these.
     """
-    if feedforward not in ("auto", *FEEDFORWARD_CHOICES):
-        raise ControlError(f"feedforward must be auto, {', '.join(FEEDFORWARD_CHOICES)}, "
-                           f"not {feedforward!r}")
     effects = EffectInput(model)
-    if feedforward == "auto":
-        feedforward = "model" if effects.any and model_name else "gains"
-    if feedforward != "gains" and not model_name:
-        raise ControlError(f"feedforward {feedforward} needs the model's name or file")
+    feedforward = _chosen(feedforward, effects, model_name)
     limit = command_limit(model, output_limit_v)
-    mode = highest_mode(model) if notch else None
     design = pid_with_margin(model, modulus_margin, sample_period_s=model.sample_period,
-                             output_limit_v=limit, feedforward=False, notch=mode)
-    gains, extra = design.gains, {}
+                             output_limit_v=limit, feedforward=False,
+                             notch=highest_mode(model) if notch else None)
+    gains, extra, given = design.gains, {}, {}
     reasons = [design.reason, f"the fastest that keeps the modulus margin of {modulus_margin:g}"]
     if limit < output_limit_v:
         reasons.append(f"the model saturates at {limit:g} V: that is the output's limit")
@@ -115,19 +105,33 @@ def tune_pid(model: Model, modulus_margin: float = 0.5, output_limit_v: float = 
                                "feedforward_acceleration": acceleration})
         reasons.append("feedforward exact for a reference of constant acceleration, with delay, "
                        "lag and sampling")
-    parameters: dict[str, Any] = {"mode": "pid", **gains.to_dict()}
-    forward = None
     if feedforward == "model":
-        forward = ModelFeedforward(model, gains)
-        parameters |= {"feedforward": "model", "model": model_name}
+        given = {"feedforward": "model", "model": model_name}
         reasons.append("the model's own input for the reference"
                        + (f", with {', '.join(effects.covers)}" if effects.any else ""))
-    found, bandwidth = pid_margins(model, gains)
-    inverse = feedforward == "inverse"
-    used = gains if forward is None else gains.without_feedforward()
-    predicted = predicted_errors(model, Pid(used, model.sample_period), forward=forward,
-                                 inverse=inverse)
-    return Tuned("pid", parameters, found, bandwidth, predicted, tuple(reasons), extra)
+    return _tuned("pid", model, {"mode": "pid", **gains.to_dict(), **given},
+                  pid_margins(model, gains), reasons, extra)
+
+
+def _chosen(feedforward: str, effects: EffectInput, model_name: str) -> str:
+    """Return the feedforward that is meant, one of FEEDFORWARD_CHOICES."""
+    if feedforward not in ("auto", *FEEDFORWARD_CHOICES):
+        raise ControlError(f"feedforward must be auto, {', '.join(FEEDFORWARD_CHOICES)}, "
+                           f"not {feedforward!r}")
+    if feedforward == "auto":
+        return "model" if effects.any and model_name else "gains"
+    if feedforward != "gains" and not model_name:
+        raise ControlError(f"feedforward {feedforward} needs the model's name or file")
+    return feedforward
+
+
+def _tuned(method: str, model: Model, parameters: Mapping[str, Any],
+           found: tuple[Margins, float], reasons: Sequence[str],
+           generator: Mapping[str, Any] | None = None) -> Tuned:
+    """Return the parameters with what the law that they ask for does on the model."""
+    law, effects = law_of(parameters, model)
+    predicted = predicted_errors(model, law, forward=effects, inverse=bool(generator))
+    return Tuned(method, parameters, *found, predicted, tuple(reasons), generator or {})
 
 
 def tune_ziegler_nichols(model: Model, found: Ultimate | None = None,
@@ -141,11 +145,14 @@ def tune_ziegler_nichols(model: Model, found: Ultimate | None = None,
     """
     where = "measured on the loop" if found else "of the sampled model"
     found = found or ultimate(sample_model(model))
-    return _of_pid(model, ziegler_nichols(found, output_limit_v=output_limit_v),
-                   "ziegler_nichols", (
+    gains = ziegler_nichols(found, output_limit_v=output_limit_v)
+    promised = pid_margins(model, gains)
+    if not promised[0].stable:
+        raise ControlError(f"ziegler_nichols: the loop with model {model.name} is not stable")
+    return _tuned("ziegler_nichols", model, {"mode": "pid", **gains.to_dict()}, promised, (
         f"ultimate gain {found.gain_v_m:.5g} V/m and period {found.period_s:.5g} s, {where}",
         ("kp = 0.6 K_u, ki = kp / (P_u / 2), kd = kp P_u / 8 on the error (Ziegler and Nichols, "
-        "1942); derivative filtered with a tenth of its time")))
+         "1942); derivative filtered with a tenth of its time")))
 
 
 def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
@@ -176,8 +183,6 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
     if best is None:
         raise ControlError(f"lqr: no weight keeps a modulus margin of {modulus_margin:g}; lower "
                            "it")
-    f = frequency_grid(best.stage)
-    loop = best.stage.response(f) * best.response(f)
     spec = best.spec
     reasons: tuple[str, ...] = (
         (f"an error of {spec.lqr_error_m:.3g} m costs as much as {spec.lqr_effort_v:g} V: the "
@@ -190,15 +195,14 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
         f"{least:.2f} with any parameter {_UNCERTAINTY:.0%} off"))
     limit = command_limit(model, output_limit_v)
     parameters = {"mode": "lqr", "model": model_name, "output_limit_v": limit, **spec.to_dict()}
-    forward, effects = None, EffectInput(model)
+    effects = EffectInput(model)
     if effects.any and model_name:
-        forward = ModelFeedforward(model)
         parameters["feedforward"] = "model"
         covered = ", ".join(effects.covers)
         reasons += (f"the input that {covered} takes for the reference is added", (
             "margins and filter are those of the model's linear part"))
-    return Tuned("lqr", parameters, best.margins, _bandwidth(f, loop),
-                 predicted_errors(model, Lqg(best, limit), forward=forward), reasons)
+    bandwidth = _bandwidth(*_loop(parameters, model))
+    return _tuned("lqr", model, parameters, (best.margins, bandwidth), reasons)
 
 
 def _states_of(model: Model) -> str:
@@ -228,31 +232,19 @@ def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | No
 
 def loop_of(tuned: Tuned, model: Model) -> tuple[Array, NDArray[np.complex128]]:
     """Return frequencies (F,), Hz, and the loop gain L (F,) of what was tuned, on the model."""
+    return _loop(tuned.parameters, model)
+
+
+def _loop(parameters: Mapping[str, Any], model: Model) -> tuple[Array, NDArray[np.complex128]]:
     stage = sample_model(model)
     f = frequency_grid(stage)
-    if tuned.parameters["mode"] == "lqr":
-        design = design_lqr(model, LqrSpec.from_mapping(tuned.parameters))
-        return f, design.stage.response(f) * design.response(f)
-    gains = PidGains.from_mapping({name: value for name, value in tuned.parameters.items()
-                                   if name not in ("mode", "model", "feedforward")})
-    return f, stage.response(f) * controller_response(gains, f, stage.sample_period_s)
+    return f, stage.response(f) * response_of(parameters, model, f)
 
 
 def pid_margins(model: Model, gains: PidGains) -> tuple[Margins, float]:
     """Return margins and bandwidth (Hz) of a PID on the whole model."""
     stage = sample_model(model)
-    f = frequency_grid(stage)
-    loop = stage.response(f) * controller_response(gains, f, stage.sample_period_s)
-    stable = bool(np.max(np.abs(closed_loop_poles(stage, gains))) < 1.0)
-    return loop_margins(f, loop, stable), _bandwidth(f, loop)
-
-
-def _of_pid(model: Model, gains: PidGains, method: str, reasons: tuple[str, ...]) -> Tuned:
-    found, bandwidth = pid_margins(model, gains)
-    if not found.stable:
-        raise ControlError(f"{method}: the loop with model {model.name} is not stable")
-    return Tuned(method, {"mode": "pid", **gains.to_dict()}, found, bandwidth,
-                 predicted_errors(model, Pid(gains, model.sample_period)), reasons)
+    return margins(stage, gains), _bandwidth(*loop_gain(stage, gains))
 
 
 def _bandwidth(f: Array, loop: NDArray[np.complex128]) -> float:
@@ -260,8 +252,8 @@ def _bandwidth(f: Array, loop: NDArray[np.complex128]) -> float:
     return float(f[following[-1]]) if following.size else 0.0
 
 
-def predicted_errors(model: Model, controller: Pid | Lqg, seed: int = 0, *,
-                     forward: ModelFeedforward | None = None,
+def predicted_errors(model: Model, controller: Law, seed: int = 0, *,
+                     forward: EffectInput | None = None,
                      inverse: bool = False) -> dict[str, float]:
     """Return errors of the true position on the model, m: `step_1mm_after_5s` (largest from 5 s
     on), `sine_1mm_half_hz_peak` (after two of its periods) and `at_rest_rms`.
@@ -287,15 +279,15 @@ def predicted_errors(model: Model, controller: Pid | Lqg, seed: int = 0, *,
             "at_rest_rms": float(np.std(step[t >= 6.0]))}
 
 
-def run_on_model(model: Model, controller: Pid | Lqg, position: Array,
+def run_on_model(model: Model, controller: Law, position: Array,
                  velocity: Array | None = None, acceleration: Array | None = None,
                  added: Array | None = None, seed: int = 0, *,
-                 forward: ModelFeedforward | None = None, inverse: bool = False) -> Array:
+                 forward: EffectInput | None = None, inverse: bool = False) -> Array:
     """Return the true position (N,), m, of the model under a controller, which is reset first.
 
     `position`, `velocity`, `acceleration` (N,) are the reference, `added` (N,) V what is added to
-    the controller's output. `forward` is the feedforward of a PID, of an LQR its share for the
-    effects; `inverse` adds the model's inverse of the whole reference.
+    the controller's output. `forward` is what effects take for the reference; `inverse` adds the
+    model's inverse of the whole reference.
     """
     zero = np.zeros(position.size)
     reference = np.column_stack([each if each is not None else zero for each in (
@@ -305,19 +297,13 @@ def run_on_model(model: Model, controller: Pid | Lqg, position: Array,
     plant = Plant(model, seed=seed)
     limit = command_limit(model, 1e6)
     controller.reset()
-    known = isinstance(controller, Lqg)
     out = np.empty(position.size)
     for k, (r, v, a, extra) in enumerate(reference.tolist()):
         sample = plant.sample()
         out[k] = sample.position_m
-        effects = 0.0
-        if isinstance(controller, Pid) and forward is not None:
-            asked = controller.step(r, sample.reading_m, v, a, 0.0, forward.at(r, v, a))
-        else:
-            effects = forward.parts(r, v, a)[1] if forward is not None else 0.0
-            asked = controller.step(r, sample.reading_m, v, a) + effects
+        effects = forward.ahead(r, v, a) if forward is not None else 0.0
+        asked = controller.step(r, sample.reading_m, v, a, 0.0, effects)
         total = min(limit, max(-limit, asked + extra))
-        if known:
-            controller.applied(total - effects)
+        controller.observe(total - effects)
         plant.advance(total)
     return out

@@ -12,29 +12,30 @@ import math
 import numpy as np
 
 from dfm_stage.control.errors import ControlError
+from dfm_stage.control.law import checked, require_known
 from dfm_stage.control.ziegler_nichols import (
     Oscillation,
     Ultimate,
     oscillation,
     ultimate_from_relays,
 )
-from dfm_stage.model.parameter import Parameter, ParameterError
+from dfm_stage.model.parameter import Parameter
 
 TUNING_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("tuning_gain_v_m", 100.0, "V/m", "proportional gain that raising starts from",
               1e-9, 1e12),
     Parameter("tuning_factor", 1.25, "", "by how much the gain is raised each time", 1.001, 10.0),
-    Parameter("tuning_voltage_v", 0.5, "V", "height of the relay and of the kicks", 1e-9, 1e6),
+    Parameter("tuning_voltage_v", 0.5, "V", "amplitude of the relay and of the pulses", 1e-9, 1e6),
     Parameter("tuning_travel_m", 4e-3, "m", "tuning ends where the stage goes further than this "
               "from where it was at rest", 1e-9, 1e3),
     Parameter("tuning_time_s", 120.0, "s", "longest duration of a tuning run", 1e-3, 1e6),
 )
-_KICK_S = 0.01
-_REST_S = 0.1
-_SWINGS = 14
-_SKIPPED = 3
-_QUIET = 1e-3
-_REFINEMENTS = 8
+_PULSE_S = 0.01         # long against a sample, short against the stage's period
+_REST_S = 0.1           # over this the position at rest is averaged
+_SWINGS = 14            # turning points per gain: enough for a line through their logarithms
+_SKIPPED = 3            # the first ones belong to the pulse
+_STEADY_GROWTH = 1e-3   # growth per period at which the swings count as constant
+_REFINEMENTS = 8        # interpolations between two gains; each gains about a digit
 
 
 class TuningRun:
@@ -46,16 +47,12 @@ class TuningRun:
         If a parameter is not a finite number in its range.
     """
 
-    def __init__(self, sample_period_s: float, tuning_gain_v_m: float = 100.0,
-                 tuning_factor: float = 1.25, tuning_voltage_v: float = 0.5,
-                 tuning_travel_m: float = 4e-3, tuning_time_s: float = 120.0) -> None:
-        given = (tuning_gain_v_m, tuning_factor, tuning_voltage_v, tuning_travel_m, tuning_time_s)
-        try:
-            (self._gain, self._factor, self._volts, self._travel,
-             self._time_s) = (parameter.checked(value, "tuning") for parameter, value
-                              in zip(TUNING_PARAMETERS, given, strict=True))
-        except ParameterError as error:
-            raise ControlError(str(error)) from None
+    def __init__(self, sample_period_s: float, **parameters: float) -> None:
+        require_known(parameters, (each.name for each in TUNING_PARAMETERS), "tuning")
+        self._gain: float
+        self._volts: float
+        (self._gain, self._factor, self._volts, self._travel,
+         self._time_s) = checked(TUNING_PARAMETERS, parameters, "tuning").values()
         self._h = sample_period_s
         self._k = 0
         self._rest: list[float] = []
@@ -100,15 +97,15 @@ class TuningRun:
 class GainRaising(TuningRun):
     """Raises a proportional gain until the loop oscillates, as the paper does.
 
-    At each gain the stage is kicked if it is too quiet, and the growth of its swings is measured.
-    Once they grow the gain is between the last two; it is then moved to where a straight line
-    through the two growths is zero, until a period changes the swings by less than 0.1 %.
+    At each gain the stage gets a pulse if it moves too little, and the growth of its swings is
+    measured. Once they grow the gain is between the last two; it is then moved to where a straight
+    line through the two growths is zero, until a period changes the swings by less than 0.1 %.
     """
 
     def __init__(self, sample_period_s: float, **parameters: float) -> None:
         super().__init__(sample_period_s, **parameters)
-        self._kick_samples = max(1, round(_KICK_S / sample_period_s))
-        self._kick = self._kick_samples
+        self._pulse_samples = max(1, round(_PULSE_S / sample_period_s))
+        self._pulse = self._pulse_samples
         self._levels: list[tuple[float, float, float]] = []     # gain, growth 1/s, period s
         self._refined = 0
         self._begin()
@@ -120,15 +117,15 @@ class GainRaising(TuningRun):
         self._since = self._k
 
     def _law(self, y: float) -> float:
-        if self._kick > 0:
-            self._kick -= 1
-            if self._kick == 0:
+        if self._pulse > 0:
+            self._pulse -= 1
+            if self._pulse == 0:
                 self._begin()
             return self._volts - self._gain * y
         self._watch(y)
         quiet = self._k - self._since > 2.0 / self._h
         if quiet and not self._extremes:
-            self._kick = self._kick_samples
+            self._pulse = self._pulse_samples
         elif len(self._extremes) >= _SWINGS or (quiet and len(self._extremes) < 4):
             self._evaluate()
         return 0.0 if self.ended else -self._gain * y
@@ -164,11 +161,11 @@ class GainRaising(TuningRun):
         if measured is None:                        # died out too fast to be measured
             self._gain *= self._factor
             self._begin()
-            self._kick = self._kick_samples
+            self._pulse = self._pulse_samples
             return
         growth, period = measured
         self._levels.append((self._gain, growth, period))
-        if abs(growth) * period < _QUIET:
+        if abs(growth) * period < _STEADY_GROWTH:
             self.outcome = Ultimate(self._gain, period)
             return
         grown = [each for each in self._levels if each[1] > 0.0]
@@ -179,7 +176,7 @@ class GainRaising(TuningRun):
         swing = abs(self._extremes[-1][1] - self._extremes[-2][1])
         self._begin()
         if swing < 0.05 * self._travel:
-            self._kick = self._kick_samples
+            self._pulse = self._pulse_samples
 
     def _refine(self, grown: list[tuple[float, float, float]]) -> None:
         shrunk = [each for each in self._levels if each[1] <= 0.0]
@@ -208,7 +205,7 @@ class GainRaising(TuningRun):
 
 
 class RelayRun(TuningRun):
-    """Lets a relay shake the stage, switching on the sample, a sample early, a sample late."""
+    """Lets a relay drive the stage, switching on the sample, a sample early, a sample late."""
 
     def __init__(self, sample_period_s: float, **parameters: float) -> None:
         super().__init__(sample_period_s, **parameters)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
 
 from dfm_stage.errors import DfmError
 
@@ -47,3 +51,49 @@ class Parameter:
             raise ParameterError(f"{place}{self.name} = {number:g}{unit} is outside "
                                  f"[{self.low:g}, {self.high:g}]{unit}")
         return number
+
+
+@dataclass(frozen=True)
+class Option:
+    """A setting that is not one real number: a switch, a word or a list of numbers.
+
+    The type of `default` decides: bool, str (one of `choices`, any text where there are none) or
+    a tuple of floats in `unit`.
+    """
+
+    name: str
+    default: bool | str | tuple[float, ...]
+    description: str
+    choices: tuple[str, ...] = ()
+    unit: str = ""
+
+    def checked(self, value: object, where: str = "") -> bool | str | tuple[float, ...]:
+        """Return `value` in the type of the default.
+
+        Raises
+        ------
+        ParameterError
+            If it has another type, is not among the choices or is not finite.
+        """
+        if isinstance(self.default, bool):
+            if isinstance(value, (bool, np.bool_)):
+                return bool(value)
+            wanted = "true or false"
+        elif isinstance(self.default, str):
+            if isinstance(value, str) and (value in self.choices or not self.choices):
+                return str(value)
+            wanted = f"one of {', '.join(self.choices)}" if self.choices else "text"
+        else:
+            if hasattr(value, "__iter__") and not isinstance(value, (str, bytes, Mapping)):
+                element = Parameter(self.name, 0.0, self.unit, self.description)
+                return tuple(element.checked(each, where) for each in value)
+            wanted = f"a list of numbers in {self.unit}"
+        place = f"{where}: " if where else ""
+        raise ParameterError(f"{place}{self.name} must be {wanted}, not {value!r}")
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
+    """Return "did you mean ...?" for a misspelt name, or the list of what there is."""
+    names = sorted(known)
+    close = get_close_matches(str(name), names, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(names)}"

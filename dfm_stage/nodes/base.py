@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -143,7 +143,8 @@ class LoopNode(Node):
     def __init__(self, *, context: Any = None, cli_args: list[str] | None = None) -> None:
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
                          cli_args=cli_args, use_global_arguments=cli_args is None)
-        own = (replace(PRIORITY, default=self.priority), *self.settings_table)
+        own = (replace(PRIORITY, default=self.priority),
+               *self.settings_for(self._parameter_overrides))
         self.settings = Settings(self, (*COMMON, *own), self.check_settings,
                                  self.settings_applied)
         self.lockstep: bool = self.settings["lockstep"]
@@ -163,6 +164,11 @@ class LoopNode(Node):
         self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
 
     # What a node may override
+
+    @classmethod
+    def settings_for(cls, _overrides: Mapping[str, Any]) -> tuple[Setting, ...]:
+        """Return the settings to declare, where these depend on parameter overrides."""
+        return cls.settings_table
 
     def check_settings(self, values: dict[str, Any]) -> None:
         """Refuse a combination of parameter values by raising DfmError."""

@@ -2,7 +2,7 @@
 
 In lockstep it waits for reference and excitation of the same sample. In real time it answers at
 once with the reference that was sent ahead for this sample, or, where that is late, with the last
-one (counted). The laws that are not in force follow the one that is (`Laws`), so that `mode`
+one (counted). The laws that are not in force follow the one that is (`LawSet`), so that `mode`
 changes without a bump. A guard watches travel and divergence in every mode; once it let go, the
 output stays zero until `mode` is set again.
 """
@@ -10,38 +10,54 @@ output stays zero until `mode` is set again.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from dfm_stage.control import (
-    FEEDFORWARD,
+    AXIS_PARAMETERS,
+    DEFAULT_LAW,
     GUARD_PARAMETERS,
-    LQR_PARAMETERS,
-    MODES,
-    NOTCH,
-    PID_PARAMETERS,
-    SHAPER_PARAMETERS,
-    SHAPERS,
-    TUNING_PARAMETERS,
-    TUNING_RUNS,
+    LAWS,
     Guard,
-    Laws,
+    Law,
+    LawSet,
+    Plan,
+    Point,
+    laws_with,
+    modes,
     plan_laws,
 )
-from dfm_stage.control.gains import ANTI_WINDUP
 from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
 
-
-class _AtZero(NamedTuple):
-    position: float = 0.0
-    velocity: float = 0.0
-    acceleration: float = 0.0
+_AT_ZERO = Point()
+_LAW_FILES = "law_files"
 
 
-_AT_ZERO = _AtZero()
+@lru_cache(maxsize=8)
+def _axis_model(name: str, _changed_ns: int, axis: str) -> Model:
+    """Return one axis of a model; read again when its file has changed."""
+    model = load_model(name)
+    return model.axis(axis) if model.axes else model
+
+
+def settings_of(laws: Mapping[str, type[Law]]) -> tuple[Setting, ...]:
+    """Return the parameters of a controller that knows these laws."""
+    return (
+        Setting("mode", DEFAULT_LAW, "control law; open_loop passes the excitation on as it is",
+                choices=modes(laws), live=True),
+        Setting(_LAW_FILES, "", "Python files with further laws for mode, separated by `:`; "
+                "their parameters are declared beside those of the others"),
+        Setting("sample_period_s", 0.001, "sample period of the loop", "s", 1e-5, 1.0),
+        Setting("amplifier_feedback", False, "count what the amplifier says it gave (topic "
+                "amplifier) in place of what was asked, where it limits or is off"),
+        *(Setting.of(entry, live=True) for entry in (
+            *AXIS_PARAMETERS, *GUARD_PARAMETERS,
+            *(entry for law in laws.values() for entry in law.parameters))))
 
 
 _KEPT_AHEAD = 64
@@ -82,44 +98,13 @@ class Controller(LoopNode):
     """Answers every `measurement` with a `command`."""
 
     kind = "controller"
-    settings_table = (
-        Setting("mode", "pid", "control law; open_loop passes the excitation on as it is",
-                choices=MODES, live=True),
-        Setting("sample_period_s", 0.001, "sample period of the loop", "s", 1e-5, 1.0),
-        *(Setting.of(parameter, live=True) for parameter in PID_PARAMETERS),
-        Setting("anti_windup", "back_calculation", "what keeps the integral from winding up",
-                choices=ANTI_WINDUP, live=True),
-        Setting("amplifier_feedback", False, "count what the amplifier says it gave (topic "
-                "amplifier) in place of what was asked, where it limits or is off"),
-        Setting("model", "", "model.yaml, a path or a name in config/models: lqr is designed on "
-                "it, feedforward, notch and shaper may be taken from it, and its saturation "
-                "limits the output", live=True),
-        Setting("feedforward", "gains", "what mode pid adds for the reference: feedforward_*, or "
-                "the inverse of model with its springs, friction and force constant",
-                choices=FEEDFORWARD, live=True),
-        Setting("notch", "given", "notch_hz, or the highest mode of model", choices=NOTCH,
-                live=True),
-        Setting("shaper", "none", "shape the reference so that it does not wake a mode: two, "
-                "three or four impulses", choices=tuple(SHAPERS), live=True),
-        *(Setting.of(parameter, live=True) for parameter in SHAPER_PARAMETERS),
-        *(Setting.of(parameter, live=True) for parameter in LQR_PARAMETERS),
-        Setting("lqr_integral", True, "integral action on the tracking error", live=True),
-        Setting("lqr_disturbance", False, "estimate a drifting force and take it off the output",
-                live=True),
-        Setting("lqr_feedforward", True, "add the model's own input for the reference; without "
-                "it, it is the paper's regulator", live=True),
-        *(Setting.of(parameter, live=True) for parameter in GUARD_PARAMETERS),
-        Setting("tuning", "none", "in mode pid: find the ultimate gain instead of controlling",
-                choices=("none", *TUNING_RUNS), live=True),
-        *(Setting.of(parameter, live=True) for parameter in TUNING_PARAMETERS),
-    )
-    _loaded: tuple[str, Model] | None = None
-    _plan: Any = None
+    settings_table = settings_of(LAWS)
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._period: float = self.settings["sample_period_s"]
-        self._laws = Laws(self.settings.values, self._plan)
+        values = self.settings.values
+        self._laws = LawSet(values, self._plan_of(values), laws_with(values[_LAW_FILES]))
         self._guard = self._new_guard()
         self._seq = 0
         self._last_seq: int | None = None
@@ -142,39 +127,36 @@ class Controller(LoopNode):
         return Guard(self._period, *(self.settings[parameter.name]
                                      for parameter in GUARD_PARAMETERS))
 
+    @classmethod
+    def settings_for(cls, overrides: Mapping[str, Any]) -> tuple[Setting, ...]:
+        """Return the settings with those of the laws in `law_files`."""
+        given = overrides.get(_LAW_FILES)
+        return settings_of(laws_with(str(given.value))) if given is not None else (
+            cls.settings_table)
+
     def check_settings(self, values: dict[str, Any]) -> None:
         """Refuse gains and models that the laws cannot work with."""
-        last = self._plan.design if self._plan is not None else None
-        self._plan = plan_laws(values, self._model(values["model"]), last)
+        self._plan_of(values)
 
-    def _model(self, name: str) -> Model | None:
-        if not name:
-            return None
-        file = Path(name)
-        key = f"{name} {file.stat().st_mtime_ns}" if file.is_file() else name
-        if self._loaded is None or self._loaded[0] != key:
-            model = load_model(name)
-            if model.axes:
-                model = model.axis(self.get_namespace().rpartition("/")[2])
-            self._loaded = key, model
-        return self._loaded[1]
+    def _plan_of(self, values: dict[str, Any]) -> Plan:
+        name, model = values["model"], None
+        if name:
+            changed_ns = Path(name).stat().st_mtime_ns if Path(name).is_file() else 0
+            model = _axis_model(name, changed_ns, self.get_namespace().rpartition("/")[2])
+        return plan_laws(values, model, laws_with(values[_LAW_FILES]))
 
     def settings_applied(self, names: set[str]) -> None:
         """Take over new gains and modes without a bump."""
-        self._laws.change(self.settings.values, self._plan, names)
+        values = self.settings.values
+        self._laws.change(values, self._plan_of(values), names)
         if "mode" in names or names & {parameter.name for parameter in GUARD_PARAMETERS}:
             self._guard = self._new_guard()
             self.warnings_active.pop("guard", None)
         self.publish_config()
 
     def config(self) -> dict[str, Any]:
-        """Return margins of the LQR and the state of a tuning run."""
-        out: dict[str, Any] = {}
-        if self._laws.lqg is not None:
-            found = self._laws.lqg.design.margins
-            out["lqr"] = {"modulus_margin": found.modulus, "gain_margin": found.gain,
-                          "phase_margin_deg": found.phase_deg,
-                          "crossover_hz": found.crossover_hz}
+        """Return what the laws say of themselves and the state of a tuning run."""
+        out = {name: said for name, law in self._laws.by_name.items() if (said := law.config())}
         run = self._laws.run
         if run is not None:
             out["tuning"] = {"ended": run.ended, "failure": run.failure}
@@ -252,7 +234,7 @@ class Controller(LoopNode):
         if not self._guard.check(position, voltage, limit, samples):
             self._let_go()
             voltage = added = 0.0
-        saturated = laws.tell(position, voltage, added, voltage != wanted) or saturated
+        saturated = laws.update(position, voltage, added, voltage != wanted) or saturated
         if saturated:
             self.count("saturated")
         self._sent_v, self._added_v = voltage, added

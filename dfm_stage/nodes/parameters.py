@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from dfm_stage.errors import DfmError
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import Option, Parameter
 
 _WIDEST = 1e300
 _TYPE_WORDS = {
@@ -58,9 +58,12 @@ class Setting:
     live: bool = False
 
     @classmethod
-    def of(cls, parameter: Parameter, *, prefix: str = "", live: bool = False,
+    def of(cls, parameter: Parameter | Option, *, prefix: str = "", live: bool = False,
            default: float | None = None) -> Setting:
         """Return the setting that stands for a parameter of the pure packages."""
+        if isinstance(parameter, Option):
+            return cls(prefix + parameter.name, parameter.default, parameter.description,
+                       parameter.unit, choices=parameter.choices, live=live)
         value = parameter.default if default is None else default
         return cls(prefix + parameter.name, float(value), parameter.description, parameter.unit,
                    parameter.low, parameter.high, live=live)

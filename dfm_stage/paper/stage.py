@@ -7,13 +7,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.control import Lqg, LqrSpec, Pid, PidGains, design_lqr
+from dfm_stage.control import OPEN_LOOP, Law, law_of
 from dfm_stage.model import Model, Plant, Simulator
 from dfm_stage.recording import AxisRecord, Provenance, Record
 from dfm_stage.trajectory import Experiment, Reference
@@ -69,25 +69,16 @@ class DirectStage:
             excitation = experiment.excitation(name, period)
             parameters[f"/stage/{name}/trajectory_generator"] = {
                 "run": {"excitation": excitation.metadata()}}
-            if experiment.mode == "open_loop":
+            if experiment.mode == OPEN_LOOP:
                 axes[name] = _open_loop(one, excitation.voltage, seed, other)
             else:
                 reference = experiment.reference(name, period)
-                axes[name] = _closed_loop(one, _law(experiment, design or one), reference,
-                                          excitation.voltage, seed)
+                given = experiment.controller if isinstance(experiment.controller, Mapping) else {}
+                law, _ = law_of({**given, "mode": experiment.mode}, design or one)
+                axes[name] = _closed_loop(one, law, reference, excitation.voltage, seed)
         count = round(experiment.duration_s / period)
         return Record(np.asarray(np.arange(count) * period), period, axes,
                       Provenance("direct simulation", "simulation", parameters=parameters))
-
-
-def _law(experiment: Experiment, design: Model) -> Pid | Lqg:
-    """Return the controller an experiment asks for."""
-    given = experiment.controller if isinstance(experiment.controller, Mapping) else {}
-    if experiment.mode == "lqr":
-        return Lqg(design_lqr(design, LqrSpec.from_mapping(given)))
-    known = {field.name for field in fields(PidGains)}
-    gains = PidGains.from_mapping({name: value for name, value in given.items() if name in known})
-    return Pid(gains, design.sample_period)
 
 
 def _neighbour(experiment: Experiment, model: Model, name: str) -> Array | None:
@@ -110,7 +101,7 @@ def _open_loop(model: Model, voltage: Array, seed: int, other: Array | None) -> 
     return AxisRecord(voltage, result.measured(seed), extra={"plant_position": result.position})
 
 
-def _closed_loop(model: Model, law: Pid | Lqg, reference: Reference, excitation: Array,
+def _closed_loop(model: Model, law: Law, reference: Reference, excitation: Array,
                  seed: int) -> AxisRecord:
     plant = Plant(model, seed=seed)
     count = reference.position.size

@@ -1,9 +1,10 @@
 """What the stage is asked to do: movements, excitations, experiments, and their limits."""
 
+from dfm_stage.model.parameter import Option
 from dfm_stage.trajectory.errors import LimitError, TrajectoryError
 from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
 from dfm_stage.trajectory.experiment import AxisSpec, Experiment, load_experiment
-from dfm_stage.trajectory.kind import Kind, Option
+from dfm_stage.trajectory.kind import Kind
 from dfm_stage.trajectory.limits import (
     LIMIT_PARAMETERS,
     Limits,

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import Option, Parameter
 from dfm_stage.trajectory.errors import TrajectoryError
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.trajectory.kind import Array, Timing, Values
 
 TIME = "time_s"
 _UNITS = {"m": {"_m": 1.0, "_mm": 1e-3, "_um": 1e-6, "_nm": 1e-9}, "v": {"_v": 1.0, "_mv": 1e-3}}
@@ -29,8 +29,9 @@ def csv_parameters(what: str) -> tuple[Parameter, ...]:
             Parameter("scale", 1.0, "", f"factor on every {what}", -1e9, 1e9))
 
 
-def csv_movement(values: Values, timing: Timing) -> tuple[Array, Array, Array, int, int, int]:
-    """Return position, velocity, acceleration (N,), first and end sample of it, and the period.
+def csv_movement(values: Values, timing: Timing
+                 ) -> tuple[Array, Array, Array, NDArray[np.bool_], int, int]:
+    """Return position, velocity, acceleration, where the rows are (N,), period and start.
 
     Between the rows runs the spline of fifth degree that starts and ends at rest without
     acceleration, so that jerk is bounded; before and after, the first and the last row are held.
@@ -45,7 +46,8 @@ def csv_movement(values: Values, timing: Timing) -> tuple[Array, Array, Array, i
     spline = make_interp_spline(t - t[0], x * values.number("scale"), k=5, bc_type=(ends, ends))
     length = float(t[-1] - t[0])
     first = values.samples(values.number("delay_s"), "delay_s", timing)
-    since = (np.arange(timing.count) - first) * timing.sample_period_s
+    index = np.arange(timing.count)
+    since = (index - first) * timing.sample_period_s
     period = 0
     if values.flag("repeat"):
         _must_close(values, x)
@@ -55,7 +57,8 @@ def csv_movement(values: Values, timing: Timing) -> tuple[Array, Array, Array, i
     moving = (since > 0.0) & (since < length)
     end = timing.count if period else first + math.ceil(length / timing.sample_period_s - 1e-9)
     return (np.asarray(spline(inside)), np.where(moving, spline(inside, 1), 0.0),
-            np.where(moving, spline(inside, 2), 0.0), first, end, period)
+            np.where(moving, spline(inside, 2), 0.0), (index >= first) & (index < end), period,
+            first)
 
 
 def csv_voltage(values: Values, timing: Timing) -> tuple[Array, int]:

@@ -1,4 +1,4 @@
-"""Voltages that shake the stage so that a record shows what it is made of."""
+"""Voltages that excite the stage so that a record shows its dynamics."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import Option, Parameter
 from dfm_stage.trajectory import csv_signal as _csv
 from dfm_stage.trajectory import staircase as _staircase
 from dfm_stage.trajectory import stepped_sine as _stepped
@@ -75,24 +75,21 @@ class Excitation:
 _NONE = np.zeros(0, dtype=np.int64)
 
 
-def _plain(name: str, voltage: Array, timing: Timing, period: int = 0) -> Excitation:
-    return Excitation(voltage, name, timing.sample_period_s, period,
-                      timing.count // period if period else 0, 0, _NONE, _NONE,
-                      _waveform.crest_factor(voltage), timing.seed)
+def _kind(name: str, description: str, parameters: tuple[Parameter, ...],
+          maker: Callable[[Values, Timing], tuple[Array, int]],
+          options: tuple[Option, ...] = ()) -> Kind[Excitation]:
+    """Return a kind from what makes the voltage and its period."""
+    def build(values: Values, timing: Timing) -> Excitation:
+        voltage, period = maker(values, timing)
+        return Excitation(voltage, name, timing.sample_period_s, period,
+                          timing.count // period if period else 0, 0, _NONE, _NONE,
+                          _waveform.crest_factor(voltage), timing.seed)
+    return Kind(name, description, parameters, build, options)
 
 
-def _hold(values: Values, timing: Timing) -> Excitation:
-    return _plain("hold", np.full(timing.count, values.number("voltage_v")), timing)
-
-
-def _steps(values: Values, timing: Timing) -> Excitation:
-    voltage, _, _, _, period = _staircase.staircase(values, timing, "v")
-    return _plain("steps", voltage, timing, period)
-
-
-def _from_csv(values: Values, timing: Timing) -> Excitation:
-    voltage, period = _csv.csv_voltage(values, timing)
-    return _plain("csv", voltage, timing, period)
+def _steps(values: Values, timing: Timing) -> tuple[Array, int]:
+    voltage, *_, period, _ = _staircase.staircase(values, timing, "v")
+    return voltage, period
 
 
 def _stepped_sine(values: Values, timing: Timing) -> Excitation:
@@ -114,13 +111,15 @@ def _from_waveform(name: str, maker: Maker) -> Callable[[Values, Timing], Excita
 
 
 EXCITATION_KINDS: dict[str, Kind[Excitation]] = {kind.name: kind for kind in (
-    Kind("hold", "one constant voltage",
-         (Parameter("voltage_v", 0.0, "V", "voltage to hold"),), _hold),
-    Kind("steps", "a list of levels or a staircase, by jumps or smooth moves",
-         _staircase.staircase_parameters("v", "V", 0.5), _steps,
-         _staircase.staircase_options("v", "V")),
-    Kind("csv", "voltages from a CSV file, each row held to the next",
-         _csv.csv_parameters("voltage"), _from_csv, _csv.CSV_OPTIONS),
+    _kind("hold", "one constant voltage",
+          (Parameter("voltage_v", 0.0, "V", "voltage to hold"),),
+          lambda values, timing: (np.full(timing.count, values.number("voltage_v")), 0)),
+    _kind("steps", "a list of levels or a staircase, by jumps or smooth moves",
+          _staircase.staircase_parameters("v", "V", 0.5),
+          _steps,
+          _staircase.staircase_options("v", "V")),
+    _kind("csv", "voltages from a CSV file, each row held to the next",
+          _csv.csv_parameters("voltage"), _csv.csv_voltage, _csv.CSV_OPTIONS),
     Kind("sine", "one frequency", _waveform.sine_parameters("v", "V", 0.08),
          _from_waveform("sine", _waveform.sine)),
     Kind("stepped_sine", "one frequency after another, each settled and then measured",

@@ -13,12 +13,14 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from dfm_stage.trajectory.errors import TrajectoryError, nearest, place
+from dfm_stage.model.parameter import nearest
+from dfm_stage.trajectory.errors import TrajectoryError, place
 from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
 from dfm_stage.trajectory.kind import choose
 from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
 
-MODES = ("open_loop", "pid", "lqr")
+# The mode in which no control law is in force: the excitation is the whole command.
+OPEN_LOOP = "open_loop"
 _KEYS = ("name", "description", "mode", "duration_s", "axes", "model", "controller", "seed")
 
 
@@ -116,8 +118,9 @@ def _experiment(content: Mapping[str, Any], source: str) -> Experiment:
     if not name:
         raise TrajectoryError("name is missing; give the experiment one")
     mode = content.get("mode")
-    if mode not in MODES:
-        raise TrajectoryError(f"mode must be one of {', '.join(MODES)}, not {mode!r}", "mode")
+    if not isinstance(mode, str) or not mode.isidentifier():
+        raise TrajectoryError(f"mode must be {OPEN_LOOP} or the name of a control law such as "
+                              f"pid, not {mode!r}", "mode")
     controller = content.get("controller") or ""
     if not isinstance(controller, (str, Mapping)):
         raise TrajectoryError("controller must be a file name or a mapping of its parameters, "
@@ -125,7 +128,7 @@ def _experiment(content: Mapping[str, Any], source: str) -> Experiment:
     seed = content.get("seed", 0)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise TrajectoryError(f"seed must be a whole number from 0, not {seed!r}", "seed")
-    return Experiment(name, str(mode), _duration(content), _axes(content, str(mode), source),
+    return Experiment(name, mode, _duration(content), _axes(content, mode, source),
                       _beside(_text(content, "model"), source),
                       _beside(controller, source) if isinstance(controller, str)
                       else _plain(controller),
@@ -164,7 +167,7 @@ def _axes(content: Mapping[str, Any], mode: str, source: str) -> dict[str, AxisS
             choose(entry["reference"], REFERENCE_KINDS, f"{where}.reference")
         if "excitation" in entry:
             choose(entry["excitation"], EXCITATION_KINDS, f"{where}.excitation")
-        if mode == "open_loop" and "reference" in entry:
+        if mode == OPEN_LOOP and "reference" in entry:
             raise TrajectoryError(f"{where}.reference has no effect with mode: open_loop; remove "
                                   "it or choose another mode", f"{where}.reference")
         specs[axis] = AxisSpec(*(_specification(entry[part], source) if part in entry else None

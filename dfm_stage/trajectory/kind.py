@@ -10,54 +10,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter, ParameterError
-from dfm_stage.trajectory.errors import TrajectoryError, nearest, place
+from dfm_stage.model.parameter import Option, Parameter, ParameterError, nearest
+from dfm_stage.trajectory.errors import TrajectoryError, place
 
 Array = NDArray[np.float64]
 Signal = TypeVar("Signal")
 MOST_SAMPLES = 20_000_000
 _WHOLE = 1e-6
-
-
-@dataclass(frozen=True)
-class Option:
-    """A setting that is not one real number: a switch, a word or a list of numbers.
-
-    The type of `default` decides: bool, str (one of `choices`, any text where there are none) or
-    a tuple of floats in `unit`.
-    """
-
-    name: str
-    default: bool | str | tuple[float, ...]
-    description: str
-    choices: tuple[str, ...] = ()
-    unit: str = ""
-
-    def checked(self, value: object, where: str = "") -> bool | str | tuple[float, ...]:
-        """Return `value` in the type of the default.
-
-        Raises
-        ------
-        ParameterError
-            If it has another type, is not among the choices or is not finite.
-        """
-        if isinstance(self.default, bool):
-            if isinstance(value, (bool, np.bool_)):
-                return bool(value)
-            raise ParameterError(place(where, f"{self.name} must be true or false, "
-                                              f"not {value!r}"))
-        if isinstance(self.default, str):
-            if value in self.choices or (not self.choices and isinstance(value, str)):
-                return str(value)
-            if not self.choices:
-                raise ParameterError(place(where, f"{self.name} must be text, not {value!r}"))
-            raise ParameterError(place(where, f"{self.name} must be one of "
-                                              f"{', '.join(self.choices)}, not {value!r}"))
-        if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
-            raise ParameterError(place(where, f"{self.name} must be a list of numbers in "
-                                              f"{self.unit}, not {value!r}"))
-        element = Parameter(self.name, 0.0, self.unit, self.description)
-        return tuple(element.checked(each, where) for each in value)
 
 
 @dataclass(frozen=True)

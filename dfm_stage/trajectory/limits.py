@@ -11,7 +11,7 @@ import numpy as np
 
 from dfm_stage.model import Model
 from dfm_stage.model.parameter import Parameter
-from dfm_stage.trajectory.errors import LimitError
+from dfm_stage.trajectory.errors import LimitError, place
 from dfm_stage.trajectory.excitation import Excitation
 from dfm_stage.trajectory.kind import Array
 from dfm_stage.trajectory.reference import Reference
@@ -145,19 +145,20 @@ def check_run(reference: Reference, excitation: Excitation | None, limits: Limit
 def require_within(reference: Reference, limits: Limits,
                    base: Mapping[str, float] | None = None, where: str = "reference") -> None:
     """Raise LimitError naming the first violation, if there is one."""
-    violation = check_limits(reference, limits, base)
-    if violation:
-        raise LimitError(f"{where}: {violation}; {violation.remedy}")
+    _refuse(check_limits(reference, limits, base), where)
 
 
 def require_run_within(reference: Reference, excitation: Excitation | None, limits: Limits,
                        model: Model | None = None, *, open_loop: bool = False,
                        where: str = "") -> None:
     """Raise LimitError naming the first violation of `check_run`, if there is one."""
-    violation = check_run(reference, excitation, limits, model, open_loop=open_loop)
+    _refuse(check_run(reference, excitation, limits, model, open_loop=open_loop), where,
+            "; it was not started")
+
+
+def _refuse(violation: Violation | None, where: str, end: str = "") -> None:
     if violation:
-        raise LimitError(f"{where + ': ' if where else ''}{violation}; {violation.remedy}; "
-                         "it was not started")
+        raise LimitError(place(where, f"{violation}; {violation.remedy}{end}"))
 
 
 def _movement(reference: Reference, limits: Limits) -> list[Candidate]:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.model.parameter import Option, Parameter
+from dfm_stage.trajectory.kind import Array, Timing, Values
 
 POINT_PARAMETERS = (
     Parameter("velocity_m_s", 0.02, "m/s", "largest velocity", 1e-9, 1e3),
@@ -50,8 +50,8 @@ def segments(distance_m: float, velocity_m_s: float, acceleration_m_s2: float,
 
 
 def point_to_point(values: Values,
-                   timing: Timing) -> tuple[Array, Array, Array, NDArray[np.bool_], int]:
-    """Return position, velocity, acceleration (N,), where a point is held (N,), and the period."""
+                   timing: Timing) -> tuple[Array, Array, Array, NDArray[np.bool_], int, int]:
+    """Return position, velocity, acceleration, where a point is held (N,), period and start."""
     points = values.numbers("points_m").tolist()
     if not points:
         raise values.error("points_m", "points_m is empty; give at least one point")
@@ -88,4 +88,4 @@ def point_to_point(values: Values,
     x, v, a = np.asarray(states)[part].T
     held = (push == 0.0) & (v == 0.0) & (a == 0.0)
     return (x + since * (v + since * (a / 2.0 + since * push / 6.0)),
-            v + since * (a + since * push / 2.0), a + since * push, held, period)
+            v + since * (a + since * push / 2.0), a + since * push, held, period, delay)

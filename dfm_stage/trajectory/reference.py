@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import Option, Parameter
 from dfm_stage.trajectory import area as _area
 from dfm_stage.trajectory import csv_signal as _csv
 from dfm_stage.trajectory import point_to_point as _points
@@ -50,85 +50,63 @@ class Reference:
                 "start_samples": self.start_samples}
 
 
-def _hold(values: Values, timing: Timing) -> Reference:
+Movement = tuple[Array, Array, Array, NDArray[np.bool_], int, int]
+
+
+def _hold(values: Values, timing: Timing) -> Movement:
     zero = np.zeros(timing.count)
-    return Reference(np.full(timing.count, values.number("position_m")), zero, zero.copy(),
-                     np.ones(timing.count, dtype=bool), "hold", timing.sample_period_s)
+    return (np.full(timing.count, values.number("position_m")), zero, zero.copy(),
+            np.ones(timing.count, dtype=bool), 0, 0)
 
 
-def _steps(values: Values, timing: Timing) -> Reference:
-    position, velocity, acceleration, held, period = _staircase.staircase(values, timing, "m")
-    return Reference(position, velocity, acceleration, held, "steps", timing.sample_period_s,
-                     period, values.samples(values.number("delay_s"), "delay_s", timing))
+def _waveform_of(maker: Callable[[Values, Timing, str], Waveform]
+                 ) -> Callable[[Values, Timing], Movement]:
+    def build(values: Values, timing: Timing) -> Movement:
+        wave = maker(values, timing, "m")
+        return (wave.value + values.number("center_m"), wave.rate, wave.curvature,
+                np.arange(timing.count) >= wave.ramp_samples, wave.period_samples,
+                wave.ramp_samples)
+    return build
 
 
-def _raster_line(values: Values, timing: Timing) -> Reference:
-    position, velocity, acceleration, line, period, lead = _raster.raster(values, timing)
-    return Reference(position, velocity, acceleration, line, "raster", timing.sample_period_s,
-                     period, lead)
-
-
-def _point_to_point(values: Values, timing: Timing) -> Reference:
-    position, velocity, acceleration, held, period = _points.point_to_point(values, timing)
-    return Reference(position, velocity, acceleration, held, "point_to_point",
-                     timing.sample_period_s, period,
-                     values.samples(values.number("delay_s"), "delay_s", timing))
-
-
-def _area_scan(name: str, maker: Callable[[Values, Timing], _area.Scan]
-               ) -> Callable[[Values, Timing], Reference]:
+def _kind(name: str, description: str, parameters: tuple[Parameter, ...],
+          maker: Callable[[Values, Timing], Movement],
+          options: tuple[Option, ...] = ()) -> Kind[Reference]:
+    """Return a kind from what makes position, velocity, acceleration, steady, period, start."""
     def build(values: Values, timing: Timing) -> Reference:
         position, velocity, acceleration, steady, period, start = maker(values, timing)
         return Reference(position, velocity, acceleration, steady, name, timing.sample_period_s,
                          period, start)
-    return build
-
-
-def _from_csv(values: Values, timing: Timing) -> Reference:
-    position, velocity, acceleration, first, end, period = _csv.csv_movement(values, timing)
-    index = np.arange(timing.count)
-    return Reference(position, velocity, acceleration, (index >= first) & (index < end), "csv",
-                     timing.sample_period_s, period, first)
-
-
-Maker = Callable[[Values, Timing, str], Waveform]
-
-
-def _from_waveform(name: str, maker: Maker) -> Callable[[Values, Timing], Reference]:
-    def build(values: Values, timing: Timing) -> Reference:
-        wave = maker(values, timing, "m")
-        return Reference(wave.value + values.number("center_m"), wave.rate, wave.curvature,
-                         np.arange(timing.count) >= wave.ramp_samples, name,
-                         timing.sample_period_s, wave.period_samples, wave.ramp_samples)
-    return build
+    return Kind(name, description, parameters, build, options)
 
 
 _CENTER = Parameter("center_m", 0.0, "m", "position the signal is added to")
 
 REFERENCE_KINDS: dict[str, Kind[Reference]] = {kind.name: kind for kind in (
-    Kind("hold", "stay at one position",
+    _kind("hold", "stay at one position",
          (Parameter("position_m", 0.0, "m", "position to hold"),), _hold),
-    Kind("steps", "a list of levels or a staircase, by jumps or smooth moves",
-         _staircase.staircase_parameters("m", "m", 1e-3), _steps,
+    _kind("steps", "a list of levels or a staircase, by jumps or smooth moves",
+         _staircase.staircase_parameters("m", "m", 1e-3),
+         lambda values, timing: _staircase.staircase(values, timing, "m"),
          _staircase.staircase_options("m", "m")),
-    Kind("raster", "scan lines there and back with smooth turnarounds",
-         _raster.RASTER_PARAMETERS, _raster_line),
-    Kind("spiral", "out from the middle and back in; each axis gets its part",
-         _area.SPIRAL_PARAMETERS, _area_scan("spiral", _area.spiral)),
-    Kind("lissajous", "a sine of whole cycles per pattern on each axis",
-         _area.LISSAJOUS_PARAMETERS, _area_scan("lissajous", _area.lissajous)),
-    Kind("point_to_point", "the shortest moves within velocity, acceleration and jerk",
-         _points.POINT_PARAMETERS, _point_to_point, _points.POINT_OPTIONS),
-    Kind("csv", "positions from a CSV file, joined smoothly",
-         _csv.csv_parameters("position"), _from_csv, _csv.CSV_OPTIONS),
-    Kind("sine", "one frequency", (*_waveform.sine_parameters("m", "m", 1e-3), _CENTER),
-         _from_waveform("sine", _waveform.sine)),
-    Kind("chirp", "a sweep through a band of frequencies",
+    _kind("raster", "scan lines there and back with smooth turnarounds",
+         _raster.RASTER_PARAMETERS, _raster.raster),
+    _kind("spiral", "out from the middle and back in; each axis gets its part",
+         _area.SPIRAL_PARAMETERS, _area.spiral),
+    _kind("lissajous", "a sine of whole cycles per pattern on each axis",
+         _area.LISSAJOUS_PARAMETERS, _area.lissajous),
+    _kind("point_to_point", "the shortest moves within velocity, acceleration and jerk",
+         _points.POINT_PARAMETERS, _points.point_to_point, _points.POINT_OPTIONS),
+    _kind("csv", "positions from a CSV file, joined smoothly",
+         _csv.csv_parameters("position"), _csv.csv_movement, _csv.CSV_OPTIONS),
+    _kind("sine", "one frequency", (*_waveform.sine_parameters("m", "m", 1e-3), _CENTER),
+         _waveform_of(_waveform.sine)),
+    _kind("chirp", "a sweep through a band of frequencies",
          (*_waveform.chirp_parameters("m", "m", 1e-4), _CENTER),
-         _from_waveform("chirp", _waveform.chirp), _waveform.CHIRP_OPTIONS),
-    Kind("multisine", "many frequencies at once with random phases, periodic",
+         _waveform_of(_waveform.chirp), _waveform.CHIRP_OPTIONS),
+    _kind("multisine", "many frequencies at once with random phases, periodic",
          (*_waveform.multisine_parameters("m", "m", 1e-4), _CENTER),
-         _from_waveform("multisine", _waveform.multisine), _waveform.MULTISINE_OPTIONS),
+         _waveform_of(_waveform.multisine), _waveform.MULTISINE_OPTIONS),
 )}
 
 

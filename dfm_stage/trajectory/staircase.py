@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.model.parameter import Option, Parameter
+from dfm_stage.trajectory.kind import Array, Timing, Values
 from dfm_stage.trajectory.waveform import smooth_step
 
 
@@ -32,8 +32,8 @@ def staircase_options(suffix: str, unit: str) -> tuple[Option, ...]:
 
 
 def staircase(values: Values, timing: Timing,
-              suffix: str) -> tuple[Array, Array, Array, NDArray[np.bool_], int]:
-    """Return position, rate and curvature (N,), where a level is held (N,), and the period.
+              suffix: str) -> tuple[Array, Array, Array, NDArray[np.bool_], int, int]:
+    """Return position, rate and curvature (N,), where a level is held (N,), period and start.
 
     A jump has no derivatives: rate and curvature are zero there. The period is in samples, 0 if
     the levels are not repeated.
@@ -64,11 +64,11 @@ def staircase(values: Values, timing: Timing,
         before = np.minimum(stair - 1, levels.size - 1)
     before = np.where(stair == 0, now, before)
     height = levels[now] - levels[before]
+    period = dwell * levels.size if repeat else 0
     if rise == 0.0:
         zero = np.zeros(timing.count)
-        return (levels[now], zero, zero.copy(), np.ones(timing.count, dtype=bool),
-                dwell * levels.size if repeat else 0)
+        return (levels[now], zero, zero.copy(), np.ones(timing.count, dtype=bool), period, delay)
     u = (since - stair * dwell) * timing.sample_period_s / rise
     s, ds, dds = smooth_step(u)
     return (levels[before] + height * s, height * ds / rise, height * dds / rise**2,
-            (height == 0.0) | (u >= 1.0), dwell * levels.size if repeat else 0)
+            (height == 0.0) | (u >= 1.0), period, delay)

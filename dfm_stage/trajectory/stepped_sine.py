@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dfm_stage.model.parameter import Parameter
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.model.parameter import Option, Parameter
+from dfm_stage.trajectory.kind import Array, Timing, Values
 from dfm_stage.trajectory.waveform import RAMP, amplitude_parameters
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.model.parameter import Parameter
-from dfm_stage.trajectory.kind import Array, Option, Timing, Values
+from dfm_stage.model.parameter import Option, Parameter
+from dfm_stage.trajectory.kind import Array, Timing, Values
 
 Lines = NDArray[np.int64]
 

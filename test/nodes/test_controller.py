@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -106,7 +108,7 @@ def test_the_filter_knows_the_excitation(loop):
     for _ in range(500):
         stage.added = 0.2 * float(rng.choice([-1, 1]))
         stage.run(1)
-    lqg = stage.node._laws.lqg
+    lqg = stage.node._laws.by_name["lqr"]
     predicted = lqg.design.filter.c @ (lqg._next + lqg._b * lqg.output_v)
     assert predicted == pytest.approx(stage.plant.sample().position_m, abs=3e-7)
 
@@ -185,6 +187,54 @@ def test_all_modes_change_without_a_bump_through_the_node(loop):
             assert np.max(np.abs(np.diff(volts[-1]))) < 0.02
 
 
+@pytest.fixture
+def lead_lag(tmp_path) -> Path:
+    """The law of docs/add_controller.md, in a file outside the package."""
+    page = (Path(__file__).parents[2] / "docs/add_controller.md").read_text(encoding="utf-8")
+    file = tmp_path / "lead_lag.py"
+    file.write_text(re.search(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)[1],
+                    encoding="utf-8")
+    return file
+
+
+def test_a_law_from_a_file_takes_over_live_in_lockstep(loop, lead_lag):
+    stage = loop(law_files=lead_lag, lockstep="true")
+    described = stage.node.describe_parameter("lead_lag_gain")
+    assert "[V/m]" in described.description
+    assert described.floating_point_range[0].to_value == 1e7
+    stage.reference = (1e-3, 0.0, 0.0)
+    stage.run(1500)
+    for change in ({"mode": "lead_lag"}, {"lead_lag_gain": 3e3}, {"mode": "pid"},
+                   {"mode": "lead_lag"}):
+        held = stage.sent[-1][4]
+        stage.set(**change)
+        volts = stage.run(1500)
+        assert abs(held) > 0.4                                  # what holds 1 mm on the spring
+        assert abs(volts[0] - held) < 0.02, change
+        assert stage.position[-1] == pytest.approx(1e-3, abs=2e-6)
+    assert stage.node.settings["mode"] == "lead_lag"
+    with pytest.raises(DfmError, match="lead_lag_gain out of range"):
+        stage.set(lead_lag_gain=-1.0)
+    with pytest.raises(DfmError, match="mode must be one of open_loop, pid, lqr, lead_lag, not"):
+        stage.set(mode="lead")
+
+
+def test_a_law_from_a_file_is_given_up_to_one_that_is_limited(loop, lead_lag):
+    """Told that the amplifier gives 0.3 V at most, its integral does not wind up."""
+    stage = loop(law_files=lead_lag, mode="lead_lag", output_limit_v=0.3)
+    stage.reference = (1e-3, 0.0, 0.0)                          # 0.6 V would hold it
+    stage.run(3000)
+    stage.reference = (0.2e-3, 0.0, 0.0)
+    stage.run(700)
+    assert stage.position[-1] == pytest.approx(0.2e-3, abs=2e-5)
+
+
+def test_a_file_without_a_law_is_refused_in_one_line(loop, tmp_path):
+    (tmp_path / "none.py").write_text("x = 1\n", encoding="utf-8")
+    with pytest.raises(DfmError, match=r"none\.py: defines no class derived from Law"):
+        loop(law_files=tmp_path / "none.py")
+
+
 def amplifier(stage: Loop, limit: float) -> None:
     """Let an amplifier answer each command, with less than it asks for beyond a limit."""
     send = stage.node._out.send
@@ -246,7 +296,7 @@ def test_the_guard_watches_in_open_loop_too(loop):
 def test_feedforward_notch_and_shaper_come_from_the_model(loop):
     stage = loop(plant="raster_bench", model="raster_bench")
     stage.set(feedforward="model", notch="model")
-    assert stage.node._laws.pid.gains.notch_hz == 16.02
+    assert stage.node._laws.by_name["pid"].gains.notch_hz == 16.02
     with pytest.raises(DfmError, match="feedforward model needs the parameter model"):
         stage.set(model="")
 

@@ -80,7 +80,7 @@ def test_a_bad_value_at_run_time_is_refused_and_changes_nothing(make, values, wo
 def test_gains_change_at_run_time(make):
     node = make(Controller)
     assert node.set_parameters_atomically([Parameter("kp", value=42.0)]).successful
-    assert node._laws.pid.gains.kp == 42.0
+    assert node._laws.by_name["pid"].gains.kp == 42.0
 
 
 def test_a_signal_that_cannot_be_made_is_refused_at_run_time(make):

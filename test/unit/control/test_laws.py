@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from dfm_stage.control import (
+    AXIS_PARAMETERS,
     GUARD_PARAMETERS,
-    LQR_PARAMETERS,
-    PID_PARAMETERS,
-    SHAPER_PARAMETERS,
-    TUNING_PARAMETERS,
+    LAWS,
     ControlError,
-    Laws,
+    LawSet,
     Pid,
     PidGains,
     ReferenceShaper,
     highest_mode,
+    laws_with,
     margins,
     parameter_text,
     plan_laws,
@@ -28,15 +27,14 @@ from dfm_stage.control import (
     shape,
     shaper,
 )
+from dfm_stage.control.laws import LawFileError
 from dfm_stage.control.sampled import closed_loop_poles, controller_response
 from dfm_stage.model import Plant, load_model
 
 H = 1e-3
-DEFAULTS = {p.name: p.default for p in (*PID_PARAMETERS, *LQR_PARAMETERS, *GUARD_PARAMETERS,
-                                        *SHAPER_PARAMETERS, *TUNING_PARAMETERS)} | {
-    "mode": "pid", "sample_period_s": H, "anti_windup": "back_calculation", "feedforward": "gains",
-    "notch": "given", "shaper": "none", "tuning": "none", "lqr_integral": True,
-    "lqr_disturbance": False, "lqr_feedforward": True}
+OF_LAWS = [entry for law in LAWS.values() for entry in law.parameters]
+DEFAULTS = {entry.name: entry.default for entry in (*AXIS_PARAMETERS, *GUARD_PARAMETERS, *OF_LAWS)
+            } | {"mode": "pid", "sample_period_s": H}
 NOTCHED = PidGains(kp=3100.0, ki=38000.0, kd=94.0, notch_hz=70.0, notch_depth_damping=0.05)
 
 
@@ -46,7 +44,7 @@ class Rig:
     def __init__(self, name: str = "raster_bench", model=None, **values) -> None:
         self.values = {**DEFAULTS, **values}
         self.model = model or load_model(name)
-        self.laws = Laws(self.values, plan_laws(self.values, self.model))
+        self.laws = LawSet(self.values, plan_laws(self.values, self.model))
         self.plant = Plant(self.model, seed=2)
         self.k = 0
 
@@ -63,7 +61,7 @@ class Rig:
             y = self.plant.sample().reading_m
             wanted = self.laws.step(r, y, 1) + added
             volts = min(self.laws.limit_v, max(-self.laws.limit_v, wanted))
-            self.laws.tell(y, volts, added, volts != wanted)
+            self.laws.update(y, volts, added, volts != wanted)
             self.plant.advance(volts)
             out.append(volts)
             self.k += 1
@@ -117,7 +115,7 @@ def test_open_loop_from_the_start_is_the_excitation_alone() -> None:
 def test_the_model_limits_the_output_to_what_has_an_effect() -> None:
     model = load_model("raster_bench").with_effect("saturation", {"limit": 1.5})
     rig = Rig(model=model)
-    assert rig.laws.limit_v == rig.laws.pid.gains.output_limit_v == 1.5
+    assert rig.laws.limit_v == rig.laws.by_name["pid"].gains.output_limit_v == 1.5
     free = plan_laws({**DEFAULTS}, None)
     assert free.limit_v == 10.0
 
@@ -136,7 +134,7 @@ def test_the_integral_does_not_wind_up_while_the_amplifier_gives_less(anti_windu
             sample = plant.sample()
             y[k] = sample.position_m
             asked = laws.step(r, sample.reading_m, 1)
-            laws.tell(sample.reading_m, asked, 0.0, False)
+            laws.update(sample.reading_m, asked, 0.0, False)
             given = min(1.0, max(-1.0, asked))
             if told and given != asked:
                 laws.applied(given, 0.0)
@@ -150,6 +148,55 @@ def test_what_needs_a_model_says_so() -> None:
                          ({"notch": "model"}, "notch model"), ({"shaper": "zv"}, "shaper_hz")):
         with pytest.raises(ControlError, match=word):
             plan_laws({**DEFAULTS, **values}, None)
+
+
+def test_a_law_by_another_name_does_the_same() -> None:
+    """Nothing but the registry knows what the laws are called."""
+    class Classic(LAWS["pid"]):
+        name = "classic"
+
+    laws = {"classic": Classic}
+    values = {**DEFAULTS, "mode": "classic", "feedforward": "model"}
+    one, two = Rig(feedforward="model"), Rig()
+    two.laws = LawSet(values, plan_laws(values, two.model, laws), laws)
+    assert np.array_equal(one.run(500), two.run(500))
+
+
+@pytest.mark.parametrize(("law", "complaint"), [
+    ("import nothing_of_this_name", "ModuleNotFoundError"),
+    ("x = 1", "defines no class derived from Law"),
+    ("from dfm_stage.control import Law\nclass A(Law):\n    name = 'a'", "all of its methods"),
+    ("from dfm_stage.control import Pid\nclass A(Pid):\n    name = 'pid'", "name of its own"),
+    ("from dfm_stage.control import Pid\nclass A(Pid):\n    name = 'a'",
+     "parameters of the law a must begin with a_, unlike kp"),
+])
+def test_a_file_that_is_no_law_says_why(tmp_path, law: str, complaint: str) -> None:
+    (tmp_path / "law.py").write_text(law, encoding="utf-8")
+    with pytest.raises(LawFileError, match=rf"law\.py: .*{complaint}"):
+        laws_with(str(tmp_path / "law.py"))
+    with pytest.raises(LawFileError, match="no such file"):
+        laws_with(str(tmp_path / "none.py"))
+    assert tuple(LAWS) == ("pid", "lqr")
+
+
+def test_a_plan_changes_nothing_that_runs() -> None:
+    rig, other = Rig(), Rig()
+    rig.run(100)
+    plan_laws({**rig.values, "mode": "lqr", "kp": 10.0, "shaper": "zvd"}, rig.model)
+    other.run(100)
+    assert np.array_equal(rig.run(100), other.run(100))
+
+
+def test_the_lqr_does_not_wind_up_where_less_than_it_asks_for_goes_out() -> None:
+    integral = {}
+    reference = SimpleNamespace(position=1e-3, velocity=0.0, acceleration=0.0)
+    for limited in (True, False):
+        laws = Rig(mode="lqr").laws
+        for _ in range(30):
+            asked = laws.step(reference, 0.0, 1)
+            laws.update(0.0, asked - 0.2 * limited, 0.0, limited)
+        integral[limited] = laws.by_name["lqr"].integral_v
+    assert 0.0 < integral[True] < 0.2 * integral[False]
 
 
 def test_the_highest_mode_is_the_second_or_else_the_first() -> None:

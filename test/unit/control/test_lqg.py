@@ -19,6 +19,7 @@ from dfm_stage.control import (
     kalman,
     sample_model,
 )
+from dfm_stage.control.laws.lqr import LqrPlan
 from dfm_stage.control.lqr import on_reference
 from dfm_stage.model import Model, Plant, load_model
 
@@ -208,7 +209,7 @@ def test_what_the_amplifier_gave_is_what_the_filter_believes() -> None:
         wanted = told.step(1e-3, y)
         untold.step(1e-3, y)
         given = min(wanted, 0.4)
-        told.applied(given)
+        told.observe(given)
         plant.advance(given)
     y = plant.sample().reading_m
     true = plant.sample().position_m
@@ -299,14 +300,15 @@ def test_a_new_design_gives_no_bump(first: str, second: str) -> None:
     outputs = []
     for k in range(2600):
         if k == 1500:
-            lqg.set_design(design_lqr(model, VARIANTS[second].changed(lqr_error_m=2e-4)))
+            spec = VARIANTS[second].changed(lqr_error_m=2e-4)
+            lqg.change(LqrPlan(design_lqr(model, spec), 10.0))
         outputs.append(lqg.step(1e-3, plant.sample().reading_m))
         plant.advance(outputs[-1], external_force_n=0.1)
     change = np.abs(np.diff(outputs))
     assert change[1499] < 1e-3
     assert np.max(change[1499:1600]) < 0.02 + 2.0 * np.max(change[-500:])
     with pytest.raises(ControlError, match="samples every"):
-        lqg.set_design(design_lqr(model, sample_period_s=2e-3))
+        lqg.change(LqrPlan(design_lqr(model, sample_period_s=2e-3), 10.0))
 
 
 def test_a_design_with_other_states_starts_its_filter_again() -> None:
@@ -314,7 +316,7 @@ def test_a_design_with_other_states_starts_its_filter_again() -> None:
     plant, lqg = Plant(model, seed=1), Lqg(design_lqr(model))
     for k in range(6000):
         if k == 1500:
-            lqg.set_design(design_lqr(model.without_effect("second_mode")))
+            lqg.change(LqrPlan(design_lqr(model.without_effect("second_mode")), 10.0))
         plant.advance(lqg.step(1e-3, plant.sample().reading_m))
     assert abs(plant.sample().position_m - 1e-3) < 2e-7
 
@@ -323,12 +325,13 @@ def test_the_integral_waits_while_the_amplifier_gives_less() -> None:
     law = Lqg(design_lqr(load_model("paper_stage")))
     for _ in range(50):
         law.step(1e-3, 0.0)
-        law.applied(0.1, law.output_v - 0.1)
+        law.applied(0.1)
+        law.observe(0.1)
     waited = law.integral_v
     free = Lqg(law.design)
     for _ in range(50):
         free.step(1e-3, 0.0)
-        free.applied(0.1)
+        free.observe(0.1)
     assert 0.0 <= waited < 0.1 * free.integral_v
 
 

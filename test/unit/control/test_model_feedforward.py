@@ -10,11 +10,10 @@ import pytest
 from dfm_stage.control import (
     ControlError,
     EffectInput,
-    ModelFeedforward,
     Pid,
-    PidGains,
     feedforward_gains,
     inverse_of,
+    law_of,
     pid_for,
     run_on_model,
     sample_model,
@@ -114,11 +113,8 @@ def test_a_redesign_on_the_extended_model_follows_better() -> None:
     for name, model in (("before", stage), ("after", real)):
         tuned = tune_pid(model, model_name="given.yaml")
         assert (tuned.parameters.get("feedforward") == "model") == (name == "after")
-        gains = PidGains.from_mapping({key: value for key, value in tuned.parameters.items()
-                                       if key not in ("mode", "model", "feedforward")})
-        forward = ModelFeedforward(model, gains)
-        y = run_on_model(real, Pid(gains.without_feedforward(), H), SWING, VELOCITY, ACCELERATION,
-                         forward=forward)
+        law, forward = law_of(tuned.parameters, model)
+        y = run_on_model(real, law, SWING, VELOCITY, ACCELERATION, forward=forward)
         error[name] = np.sqrt(np.mean((y - SWING)[1000:]**2))
     assert error["after"] < 0.2 * error["before"]
     assert "coulomb_friction" in " ".join(tuned.reasons)

@@ -149,7 +149,7 @@ def test_a_change_of_gains_gives_no_bump(change: dict[str, float]) -> None:
         out = []
         for k in range(60):
             if k == change_at:
-                pid.set_gains(FREE.changed(change))
+                pid.change(FREE.changed(change))
             out.append(pid.step(1e-3, 0.9e-3, 0.02, 0.3))
         return np.array(out)
     plain, changed = outputs(99), outputs(50)
@@ -159,7 +159,7 @@ def test_a_change_of_gains_gives_no_bump(change: dict[str, float]) -> None:
 def test_without_integral_the_leftover_of_a_change_fades() -> None:
     pid = Pid(FREE, H)
     run(pid, np.full(100, 1e-3), np.full(100, 0.9e-3))
-    pid.set_gains(FREE.changed({"ki": 0.0}))
+    pid.change(FREE.changed({"ki": 0.0}))
     run(pid, np.full(2000, 1e-3), np.full(2000, 0.9e-3))
     assert pid.output_v == pytest.approx(FREE.kp * 1e-4, rel=1e-6)
 

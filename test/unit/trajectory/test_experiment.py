@@ -55,7 +55,7 @@ def test_axes_get_different_phases_and_the_seed_decides() -> None:
 
 
 @pytest.mark.parametrize(("old", "new", "line", "part"), [
-    ("mode: pid", "mode: pdi", 2, "mode must be one of open_loop, pid, lqr, not 'pdi'"),
+    ("mode: pid", "mode: p d", 2, "mode must be open_loop or the name of a control law"),
     ("duration_s: 2", "duration: 2", 3, "no entry 'duration', did you mean 'duration_s'?"),
     ("duration_s: 2", "duration_s: -2", 3, "duration_s must be a number of seconds"),
     ("seed: 7", "seed: x", 6, "seed must be a whole number"),

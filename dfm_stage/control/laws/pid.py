@@ -1,4 +1,4 @@
-"""A PID controller with two degrees of freedom, one sample per call.
+"""The law `pid`: two degrees of freedom, limits and anti-windup.
 
 The law (Astrom and Hagglund, Advanced PID Control, ISA 2006, ch. 3 and sec. 13.3), with reference
 r, measurement y, sample period h, filter time Tf, tracking time Tt, weights b and c:
@@ -19,20 +19,41 @@ largest output would need with the stage at rest on its reference.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dfm_stage.control.errors import ControlError
-from dfm_stage.control.gains import PidGains
-from dfm_stage.control.shaping import Notch
+from dfm_stage.control.gains import GAIN_PARAMETERS, PidGains
+from dfm_stage.control.law import OUTPUT_LIMIT, Law, Setup
+from dfm_stage.control.model_feedforward import feedforward_gains
+from dfm_stage.control.modes import highest_mode
+from dfm_stage.control.sampled import controller_response
+from dfm_stage.control.stage import sample_model
+from dfm_stage.control.tuning_runs import TUNING_PARAMETERS, GainRaising, RelayRun, TuningRun
+from dfm_stage.model.parameter import Option
 
+TUNING_RUNS: dict[str, type[TuningRun]] = {"raise_gain": GainRaising, "relay": RelayRun}
+NOTCH = Option("notch", "given", "notch_hz, or the highest mode of model", ("given", "model"))
+TUNING = Option("tuning", "none", "in mode pid: find the ultimate gain instead of controlling",
+                ("none", *TUNING_RUNS))
+_OWN_GAINS = tuple(each for each in GAIN_PARAMETERS if each is not OUTPUT_LIMIT)
+# More nominal periods than this are not believed of a measured one.
 _LONGEST = 10.0
 
 
-class Pid:
-    """The controller of one axis.
+class Pid(Law):
+    """The PID of one axis; its plan is `PidGains`.
 
     `fault` is empty, or says why the last output was zero. `saturated` tells whether the last
     output was limited, in size or slew. `output_v` and `integral_v` are the last output and the
     integral part the next one starts from, V.
+
+    An input that is not finite gives 0 V and a `fault`, and leaves integral and derivative as
+    they were; the next good sample goes on from there. Of a measured period at most ten nominal
+    ones are believed; 0, negative or not finite means one.
 
     Parameters
     ----------
@@ -50,15 +71,48 @@ class Pid:
                  "_gains", "_i_limit", "_kd", "_ki_h", "_kp", "_last", "_leak", "_limit", "_notch",
                  "_per_dt", "_period", "_shortfall", "_slew_h", "_steady", "fault",
                  "integral_v", "output_v", "saturated")
+    name = "pid"
+    parameters = (*_OWN_GAINS, NOTCH, TUNING, *TUNING_PARAMETERS)
+    tuning_parameters = frozenset({TUNING.name, *(each.name for each in TUNING_PARAMETERS)})
+
+    @classmethod
+    def plan(cls, setup: Setup) -> PidGains:
+        """Return the gains, with notch and feedforward of the model where these are asked for."""
+        values = setup.values
+        gains = PidGains(output_limit_v=setup.output_limit_v, **{
+            each.name: values[each.name] for each in _OWN_GAINS})
+        if values[NOTCH.name] == "model":
+            frequency, damping = highest_mode(setup.need_model("notch model"))
+            gains = gains.changed({"notch_hz": frequency, "notch_depth_damping": damping})
+        if setup.model_forward:
+            position, velocity, acceleration = feedforward_gains(
+                sample_model(setup.need_model("feedforward model")), gains)
+            gains = gains.changed({
+                "feedforward_position": position, "feedforward_velocity": velocity,
+                "feedforward_acceleration": acceleration})
+        gains.notch(setup.sample_period_s)          # refuses one beyond half the rate
+        return gains
+
+    @classmethod
+    def tuning_run(cls, values: Mapping[str, Any], sample_period_s: float) -> TuningRun | None:
+        """Return the run that the parameter `tuning` names."""
+        make = TUNING_RUNS.get(values[TUNING.name])
+        return make(sample_period_s, **{each.name: values[each.name]
+                                        for each in TUNING_PARAMETERS}) if make else None
+
+    @classmethod
+    def response(cls, plan: Any, frequency_hz: NDArray[np.float64],
+                 sample_period_s: float) -> NDArray[np.complex128]:
+        """Return the law from -y to u at frequencies (F,), V/m, complex (F,)."""
+        return controller_response(plan, frequency_hz, sample_period_s)
 
     def __init__(self, gains: PidGains, sample_period_s: float) -> None:
         if not (math.isfinite(sample_period_s) and sample_period_s > 0.0):
             raise ControlError("pid: sample_period_s must be a positive number of seconds, "
                                f"not {sample_period_s!r}")
         self._period = float(sample_period_s)
-        self._notch: Notch | None = None
-        self.reset()
         self._use(gains)
+        self.reset()
 
     @property
     def gains(self) -> PidGains:
@@ -69,11 +123,6 @@ class Pid:
     def sample_period_s(self) -> float:
         """The nominal sample period, s."""
         return self._period
-
-    @property
-    def last_position_m(self) -> float | None:
-        """Where the stage was at the last sample, m."""
-        return self._last[1] if self._last is not None else None
 
     def reset(self) -> None:
         """Forget everything but the gains."""
@@ -90,23 +139,7 @@ class Pid:
     def step(self, reference_m: float, position_m: float, velocity_m_s: float = 0.0,
              acceleration_m_s2: float = 0.0, dt_s: float = 0.0,
              forward_v: float = 0.0) -> float:
-        """Return the output for one sample, V.
-
-        Parameters
-        ----------
-        reference_m, position_m : float
-            Where the stage is to be and where it is, m.
-        velocity_m_s, acceleration_m_s2 : float
-            Of the reference, for the feedforward.
-        dt_s : float
-            Measured time since the last call, s. At most ten nominal periods are believed; 0,
-            negative or not finite means one.
-        forward_v : float
-            Further feedforward, V, as of `ModelFeedforward`.
-
-        An input that is not finite gives 0 V and a `fault`, and leaves integral and derivative as
-        they were; the next good sample goes on from there.
-        """
+        """Return the output for one sample, V."""
         if dt_s == 0.0 or dt_s == self._period:
             ki_h, leak, aw = self._ki_h, self._leak, self._aw
             decay, per_dt, slew = self._decay, self._per_dt, self._slew_h
@@ -131,14 +164,14 @@ class Pid:
         wanted += forward
         if wanted - wanted != 0.0:
             return self._faulted()
-
-        limit, before = self._limit, self.output_v
+        limit = self._limit
         output = wanted
-        if output > limit:
+        if wanted > limit:
             output = limit
-        elif output < -limit:
+        elif wanted < -limit:
             output = -limit
         if slew:
+            before = self.output_v
             if output > before + slew:
                 output = before + slew
             elif output < before - slew:
@@ -198,15 +231,17 @@ class Pid:
         self._go_on_from(self.output_v)
         self.fault = ""
 
-    def set_gains(self, gains: PidGains) -> None:
-        """Change the gains without a bump.
+    def change(self, plan: PidGains, forward_v: float = 0.0) -> None:
+        """Change the gains, or the feedforward, without a bump.
 
         The integral takes up what the other parts change by, so that the output goes on from
         where it was. Without integral action in the new gains that share decays with the tracking
         time instead of staying for ever.
         """
-        before, notched = self._parts(), self._notch is not None or gains.notch_hz > 0.0
-        self._use(gains)
+        before, notched = self._parts(), self._notch is not None or plan.notch_hz > 0.0
+        self._use(plan)
+        if self._last is not None:
+            self._last = (*self._last[:4], forward_v)
         if notched:
             self._go_on_from(self.output_v)
         else:
@@ -242,8 +277,7 @@ class Pid:
         self._limit = gains.output_limit_v
         self._clamping = gains.anti_windup == "clamping"
         self._i_limit = math.inf if gains.anti_windup == "none" else gains.output_limit_v
-        self._notch = Notch(gains.notch_hz, self._period, gains.notch_depth_damping,
-                            gains.notch_width_damping) if gains.notch_hz else None
+        self._notch = gains.notch(self._period)
         (self._ki_h, self._leak, self._aw, self._decay, self._per_dt,
          self._slew_h) = self._coefficients(self._period)
 
