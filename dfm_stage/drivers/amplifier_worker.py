@@ -12,6 +12,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from typing import Any, Protocol
 
 from dfm_stage.drivers.device import AmplifierDevice, AmplifierStatus
@@ -20,6 +21,7 @@ from dfm_stage.drivers.interlock import Cause, Interlock
 from dfm_stage.drivers.quantiser import SigmaDelta
 
 _HURRY_S = 0.004
+_NO_ANSWER = "the drive does not answer"
 
 
 class AmplifierListener(Protocol):
@@ -59,7 +61,7 @@ class AmplifierWorker:
         self._clock = clock
         self._wake = threading.Condition()
         self._target: tuple[float, Any] | None = None
-        self._orders: list[tuple[Callable[[], str], threading.Event, list[Any]]] = []
+        self._orders: list[tuple[Callable[[], str], Future[str]]] = []
         self._stopping = False
         self._energised = False
         self._connected = True
@@ -118,21 +120,19 @@ class AmplifierWorker:
             self._thread.join(5.0)
 
     def _order(self, action: Callable[[], str], timeout_s: float) -> str:
-        done, answer = threading.Event(), [None]
+        answer: Future[str] = Future()
         with self._wake:
-            self._orders.append((action, done, answer))
+            self._orders.append((action, answer))
             self._wake.notify()
-        if not done.wait(timeout_s):
-            raise RefusedError("the drive does not answer")
-        if isinstance(answer[0], Exception):
-            raise answer[0]
-        return str(answer[0])
+        if not wait((answer,), timeout_s).done:
+            raise RefusedError(_NO_ANSWER)
+        return answer.result()
 
     # The thread
 
     def _arm(self) -> str:
         if not self._connected:
-            raise RefusedError("the drive does not answer")
+            raise RefusedError(_NO_ANSWER)
         if self._interlock.causes:
             raise RefusedError(f"clear first: {self._interlock.words()}")
         self._target = None
@@ -181,10 +181,10 @@ class AmplifierWorker:
         with self._wake:
             now = self._clock()
             left = interlock.time_left(now)
-            wait = left if left <= _HURRY_S else min(next_question - now, left)
+            pause = left if left <= _HURRY_S else min(next_question - now, left)
             urgent = self._orders or self._target or self._stopping
-            if not urgent and wait > 0.0 and (interlock.armed or not self._energised):
-                self._wake.wait(wait)
+            if not urgent and pause > 0.0 and (interlock.armed or not self._energised):
+                self._wake.wait(pause)
             target, self._target = self._target, None
             order = self._orders.pop(0) if self._orders else None
         interlock.stale(self._clock())
@@ -223,16 +223,17 @@ class AmplifierWorker:
         self._listener.on_status(status)
 
     @staticmethod
-    def _obey(action: Callable[[], str], done: threading.Event, answer: list[Any]) -> None:
+    def _obey(action: Callable[[], str], answer: Future[str]) -> None:
+        """Do what was asked, and say how it went; a refusal alone is no trouble for the thread."""
         try:
-            answer[0] = action()
+            answer.set_result(action())
         except DriverError as error:
-            answer[0] = error
+            answer.set_exception(error)
             if isinstance(error, DeviceLostError):
-                done.set()
                 raise
-        finally:
-            done.set()
+        except Exception as error:
+            answer.set_exception(DriverError(f"the driver failed: {error!r}"))
+            raise
 
     def _lost(self, cause: Cause, error: Exception) -> None:
         """Trip; try for zero; where the drive does not answer, come back to it, off."""
@@ -265,6 +266,5 @@ class AmplifierWorker:
     def _refuse_orders(self) -> None:
         with self._wake:
             orders, self._orders = self._orders, []
-        for _, done, answer in orders:
-            answer[0] = RefusedError("the drive does not answer")
-            done.set()
+        for _, answer in orders:
+            answer.set_exception(RefusedError(_NO_ANSWER))

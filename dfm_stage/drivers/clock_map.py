@@ -65,11 +65,6 @@ class ClockMap:
         self._offset = 0.0
         self._slope = 0.0
 
-    @property
-    def drift(self) -> float:
-        """How much slower (positive) the device's clock runs than the host's, relative."""
-        return self._slope
-
     def __call__(self, tick: int, arrival_ns: int) -> int:
         """Return the host's time of `tick`, of which the host learned at `arrival_ns`.
 

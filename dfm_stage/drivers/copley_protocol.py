@@ -111,14 +111,6 @@ def set_ram(parameter: int, value: int) -> bytes:
     return b"s r0x%02x %d\r" % (parameter, value)
 
 
-RESET = b"r\r"
-
-
-def amperes_to_counts(current_a: float) -> int:
-    """Return the nearest programmed current, in units of 10 mA."""
-    return round(current_a / AMPERE_PER_COUNT)
-
-
 @dataclass(frozen=True)
 class Reply:
     """One reply: done, values or an error number."""

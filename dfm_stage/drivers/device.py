@@ -17,16 +17,20 @@ from dfm_stage.drivers.errors import DriverError
 
 @dataclass(frozen=True)
 class EncoderSample:
-    """One reading of a counter."""
+    """One reading of a counter.
+
+    Attributes
+    ----------
+    seq : rises by one each sample period of the device; a gap is a lost sample
+    stamp_ns : when it was taken, system time
+    counts : not wrapped
+    elapsed_s : since the sample before, by the device's clock; 0 for the first
+    """
 
     seq: int
-    """Rises by one each sample period of the device; a gap is a lost sample."""
     stamp_ns: int
-    """When it was taken, system time."""
     counts: int
-    """Not wrapped."""
     elapsed_s: float
-    """Since the sample before, by the device's clock; 0 for the first."""
 
 
 class EncoderDevice(Protocol):
@@ -62,15 +66,19 @@ class EncoderDevice(Protocol):
 
 @dataclass(frozen=True)
 class AmplifierStatus:
-    """What the drive says about itself; None where it was not asked this time."""
+    """What the drive says about itself; None where it was not asked this time.
+
+    Attributes
+    ----------
+    trouble : why the output must be off, in words; empty when there is nothing
+    travel_limit : which limit switch is active, in words; empty for none
+    notes : further numbers with units for diagnostics
+    """
 
     current_a: float | None = None
     trouble: str | None = None
-    """Why the output must be off, in words; empty when there is nothing."""
     travel_limit: str | None = None
-    """Which limit switch is active, in words; empty for none."""
     notes: dict[str, str] | None = None
-    """Further numbers with units for diagnostics."""
 
 
 class AmplifierDevice(Protocol):

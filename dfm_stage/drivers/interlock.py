@@ -71,7 +71,6 @@ class Interlock:
         self.armed = False
         self.causes = Cause(0)
         self.reasons: dict[Cause, str] = {}
-        self.trips = 0
         self._forget()
 
     def _forget(self) -> None:
@@ -123,7 +122,6 @@ class Interlock:
         self.armed = False
         self.causes |= cause
         self.reasons[cause] = why
-        self.trips += 1
         if self._on_trip is not None:
             self._on_trip(cause, why)
 

@@ -8,25 +8,22 @@ LONGEST_LINE = 256
 
 
 class Line(NamedTuple):
-    """One line without its end."""
+    """One line without its end; `after` bytes of the same `feed` came after that."""
 
     text: bytes
     after: int
-    """Bytes of the same `feed` that came after this line's end."""
 
 
 class LineBuffer:
     """Splits a byte stream at any of `ends`; empty lines are dropped.
 
-    A line longer than LONGEST_LINE is noise: it is thrown away up to its end and counted in
-    `overlong`.
+    A line longer than LONGEST_LINE is noise: it is thrown away up to its end.
     """
 
     def __init__(self, ends: bytes = b"\r\n") -> None:
         self._ends = ends
         self._rest = bytearray()
         self._skipping = False
-        self.overlong = 0
 
     def feed(self, data: bytes) -> list[Line]:
         """Return the lines that are complete now."""
@@ -38,9 +35,7 @@ class LineBuffer:
                 begin = index + 1
                 if len(self._rest) > LONGEST_LINE:
                     self._skipping = True
-                if self._skipping:
-                    self.overlong += 1
-                elif self._rest:
+                if self._rest and not self._skipping:
                     lines.append(Line(bytes(self._rest), len(data) - begin))
                 self._skipping = False
                 self._rest.clear()
@@ -54,8 +49,3 @@ class LineBuffer:
         """Forget an unfinished line."""
         self._rest.clear()
         self._skipping = False
-
-    @property
-    def pending(self) -> int:
-        """Bytes of the unfinished line."""
-        return len(self._rest)

@@ -49,20 +49,16 @@ class Format(IntFlag):
 
 
 FACTORY_FORMAT = Format.SPACES | Format.CR | Format.LF
-STREAM_FORMAT = Format.SPACES | Format.TIMESTAMP | Format.CR | Format.LF
 
 
 class Status(IntFlag):
-    """Bits of register 06."""
+    """Bits of register 06 (bits 5 to 7 tell of the comparator and of over- and underflow)."""
 
     SIGN = 1
     UP = 2
     POWER_LOSS = 4
     COUNT_ENABLED = 8
     INDEX = 16
-    COMPARE = 32
-    BORROW = 64
-    CARRY = 128
 
 
 STOP_STREAMS = b"W161\r"
@@ -75,10 +71,7 @@ COUNT_UP = b"W040\r"
 NO_THRESHOLD = b"W0B0\r"
 RESET_TIMESTAMP = b"W0D1\r"
 STREAM_COUNT = b"S0E\r"
-READ_COUNT = b"R0E\r"
 READ_STATUS = b"R06\r"
-ZERO_COUNT = b"W092\r"
-LOAD_PRESET = b"W0A0\r"
 
 
 def set_interval(ticks: int) -> bytes:
@@ -86,13 +79,6 @@ def set_interval(ticks: int) -> bytes:
     if not 1 <= ticks <= RELEASED_INTERVAL:
         raise ProtocolError(f"stream interval of {ticks} ticks: 1 to {RELEASED_INTERVAL}")
     return b"W0C%X\r" % ticks
-
-
-def set_preset(counts: int) -> bytes:
-    """Return the command that sets the preset; negative values take all eight digits."""
-    if not -(2**31) <= counts < 2**31:
-        raise ProtocolError(f"preset {counts}: it has 32 bits")
-    return b"W08%08X\r" % (counts & 0xFFFFFFFF)
 
 
 @dataclass(frozen=True)
@@ -103,11 +89,6 @@ class Reply:
     register: int
     data: int
     timestamp: int | None = None
-
-    @property
-    def signed(self) -> int:
-        """The data as a signed number of 32 bits."""
-        return self.data - ((self.data & 0x80000000) << 1)
 
     @property
     def refused(self) -> bool:

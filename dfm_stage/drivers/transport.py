@@ -6,20 +6,23 @@ import contextlib
 import os
 import select
 import time
+from collections.abc import Callable, Iterator
 
 import serial
 
 from dfm_stage.drivers.errors import DeviceLostError
+from dfm_stage.drivers.lines import Line, LineBuffer
 
 _WRITE_TIMEOUT_S = 0.2
+_PORT_ERRORS = (serial.SerialException, OSError, ValueError, TypeError)
 
 
 class SerialPort:
     """An open port: 8 data bits, no parity, 1 stop bit, no flow control.
 
     Opening asks the driver for low latency: an FTDI adapter otherwise holds received bytes back
-    for 16 ms (pseudo-terminals and some adapters refuse it, `low_latency` tells). Every error of
-    the operating system becomes DeviceLostError.
+    for 16 ms (pseudo-terminals and some adapters refuse it). Every error of the operating system
+    becomes DeviceLostError.
 
     Raises
     ------
@@ -29,22 +32,23 @@ class SerialPort:
 
     def __init__(self, path: str, baud: int) -> None:
         self.path = path
-        self._port = self._open(path, baud)
-        self.low_latency = True
         try:
-            self._port.set_low_latency_mode(True)
-        except (ValueError, OSError, NotImplementedError):
-            self.low_latency = False
-
-    @staticmethod
-    def _open(path: str, baud: int) -> serial.Serial:
-        try:
-            return serial.Serial(path, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S,
-                                 exclusive=True)
-        except (serial.SerialException, OSError, ValueError) as error:
+            self._port = serial.Serial(path, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S,
+                                       exclusive=True)
+        except _PORT_ERRORS as error:
             raise DeviceLostError(f"cannot open {path}: {_short(error)}; is the device plugged "
                                   "in, and may this user read and write it (group dialout)?"
                                   ) from error
+        with contextlib.suppress(ValueError, OSError, NotImplementedError):
+            self._port.set_low_latency_mode(True)
+
+    @contextlib.contextmanager
+    def _present(self) -> Iterator[None]:
+        """Turn what the system raises when a port is gone into DeviceLostError."""
+        try:
+            yield
+        except _PORT_ERRORS as error:
+            raise DeviceLostError(f"{self.path}: the port is gone: {_short(error)}") from error
 
     @property
     def baud(self) -> int:
@@ -53,60 +57,91 @@ class SerialPort:
 
     def set_baud(self, baud: int) -> None:
         """Change the rate at once."""
-        try:
+        with self._present():
             self._port.baudrate = baud
-        except (serial.SerialException, OSError, ValueError) as error:
-            raise self._lost(error) from error
 
     def send_break(self, duration_s: float) -> None:
         """Hold the line low for a time."""
-        try:
+        with self._present():
             self._port.break_condition = True
             time.sleep(duration_s)
             self._port.break_condition = False
-        except (serial.SerialException, OSError) as error:
-            raise self._lost(error) from error
 
     def write(self, data: bytes) -> None:
         """Hand all bytes to the operating system."""
-        try:
+        with self._present():
             self._port.write(data)
-        except (serial.SerialException, OSError) as error:
-            raise self._lost(error) from error
 
     def read(self, timeout_s: float) -> bytes:
         """Return what is there, at the latest after `timeout_s`; empty if nothing came."""
-        try:
+        with self._present():
             handle = self._port.fileno()
             ready, _, _ = select.select([handle], [], [], max(0.0, timeout_s))
             if not ready:
                 return b""
             data = os.read(handle, 4096)
-        except (serial.SerialException, OSError, ValueError, TypeError) as error:
-            raise self._lost(error) from error
         if not data:
             raise DeviceLostError(f"{self.path}: the device is gone (end of file)")
         return data
 
-    def drain(self, quiet_s: float, limit_s: float = 2.0) -> bytes:
-        """Read until nothing came for `quiet_s`, at most for `limit_s`; return what came."""
+    def drain(self, quiet_s: float, limit_s: float = 2.0) -> None:
+        """Read until nothing came for `quiet_s`, at most for `limit_s`, and throw it away."""
         deadline = time.monotonic() + limit_s
-        out = b""
-        while time.monotonic() < deadline:
-            data = self.read(quiet_s)
-            if not data:
-                break
-            out += data
-        return out
+        while time.monotonic() < deadline and self.read(quiet_s):
+            pass
 
     def close(self) -> None:
         """Give the port back; again is harmless."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
 
-    def _lost(self, error: Exception) -> DeviceLostError:
-        return DeviceLostError(f"{self.path}: the port is gone: {_short(error)}")
-
 
 def _short(error: Exception) -> str:
     return str(getattr(error, "strerror", None) or error).split("\n")[0]
+
+
+class LineDevice:
+    """A device that answers in lines: its port, which may be closed, and what it sends.
+
+    Parameters
+    ----------
+    path : str
+        Of the serial port.
+    ends : bytes
+        Bytes of which any ends a line.
+    open_port : callable
+        Opens the port at a path and a rate.
+    """
+
+    def __init__(self, path: str, ends: bytes, open_port: Callable[[str, int], SerialPort]
+                 ) -> None:
+        self._path = path
+        self._open_port = open_port
+        self._opened: SerialPort | None = None
+        self._lines = LineBuffer(ends)
+
+    @property
+    def _port(self) -> SerialPort:
+        """The open port; raises DeviceLostError without one."""
+        if self._opened is None:
+            raise DeviceLostError(f"{self._path} is not open")
+        return self._opened
+
+    def _connect(self, baud: int) -> SerialPort:
+        """Open the port anew."""
+        self.close()
+        self._opened = self._open_port(self._path, baud)
+        self._lines.clear()
+        return self._opened
+
+    def _received(self, limit_s: float) -> Iterator[Line]:
+        """Yield the lines that come within `limit_s`."""
+        deadline = time.monotonic() + limit_s
+        while (left := deadline - time.monotonic()) > 0.0:
+            yield from self._lines.feed(self._port.read(left))
+
+    def close(self) -> None:
+        """Give the port back; the device keeps doing what it was told last."""
+        if self._opened is not None:
+            self._opened.close()
+            self._opened = None

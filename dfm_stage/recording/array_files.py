@@ -34,7 +34,7 @@ class ArrayTable:
         self._columns = dict(_columns(arrays))
         self.names: Sequence[str] = list(self._columns)
         if not self._columns:
-            raise RecordError(f"{path}: holds no arrays of numbers")
+            raise RecordError("holds no arrays of numbers", path)
 
     def where(self, row: int) -> str:
         """Return the index of a row, counted from 0."""
@@ -45,8 +45,8 @@ class ArrayTable:
         chosen = {name: self._columns[name] for name in names}
         lengths = {name: len(values) for name, values in chosen.items()}
         if len(set(lengths.values())) > 1:
-            raise RecordError(f"{self.path}: the arrays differ in length: " + ", ".join(
-                f"{name} {length}" for name, length in lengths.items()))
+            raise RecordError("the arrays differ in length: " + ", ".join(
+                f"{name} {length}" for name, length in lengths.items()), self.path)
         return {name: values.astype(np.float64) for name, values in chosen.items()}
 
 
@@ -56,7 +56,7 @@ def load_npz(path: Path) -> ArrayTable:
         with np.load(path, allow_pickle=False) as file:
             return ArrayTable(path, "npz", {name: file[name] for name in file.files})
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise RecordError(f"{path}: cannot be read as .npz ({_line(error)})") from error
+        raise RecordError(f"cannot be read as .npz ({_line(error)})", path) from error
 
 
 def load_mat(path: Path) -> ArrayTable:
@@ -70,10 +70,10 @@ def load_mat(path: Path) -> ArrayTable:
     try:
         content = scipy.io.loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
-        raise RecordError(f"{path}: is a MATLAB 7.3 file; save it with "
-                          f"save(..., '-v7')") from error
+        raise RecordError("is a MATLAB 7.3 file; save it with "
+                          "save(..., '-v7')", path) from error
     except (OSError, ValueError, TypeError, KeyError, IndexError, MatReadError) as error:
-        raise RecordError(f"{path}: cannot be read as .mat ({_line(error)})") from error
+        raise RecordError(f"cannot be read as .mat ({_line(error)})", path) from error
     return ArrayTable(path, "mat", dict(_flat({name: value for name, value in content.items()
                                                if not name.startswith("__")})))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fnmatch
 import os
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mcap.records import Channel, Schema
+from mcap.records import Channel
 from numpy.typing import NDArray
 
 from dfm_stage.recording.bag import Bag, Topic
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from dfm_stage.recording.topic_arrays import TopicArrays
 
 CHANNEL_IDS = 1 << 16
+_UNWANTED = -1            # the topic number of channels that are not read
 
 
 def read_bag(path: str | os.PathLike[str], topics: Iterable[str] | None = None, *,
@@ -83,7 +85,7 @@ class _Source:
     handle: int
     scan: FileScan
     slots: NDArray[np.int32] = field(
-        default_factory=lambda: np.full(CHANNEL_IDS, -1, np.int32))
+        default_factory=lambda: np.full(CHANNEL_IDS, _UNWANTED, np.int32))
 
 
 @dataclass(frozen=True)
@@ -148,11 +150,7 @@ class _Reader:
         self.note_rest(source, chunk, len(data) - found.whole_bytes, found.whole_bytes)
         chunk.counts = found.counts
         for opcode, body in found.definitions:
-            record = parse_record(opcode, body)
-            if isinstance(record, Schema):
-                source.scan.schemas.setdefault(record.id, record)
-            elif isinstance(record, Channel):
-                source.scan.channels.setdefault(record.id, record)
+            source.scan.define(parse_record(opcode, body))
 
     def lose_chunk(self, source: _Source, chunk: ChunkPlace, reason: str) -> None:
         """Note that a whole chunk cannot be read."""
@@ -232,23 +230,21 @@ class _Reader:
     def decode(self) -> None:
         from dfm_stage.recording.topic_arrays import TopicArrays
 
-        totals = [0] * len(self.wanted)
+        totals: Counter[int] = Counter()
         tasks = []
         for source in self.sources:
             for chunk in source.scan.chunks:
-                rows: dict[int, tuple[int, int]] = {}
-                for channel, count in (chunk.counts or {}).items():
-                    slot = int(source.slots[channel])
-                    if slot >= 0 and id(chunk) not in self.damaged:
-                        first, more = rows.get(slot, (totals[slot], 0))
-                        rows[slot] = (first, more + count)
-                for slot, (_, count) in rows.items():
-                    totals[slot] += count
-                if rows:
-                    tasks.append(_Task(source, chunk, rows))
-        self.arrays = [TopicArrays(wanted.name, wanted.type_name, wanted.plan, total)
-                       for wanted, total in zip(self.wanted, totals, strict=True)]
-        list(self.pool.map(self.decode_chunk, tasks))
+                counts: Counter[int] = Counter()
+                if id(chunk) not in self.damaged:
+                    for channel, count in (chunk.counts or {}).items():
+                        counts[int(source.slots[channel])] += count
+                del counts[_UNWANTED]
+                tasks.append(_Task(source, chunk, {slot: (totals[slot], count)
+                                                   for slot, count in counts.items()}))
+                totals.update(counts)
+        self.arrays = [TopicArrays(wanted.name, wanted.type_name, wanted.plan, totals[slot])
+                       for slot, wanted in enumerate(self.wanted)]
+        list(self.pool.map(self.decode_chunk, [task for task in tasks if task.rows]))
 
     def decode_chunk(self, task: _Task) -> None:
         from dfm_stage.recording.record_kernels import locate
@@ -288,9 +284,8 @@ class _Reader:
                                    f"{arrays.type_name} and were left out", messages=count))
         present = {arrays.name: topics[arrays.name].message_count + len(arrays.bad_rows)
                    for arrays in self.arrays}
-        losses += missing_messages(present, topics.values(), self.files,
-                                   [source.scan for source in self.sources])
         scans = [source.scan for source in self.sources]
+        losses += missing_messages(present, topics.values(), self.files, scans)
         return Bag(self.path, topics,
                    {item.name: item.data for scan in scans for item in scan.attachments},
                    {item.name: item.metadata for scan in scans for item in scan.metadata},
@@ -301,7 +296,7 @@ def missing_messages(present: Mapping[str, int], topics: Iterable[Topic], files:
                      scans: Iterable[FileScan]) -> list[Loss]:
     """Return what the bag promises and does not hold, topic by topic."""
     losses = []
-    promised: dict[str, int] = {}
+    promised: Counter[str] = Counter()
     complete = True
     for scan in scans:
         if scan.statistics is None:
@@ -309,11 +304,8 @@ def missing_messages(present: Mapping[str, int], topics: Iterable[Topic], files:
             continue
         for channel, count in scan.statistics.channel_message_counts.items():
             if channel in scan.channels:
-                name = scan.channels[channel].topic
-                promised[name] = promised.get(name, 0) + count
-    if not complete:
-        promised = files.expected
-    for name, count in promised.items():
+                promised[scan.channels[channel].topic] += count
+    for name, count in (promised if complete else files.expected).items():
         missing = count - present.get(name, count)
         if missing > 0:
             losses.append(Loss(f"{name}: {missing} of {count} messages are not readable",

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.recording.bag import Bag, Topic
-from dfm_stage.recording.errors import NotInBagError, RecordError
+from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.names import (
     MODEL_ATTACHMENT,
     PARAMETERS_ATTACHMENT,
@@ -68,19 +68,15 @@ def bag_record(bag: Bag, axis: str | None = None, sample_period: float | None = 
     found = _measurements(bag)
     if axis is not None:
         if axis not in found:
-            raise RecordError(f"{bag.path}: has no axis {axis}; there are "
-                              f"{', '.join(found) or 'none'}")
+            raise RecordError(f"has no axis {axis}; there are "
+                              f"{', '.join(found) or 'none'}", bag.path)
         found = {axis: found[axis]}
     if not found:
-        raise RecordError(f"{bag.path}: holds no measurement topic of an axis, only "
-                          f"{', '.join(bag) or 'nothing'}")
-    try:
+        raise RecordError("holds no measurement topic of an axis, only "
+                          f"{', '.join(bag) or 'nothing'}", bag.path)
+    with in_file(bag.path):
         axes = [_read_axis(bag, name, topic, run, sample_period) for name, topic in found.items()]
         return _together(bag, run, axes, gaps)
-    except (RecordError, NotInBagError) as error:
-        text = str(error)
-        prefix = "" if text.startswith(str(bag.path)) else f"{bag.path}: "
-        raise RecordError(prefix + text) from None
 
 
 def _measurements(bag: Bag) -> dict[str, str]:
@@ -98,22 +94,17 @@ class _Run:
 
     def __init__(self, bag: Bag) -> None:
         self.notes: list[str] = []
-        self.model_text = self._text(bag, MODEL_ATTACHMENT)
-        self.model = self._tree(self.model_text, MODEL_ATTACHMENT)
-        self.parameters = self._tree(self._text(bag, PARAMETERS_ATTACHMENT),
-                                     PARAMETERS_ATTACHMENT)
-        self.versions = self._tree(self._text(bag, VERSIONS_ATTACHMENT), VERSIONS_ATTACHMENT)
+        self.texts = {name: data.decode("utf-8", "replace")
+                      for name, data in bag.attachments.items()}
+        self.model, self.parameters, self.versions = map(
+            self._tree, (MODEL_ATTACHMENT, PARAMETERS_ATTACHMENT, VERSIONS_ATTACHMENT))
 
-    def _text(self, bag: Bag, name: str) -> str | None:
-        data = bag.attachments.get(name)
-        return None if data is None else data.decode("utf-8", "replace")
-
-    def _tree(self, text: str | None, name: str) -> dict[str, Any]:
+    def _tree(self, name: str) -> dict[str, Any]:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
 
         try:
-            tree = YAML(typ="safe").load(text) if text else {}
+            tree = YAML(typ="safe").load(self.texts[name]) if self.texts.get(name) else {}
         except (YAMLError, ValueError):
             tree = None
         if not isinstance(tree, dict):
@@ -242,8 +233,8 @@ def _together(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
     first = start + keep.start - shifts[0]
     record = Record(
         period * np.arange(keep.stop - keep.start), period, result,
-        Provenance(str(bag.path), "bag", "", int(axes[0].grid.stamps_ns[first]), run.model_text,
-                   run.parameters, {str(key): str(value) for key, value in run.versions.items()}),
+        Provenance(str(bag.path), "bag", "", int(axes[0].grid.stamps_ns[first]),
+                   run.texts.get(MODEL_ATTACHMENT), run.parameters, {str(key): str(value) for key, value in run.versions.items()}),
         warnings)
     warnings += doubts(record)
     return record

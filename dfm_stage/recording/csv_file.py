@@ -41,13 +41,13 @@ class CsvTable:
         kept = [number for number, line in enumerate(lines)
                 if line.strip() and not line.lstrip().startswith(_COMMENTS)]
         if not kept:
-            raise RecordError(f"{path}: is empty; the first line must name the columns, like "
-                              f"time_s,input_v,position_m")
+            raise RecordError("is empty; the first line must name the columns, like "
+                              "time_s,input_v,position_m", path)
         header = lines[kept[0]]
         self.delimiter = max(_DELIMITERS, key=header.count)
         if header.count(self.delimiter) == 0:
-            raise RecordError(f"{path}: line {kept[0] + 1} has one column only; separate columns "
-                              f"by commas, semicolons or tabs")
+            raise RecordError(f"line {kept[0] + 1} has one column only; separate columns "
+                              f"by commas, semicolons or tabs", path)
         self.names: Sequence[str] = [cell.strip() for cell in
                                      next(csv.reader([header], delimiter=self.delimiter))]
         self._check_names(kept[0] + 1)
@@ -60,12 +60,12 @@ class CsvTable:
 
     def _check_names(self, line: int) -> None:
         if all(_is_number(name) for name in self.names if name):
-            raise RecordError(f"{self.path}: line {line} holds numbers; the first line must name "
-                              f"the columns, like time_s,input_v,position_m")
+            raise RecordError(f"line {line} holds numbers; the first line must name "
+                              f"the columns, like time_s,input_v,position_m", self.path)
         twice = {name for name in self.names if name and self.names.count(name) > 1}
         if twice:
-            raise RecordError(f"{self.path}: line {line} names the column {min(twice)} twice; "
-                              f"rename one")
+            raise RecordError(f"line {line} names the column {min(twice)} twice; "
+                              f"rename one", self.path)
 
     def _last_is_cut(self) -> bool:
         """Whether the last cell, which no line end follows, is shorter than all before it, or
@@ -83,7 +83,7 @@ class CsvTable:
     def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """Return columns as floats; raises RecordError with the line of a cell that is none."""
         if not self._rows:
-            raise RecordError(f"{self.path}: has a header and no rows")
+            raise RecordError("has a header and no rows", self.path)
         places = [self.names.index(name) for name in names]
         try:
             values = np.loadtxt(self._rows, delimiter=self.delimiter, usecols=places, ndmin=2,
@@ -97,8 +97,9 @@ class CsvTable:
         numbers = []
         for place in places:
             if place >= len(cells):
-                raise RecordError(f"{self.path}: {self.where(row)} has {len(cells)} cells and "
-                                  f"the header {len(self.names)}; complete or remove it")
+                raise RecordError(f"{self.where(row)} has {len(cells)} cells and "
+                                  f"the header {len(self.names)}; complete or remove it",
+                                  self.path)
             cell = cells[place].strip()
             if self.delimiter != "," and cell.count(",") == 1 and "." not in cell:
                 cell = cell.replace(",", ".")
@@ -107,8 +108,8 @@ class CsvTable:
             elif _is_number(cell):
                 numbers.append(float(cell))
             else:
-                raise RecordError(f"{self.path}: {self.where(row)}, column {self.names[place]}: "
-                                  f"{cell[:40]!r} is not a number")
+                raise RecordError(f"{self.where(row)}, column {self.names[place]}: "
+                                  f"{cell[:40]!r} is not a number", self.path)
         return numbers
 
 
@@ -124,9 +125,9 @@ def _text(path: Path) -> str:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"cannot be read ({error.strerror})", path) from error
     if b"\0" in data[:4096]:
-        raise RecordError(f"{path}: is not a text file; give a CSV file, a bag, .npz or .mat")
+        raise RecordError("is not a text file; give a CSV file, a bag, .npz or .mat", path)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:

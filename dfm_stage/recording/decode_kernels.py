@@ -9,6 +9,8 @@ changing length ends, that place is kept once (`common`) instead of for each mes
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dfm_stage.recording.decode_plan import Op
@@ -20,31 +22,38 @@ from dfm_stage.recording.numba_tools import (
     Ints,
     compiled,
     entry,
+    put_u32,
+    put_u64,
     u32,
     u64,
 )
-from dfm_stage.recording.ragged_kernels import intern, loop, sequence, texts
+from dfm_stage.recording.ragged_kernels import (
+    copy_4,
+    copy_8,
+    copy_bytes,
+    copy_time,
+    intern,
+    loop,
+    sequence,
+    step,
+    text,
+)
 
 TRAILING = 8            # more bytes than this behind the last field: not this definition
 
-_COPY, _TIME, _STRING = int(Op.COPY), int(Op.TIME), int(Op.STRING)
-_SEQUENCE, _LOOP, _REST = int(Op.SEQUENCE), int(Op.LOOP), int(Op.REST)
+_TIME, _STRING = int(Op.TIME), int(Op.STRING)
+_SEQUENCE, _LOOP = int(Op.SEQUENCE), int(Op.LOOP)
 
 
 @compiled
 def _start(data: Bytes, offsets: Ints, row: int, arena: Bytes, bases: Ints, start: Ints, end: Ints,
            at: Ints) -> None:
     """Store what the records say of their messages; find where the messages begin and end."""
-    arena4 = arena.view(np.uint32)
-    arena8 = arena.view(np.uint64)
-    log_base, publish_base = bases[0] // 8 + row, bases[1] // 8 + row
-    sequence_base = bases[2] // 4 + row
     for m in range(len(offsets)):
         record = offsets[m]
-        sequence = u32(data, record + 11)
-        arena8[log_base + m] = u64(data, record + 15)
-        arena8[publish_base + m] = u64(data, record + 23)
-        arena4[sequence_base + m] = sequence
+        put_u64(arena, bases[0] + 8 * (row + m), u64(data, record + 15))
+        put_u64(arena, bases[1] + 8 * (row + m), u64(data, record + 23))
+        put_u32(arena, bases[2] + 4 * (row + m), u32(data, record + 11))
         head = record + MESSAGE_HEAD
         start[m] = head + CDR_HEAD
         end[m] = record + RECORD_HEAD + np.int64(u64(data, record + 1))
@@ -55,49 +64,53 @@ def _start(data: Bytes, offsets: Ints, row: int, arena: Bytes, bases: Ints, star
 @compiled
 def _shortest(start: Ints, end: Ints, at: Ints) -> int:
     """Return the size of the shortest message, -1 if one of them is bad."""
-    shortest = end[0] - start[0] if len(at) else -1
-    for m in range(len(at)):
-        shortest = min(shortest, end[m] - start[m] if at[m] >= 0 else -1)
-    return int(shortest)
+    return int(np.min(end - start)) if len(at) and np.min(at) >= 0 else -1
 
 
-@compiled
-def _spread(start: Ints, common: int, at: Ints) -> None:
-    for m in range(len(at)):
-        at[m] = start[m] + common
-
-
-@compiled
-def _copy_common(data: Bytes, start: Ints, common: int, size: int, count: int, arena: Bytes,
-                 to: int) -> None:
-    """`_copy` where the elements stand `common` behind the start of every message."""
-    arena4 = arena.view(np.uint32)
-    arena8 = arena.view(np.uint64)
-    for k in range(count):
-        place, first = common + k * size, to // size + k
-        if size == 8:
+def _over_messages(copy: Callable[..., None]) -> Callable[..., None]:
+    """Return a compiled loop that does `copy` for every message: one loop for each kind of
+    element is twice as fast as one loop that asks for the kind each time."""
+    @compiled
+    def run(data: Bytes, start: Ints, end: Ints, at: Ints, common: int, alignment: int, size: int,
+            arena: Bytes, to: int, stride: int) -> None:
+        if common >= 0:
             for m in range(len(start)):
-                arena8[first + m * count] = u64(data, start[m] + place)
-        elif size == 4:
-            for m in range(len(start)):
-                arena4[first + m * count] = u32(data, start[m] + place)
-        else:
-            for m in range(len(start)):
-                for b in range(size):
-                    arena[size * (first + m * count) + b] = data[start[m] + place + b]
-
-
-@compiled
-def _times_common(data: Bytes, start: Ints, common: int, count: int, arena: Bytes,
-                  to: int) -> None:
-    """`_times` where they stand `common` behind the start of every message."""
-    arena8 = arena.view(np.int64)
-    for k in range(count):
-        place, first = common + 8 * k, to // 8 + k
+                copy(data, start[m] + common, size, arena, to + m * stride)
+            return
         for m in range(len(start)):
-            seconds = np.int64(np.int32(u32(data, start[m] + place)))
-            arena8[first + m * count] = (seconds * 1000000000
-                                         + np.int64(u32(data, start[m] + place + 4)))
+            place, at[m] = step(at[m], start[m], end[m], alignment, size)
+            if place >= 0 and to >= 0:
+                copy(data, place, size, arena, to + m * stride)
+
+    return run
+
+
+_all_times, _all_8 = _over_messages(copy_time), _over_messages(copy_8)
+_all_4, _all_bytes = _over_messages(copy_4), _over_messages(copy_bytes)
+
+
+@compiled
+def _store(data: Bytes, start: Ints, end: Ints, at: Ints, common: int, op: int, size: int,
+           count: int, arena: Bytes, to: int) -> None:
+    """Store `count` elements or times of every message from byte `to` on.
+
+    They stand `common` behind its start; with `common` < 0 next in the message (skipped if
+    `to` < 0).
+    """
+    width, stride = size * count, size * count  # elements are one block, times come one by one
+    if op == _TIME:
+        width, stride = 8, 8 * count
+    for k in range(0, stride, width):
+        place = common + k if common >= 0 else -1
+        first = to + k if to >= 0 else -1
+        if op == _TIME:
+            _all_times(data, start, end, at, place, size, width, arena, first, stride)
+        elif width == 8:
+            _all_8(data, start, end, at, place, size, width, arena, first, stride)
+        elif width == 4:
+            _all_4(data, start, end, at, place, size, width, arena, first, stride)
+        else:
+            _all_bytes(data, start, end, at, place, size, width, arena, first, stride)
 
 
 @compiled
@@ -107,7 +120,6 @@ def _text_common(data: Bytes, start: Ints, common: int, length: int, arena: Byte
 
     Returns the size of the dictionary, or -1 at the first text of another length.
     """
-    codes = arena.view(np.int32)
     code = -1
     for m in range(len(start)):
         place = start[m] + common
@@ -115,13 +127,14 @@ def _text_common(data: Bytes, start: Ints, common: int, length: int, arena: Byte
             return -1
         code = intern(data, place + 4, max(length - 1, 0), code, entries, n_entries)
         n_entries = max(n_entries, code + 1)
-        codes[to // 4 + m] = code
+        put_u32(arena, to + 4 * m, np.uint32(code))
     return n_entries
 
 
 @compiled
-def _common(data: Bytes, start: Ints, shortest: int, common: int, instruction: Ints, arena: Bytes,
-            to: int, entries: Ints, n_entries: int) -> tuple[int, int]:
+def _common(data: Bytes, start: Ints, end: Ints, at: Ints, shortest: int, common: int,
+            instruction: Ints, arena: Bytes, to: int, entries: Ints,
+            n_entries: int) -> tuple[int, int]:
     """Run an instruction whose operands stand at the same place in every message.
 
     Returns (the place behind them, size of the dictionary); the place is -1 if they do not, and
@@ -134,68 +147,32 @@ def _common(data: Bytes, start: Ints, shortest: int, common: int, instruction: I
     behind = place + (8 if op == _TIME else size) * count
     if behind > shortest:
         return -1, n_entries
-    if op == _COPY:
+    if op != _STRING:
         if to >= 0:
-            _copy_common(data, start, place, size, count, arena, to)
-    elif op == _TIME:
-        _times_common(data, start, place, count, arena, to)
-    else:
-        length = np.int64(u32(data, start[0] + place))
-        behind += length
-        if behind > shortest:
-            return -1, n_entries
-        found = _text_common(data, start, place, length, arena, to, entries, n_entries)
-        if found < 0:
-            return -1, n_entries
-        n_entries = found
-    return behind, n_entries
+            _store(data, start, end, at, place, op, size, count, arena, to)
+        return behind, n_entries
+    length = np.int64(u32(data, start[0] + place))
+    behind += length
+    if behind > shortest:
+        return -1, n_entries
+    found = _text_common(data, start, place, length, arena, to, entries, n_entries)
+    return (behind, found) if found >= 0 else (-1, n_entries)
 
 
 @compiled
-def _copy(data: Bytes, start: Ints, end: Ints, at: Ints, size: int, count: int, arena: Bytes,
-          to: int) -> None:
-    """Copy `count` elements of `size` bytes of every message to byte `to` on; skip if `to` < 0."""
-    arena4 = arena.view(np.uint32)
-    arena8 = arena.view(np.uint64)
+def _texts(data: Bytes, start: Ints, end: Ints, at: Ints, count: int, arena: Bytes, to: int,
+           entries: Ints, n_entries: int) -> int:
+    """Store the codes of `count` texts of every message from byte `to` on (skip if `to` < 0);
+    return the size of the dictionary."""
+    code = -1
     for m in range(len(at)):
-        place = at[m]
-        if place < 0:
-            continue
-        place += (start[m] - place) & (size - 1)
-        at[m] = place + size * count
-        if at[m] > end[m]:
-            at[m] = -1
-        elif to >= 0:
-            first = to + m * size * count
-            if size == 8:
-                for k in range(count):
-                    arena8[first // 8 + k] = u64(data, place + 8 * k)
-            elif size == 4:
-                for k in range(count):
-                    arena4[first // 4 + k] = u32(data, place + 4 * k)
-            else:
-                for k in range(size * count):
-                    arena[first + k] = data[place + k]
-
-
-@compiled
-def _times(data: Bytes, start: Ints, end: Ints, at: Ints, count: int, arena: Bytes,
-           to: int) -> None:
-    """Store `count` times of every message, in ns, from byte `to` on."""
-    arena8 = arena.view(np.int64)
-    for m in range(len(at)):
-        place = at[m]
-        if place < 0:
-            continue
-        place += (start[m] - place) & 3
-        at[m] = place + 8 * count
-        if at[m] > end[m]:
-            at[m] = -1
-            continue
         for k in range(count):
-            seconds = np.int64(np.int32(u32(data, place + 8 * k)))
-            arena8[to // 8 + m * count + k] = (seconds * 1000000000
-                                               + np.int64(u32(data, place + 8 * k + 4)))
+            place, at[m] = text(data, at[m], start[m], end[m])
+            if place >= 0 and to >= 0:
+                code = intern(data, place + 4, max(at[m] - place - 5, 0), code, entries, n_entries)
+                n_entries = max(n_entries, code + 1)
+                put_u32(arena, to + 4 * (m * count + k), np.uint32(code))
+    return n_entries
 
 
 @compiled
@@ -204,21 +181,17 @@ def _each(data: Bytes, start: Ints, end: Ints, at: Ints, program: Ints, arena: B
           n_entries: int) -> int:
     """Run the first instruction of `program` message by message; return the dictionary's size."""
     op, size, count, target = program[0, 0], program[0, 1], program[0, 2], program[0, 3]
-    if op == _COPY:
-        _copy(data, start, end, at, size, count, arena, to)
-    elif op == _TIME:
-        _times(data, start, end, at, count, arena, to)
+    if op <= _TIME:
+        _store(data, start, end, at, -1, op, size, count, arena, to)
     elif op == _STRING:
-        n_entries = texts(data, start, end, at, count, arena, to, entries, n_entries)
+        n_entries = _texts(data, start, end, at, count, arena, to, entries, n_entries)
     elif op == _SEQUENCE:
         sequence(data, start, end, at, size, ragged[target], target >= 0, ragged_ends[target])
     elif op == _LOOP:
         n_entries = loop(data, start, end, at, program[:1 + target], ragged, used, last,
                          ragged_ends, entries, n_entries)
-    elif op == _REST:
-        for m in range(len(at)):
-            if at[m] >= 0:
-                at[m] = end[m]
+    else:
+        at[:] = np.where(at >= 0, end, at)
     return n_entries
 
 
@@ -261,17 +234,17 @@ def decode(data: Bytes, offsets: Ints, row: int, program: Ints, arena: Bytes, ba
         if op <= _STRING and target >= 0:
             to = bases[3 + target] + row * count * (8 if op == _TIME else size)
         if common >= 0:
-            behind, n_entries = _common(data, start, shortest, common, program[pc], arena, to,
-                                        entries, n_entries)
+            behind, n_entries = _common(data, start, end, at, shortest, common, program[pc],
+                                        arena, to, entries, n_entries)
             if behind < 0:
-                _spread(start, common, at)
+                at[:] = start + common
             common = behind
         if common < 0:
             n_entries = _each(data, start, end, at, program[pc:], arena, to, ragged, used, last,
                               ragged_ends, entries, n_entries)
         pc += 1 + (target if op == _LOOP else 0)
     if common >= 0:
-        _spread(start, common, at)
+        at[:] = start + common
     n_bad = 0
     for m in range(len(at)):
         if at[m] < 0 or end[m] - at[m] > TRAILING:

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from dfm_stage.recording.message_definitions import Field
 
-TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 MAX_LOOPS = 8
 
+_TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _DTYPES = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2",
     "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
@@ -29,19 +29,21 @@ _DTYPES = {
 
 
 class Op(IntEnum):
-    """Operations. `target` is a fixed or ragged column, or -1 to skip the bytes; with LOOP and END
-    the distance to the other one."""
+    """Operations. `target` is a column, or -1 to skip the bytes: a fixed column outside of loops,
+    a ragged one inside, and with SEQUENCE; with LOOP and END it is the distance to the other."""
 
     COPY = 0            # `count` elements of `size` bytes
     TIME = 1            # `count` times
     STRING = 2          # `count` strings, stored as codes into a dictionary
-    RAGGED = 3          # like COPY, to a ragged column
-    RAGGED_TIME = 4
-    RAGGED_STRING = 5
-    SEQUENCE = 6        # a length, then that many elements of `size` bytes
-    LOOP = 7            # repeat up to END: `count` times, or as often as the length says (0)
-    END = 8
-    REST = 9            # leave the rest of the message alone
+    SEQUENCE = 3        # a length, then that many elements of `size` bytes
+    LOOP = 4            # repeat up to END: `count` times, or as often as the length says (0)
+    END = 5
+    REST = 6            # leave the rest of the message alone
+
+
+_LEAVES: dict[str, tuple[Op, str, int]] = {
+    **{base: (Op.COPY, dtype, np.dtype(dtype).itemsize) for base, dtype in _DTYPES.items()},
+    **dict.fromkeys(_TIME_TYPES, (Op.TIME, "i8", 4)), "string": (Op.STRING, "", 4)}
 
 
 @dataclass(frozen=True)
@@ -96,61 +98,62 @@ def compile_plan(definitions: Mapping[str, Sequence[Field]], type_name: str) -> 
 
 def _message(plan: Plan, definitions: Mapping[str, Sequence[Field]], type_name: str, prefix: str,
              depth: int, path: tuple[str, ...]) -> None:
+    """Add the fields of a message inside `depth` loops; `path` names the messages around it."""
     if type_name not in definitions:
         raise _StopError(f"{prefix or type_name} and what follows: {type_name} is not defined")
     if type_name in path:
         raise _StopError(f"{prefix} and what follows: {type_name} contains itself")
     if not definitions[type_name]:
         plan.instructions.append((Op.COPY, 1, 1, -1))   # a message without fields has one byte
+    path = (*path, type_name)
     for item in definitions[type_name]:
         name = prefix + item.name
-        if item.base in TIME_TYPES or item.base == "string" or item.base in _DTYPES:
+        if item.base in _LEAVES:
             _leaf(plan, item, name, depth)
         elif item.base == "wstring":
             raise _StopError(f"{name} and what follows: wide strings are not supported")
         elif item.count is None:
-            _message(plan, definitions, item.base, name + ".", depth, (*path, type_name))
+            _message(plan, definitions, item.base, name + ".", depth, path)
         else:
-            if depth + 1 > MAX_LOOPS:
-                raise _StopError(f"{name} and what follows: nested too deep")
-            start, columns = len(plan.instructions), len(plan.ragged)
-            plan.instructions.append((Op.LOOP, 0, item.count, -1))
-            try:
-                _message(plan, definitions, item.base, name + ".", depth + 1, (*path, type_name))
-            except _StopError as reason:
-                del plan.instructions[start:], plan.ragged[columns:]
-                raise _StopError(f"{name} and what follows, because of {reason}") from None
-            turns = len(plan.instructions) - start
-            plan.instructions.append((Op.END, 0, 0, -turns))
-            plan.instructions[start] = (Op.LOOP, 0, item.count, turns)
+            _messages(plan, definitions, item, name, depth + 1, path)
+
+
+def _messages(plan: Plan, definitions: Mapping[str, Sequence[Field]], item: Field, name: str,
+              depth: int, path: tuple[str, ...]) -> None:
+    """Add an array or sequence of messages: a loop, or nothing of it if a part cannot be read."""
+    if depth > MAX_LOOPS:
+        raise _StopError(f"{name} and what follows: nested too deep")
+    start, columns = len(plan.instructions), len(plan.ragged)
+    plan.instructions.append((Op.LOOP, 0, item.count or 0, -1))
+    try:
+        _message(plan, definitions, item.base, name + ".", depth, path)
+    except _StopError as reason:
+        del plan.instructions[start:], plan.ragged[columns:]
+        raise _StopError(f"{name} and what follows, because of {reason}") from None
+    turns = len(plan.instructions) - start
+    plan.instructions.append((Op.END, 0, 0, -turns))
+    plan.instructions[start] = (Op.LOOP, 0, item.count or 0, turns)
 
 
 def _leaf(plan: Plan, item: Field, name: str, depth: int) -> None:
     """Add one field of primitives, times or text."""
-    time = item.base in TIME_TYPES
-    text = item.base == "string"
-    dtype = "i8" if time else "" if text else _DTYPES[item.base]
-    size = 4 if time or text else np.dtype(dtype).itemsize
-    count = 1 if item.count is None else item.count
-    looped = depth > 0
-    if count == 0 and (time or text):
-        target = _ragged(plan, name, dtype, depth + 1)
-        op = Op.RAGGED_TIME if time else Op.RAGGED_STRING
-        plan.instructions += [(Op.LOOP, 0, 0, 2), (op, size, 1, target), (Op.END, 0, 0, -2)]
-    elif count == 0:
-        plan.instructions.append((Op.SEQUENCE, size, 0, _ragged(plan, name, dtype, depth + 1)))
-    elif looped:
-        op = Op.RAGGED_TIME if time else Op.RAGGED_STRING if text else Op.RAGGED
-        plan.instructions.append((op, size, count, _ragged(plan, name, dtype, depth, count)))
+    op, dtype, size = _LEAVES[item.base]
+    if item.count != 0:
+        column = Column(name, dtype, item.count or 1)
+        plan.instructions.append((op, size, column.count, _target(plan, column, depth)))
+        return
+    target = _target(plan, Column(name, dtype), depth + 1)
+    if op == Op.COPY:
+        plan.instructions.append((Op.SEQUENCE, size, 0, target))
     else:
-        op = Op.TIME if time else Op.STRING if text else Op.COPY
-        plan.instructions.append((op, size, count, len(plan.fixed)))
-        plan.fixed.append(Column(name, dtype, count))
+        plan.instructions += [(Op.LOOP, 0, 0, 2), (op, size, 1, target), (Op.END, 0, 0, -2)]
 
 
-def _ragged(plan: Plan, name: str, dtype: str, depth: int, count: int = 1) -> int:
+def _target(plan: Plan, column: Column, depth: int) -> int:
+    """Add a column for a field inside `depth` loops; return its number, -1 if it is left out."""
     if depth > 1:
-        plan.left_out.append(f"{name}: a sequence inside a sequence")
+        plan.left_out.append(f"{column.name}: a sequence inside a sequence")
         return -1
-    plan.ragged.append(Column(name, dtype, count))
-    return len(plan.ragged) - 1
+    columns = plan.ragged if depth else plan.fixed
+    columns.append(column)
+    return len(columns) - 1

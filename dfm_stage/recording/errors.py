@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from dfm_stage.errors import DfmError
@@ -31,7 +34,25 @@ class DefinitionError(RecordingError):
 
 
 class RecordError(RecordingError):
-    """A file does not hold a usable record; the message names the place in the file."""
+    """A file does not hold a usable record; the message names the place in the file.
+
+    `path` is the file, which the message then begins with; None as long as it is not known.
+    """
+
+    def __init__(self, text: str, path: str | os.PathLike[str] | None = None) -> None:
+        super().__init__(text if path is None else f"{path}: {text}")
+        self.path = path
+
+
+@contextlib.contextmanager
+def in_file(path: Path) -> Iterator[None]:
+    """Name the file in each RecordError that does not yet, and in what a bag lacks."""
+    try:
+        yield
+    except (RecordError, NotInBagError) as error:
+        if isinstance(error, RecordError) and error.path is not None:
+            raise
+        raise RecordError(str(error), path) from None
 
 
 _REMEDIES = {

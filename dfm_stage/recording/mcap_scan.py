@@ -27,7 +27,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD_BYTES = 31
 
-_CHUNK_TIMES = struct.Struct("<QQQI")
+_CHUNK_HEAD = struct.Struct("<BQQQQII")
 _CHUNK_FIXED = 40
 _FOOTER_BYTES = 37
 _MAGIC_ENOUGH = 6       # of the first 8 bytes
@@ -36,6 +36,9 @@ _SEARCH_BYTES = 1 << 24
 _PATTERN = re.compile(
     rb"\x06.{36}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0)|\x07.{14}|\x0f\x04\0{7}", re.DOTALL)
 _PATTERN_BYTES = 64
+_KINDS: dict[int, type[McapRecord]] = {
+    Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata}
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,13 @@ class FileScan:
     statistics: Statistics | None = None
     losses: list[Loss] = field(default_factory=list)
 
+    def define(self, record: McapRecord | None) -> None:
+        """Take in a schema or channel; of several with one id the first counts."""
+        if isinstance(record, Schema):
+            self.schemas.setdefault(record.id, record)
+        elif isinstance(record, Channel):
+            self.channels.setdefault(record.id, record)
+
     def lose(self, text: str, **numbers: float) -> None:
         """Note a loss."""
         self.losses.append(Loss(f"{self.path.name}: {text}", **numbers))  # type: ignore[arg-type]
@@ -112,11 +122,7 @@ def scan_file(file: int, path: Path) -> FileScan:
     if same < min(len(start), _MAGIC_ENOUGH) or not start:
         what = "is empty" if not start else "is not an MCAP file (its first bytes say otherwise)"
         raise BagReadError(f"{path}: {what}; give a bag folder or an .mcap file")
-    summary = _read_summary(file, scan)
-    _Walk(file, scan, scan.size if summary is None else summary.start).run(len(MAGIC))
-    if summary is not None:
-        scan.schemas.update(summary.schemas)
-        scan.channels.update(summary.channels)
+    _Walk(file, scan, _take_summary(file, scan)).run(len(MAGIC))
     return scan
 
 
@@ -157,56 +163,42 @@ class _Walk:
         opcode, length = RECORD_HEAD.unpack_from(head)
         end: int = at + RECORD_HEAD.size + length
         if opcode == Opcode.CHUNK:
-            return self.take_chunk(at, head, length)
+            return self.take_chunk(_chunk_at(at, head, self.scan.size))
         if end > self.limit:
             return None
-        if opcode == Opcode.MESSAGE_INDEX:
-            return end if self.take_index(head, length) else None
         if opcode == Opcode.MESSAGE:
             return self.take_loose(at, length)
-        if opcode == Opcode.DATA_END:
-            self.ended = length == 4
-            return end if self.ended else None
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA,
-                      Opcode.HEADER):
-            body = read_at(self.file, at + RECORD_HEAD.size, length)
-            return end if opcode == Opcode.HEADER or self.take(opcode, body) else None
-        if opcode >= 0x80 and RECORD_HEAD.unpack_from(
-                read_at(self.file, end, 9).ljust(9, b"\0"))[0] in range(1, 16):
-            self.scan.lose(f"a record of the unknown kind {opcode} at byte {at} was skipped",
-                           bytes=length)
-            return end
-        return None
+        if opcode == Opcode.MESSAGE_INDEX:
+            sound = self.take_index(_index_in(head, length))
+        elif opcode == Opcode.DATA_END:
+            sound = self.ended = length == 4
+        elif opcode in _KINDS:
+            sound = self.take(opcode, read_at(self.file, at + RECORD_HEAD.size, length))
+        else:
+            sound = opcode == Opcode.HEADER or self.skip_unknown(opcode, at, end)
+        return end if sound else None
 
-    def take_chunk(self, at: int, head: bytes, length: int) -> int | None:
-        if len(head) < RECORD_HEAD.size + _CHUNK_FIXED:
-            return None
-        start_ns, end_ns, uncompressed, crc = _CHUNK_TIMES.unpack_from(head, 9)
-        (name_length,) = struct.unpack_from("<I", head, 37)
-        if name_length > 8 or len(head) < 49 + name_length:
-            return None
-        compression = head[41:41 + name_length].decode("ascii", "replace")
-        (size,) = struct.unpack_from("<Q", head, 41 + name_length)
-        if length != _CHUNK_FIXED + name_length + size:
-            return None
-        offset = at + RECORD_HEAD.size + _CHUNK_FIXED + name_length
-        cut = offset + size > self.scan.size
-        self.chunk = ChunkPlace(offset, size, compression, uncompressed, crc, start_ns, end_ns,
-                                cut)
-        self.scan.chunks.append(self.chunk)
-        end: int = min(offset + size, self.scan.size)
-        return end
-
-    def take_index(self, head: bytes, length: int) -> bool:
-        if length < 6:
+    def skip_unknown(self, opcode: int, at: int, end: int) -> bool:
+        """Note a record of a kind to come; whether it is one shows what stands behind it."""
+        following = read_at(self.file, end, RECORD_HEAD.size)
+        if opcode < 0x80 or not following or following[0] not in range(1, 16):
             return False
-        channel, size = struct.unpack_from("<HI", head, RECORD_HEAD.size)
-        if size != length - 6 or size % 16:
-            return False
-        if self.chunk is not None and size:
-            counts = self.chunk.counts = self.chunk.counts or {}
-            counts[channel] = counts.get(channel, 0) + size // 16
+        self.scan.lose(f"a record of the unknown kind {opcode} at byte {at} was skipped",
+                       bytes=end - at - RECORD_HEAD.size)
         return True
+
+    def take_chunk(self, chunk: ChunkPlace | None) -> int | None:
+        if chunk is None:
+            return None
+        self.chunk = chunk
+        self.scan.chunks.append(chunk)
+        return min(chunk.offset + chunk.length, self.scan.size)
+
+    def take_index(self, index: tuple[int, int] | None) -> bool:
+        if index is not None and index[1] and self.chunk is not None:
+            counts = self.chunk.counts = self.chunk.counts or {}
+            counts[index[0]] = counts.get(index[0], 0) + index[1]
+        return index is not None
 
     def take_loose(self, at: int, length: int) -> int | None:
         """Gather messages outside chunks into pieces that are then treated as plain chunks."""
@@ -224,18 +216,14 @@ class _Walk:
 
     def take(self, opcode: int, body: bytes) -> bool:
         record = parse_record(opcode, body)
-        if isinstance(record, Schema):
-            self.scan.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.scan.channels[record.id] = record
-        elif isinstance(record, Attachment):
-            if not _attachment_intact(body):
-                self.scan.lose(f"the attached file {record.name} is damaged and was left out",
-                               bytes=len(body))
-            else:
-                self.scan.attachments.append(record)
-        elif isinstance(record, Metadata):
+        self.scan.define(record)
+        if isinstance(record, Metadata):
             self.scan.metadata.append(record)
+        elif isinstance(record, Attachment) and _attachment_intact(body):
+            self.scan.attachments.append(record)
+        elif isinstance(record, Attachment):
+            self.scan.lose(f"the attached file {record.name} is damaged and was left out",
+                           bytes=len(body))
         return record is not None
 
     def search(self, at: int) -> int | None:
@@ -243,34 +231,50 @@ class _Walk:
         while at < self.limit:
             block = read_at(self.file, at, _SEARCH_BYTES + _PATTERN_BYTES)
             for match in _PATTERN.finditer(block):
-                if match.start() < _SEARCH_BYTES and self.plausible(block, match.start(), at):
+                if match.start() < _SEARCH_BYTES and self.plausible(
+                        block[match.start():match.start() + _PATTERN_BYTES], at + match.start()):
                     return at + match.start()
             at += _SEARCH_BYTES
         return None
 
-    def plausible(self, block: bytes, start: int, base: int) -> bool:
-        opcode, length = RECORD_HEAD.unpack_from(block, start)
-        if base + start + RECORD_HEAD.size + length > self.limit:
+    def plausible(self, head: bytes, at: int) -> bool:
+        """Return whether the record that begins with `head` can be what its opcode says."""
+        opcode, length = RECORD_HEAD.unpack_from(head)
+        if at + RECORD_HEAD.size + length > self.limit:
             return False
         if opcode == Opcode.CHUNK:
-            (name_length,) = struct.unpack_from("<I", block, start + 37)
-            at = start + 41 + name_length
-            if at + 8 > len(block):
-                return False
-            (size,) = struct.unpack_from("<Q", block, at)
-            return bool(length == _CHUNK_FIXED + name_length + size)
-        if opcode == Opcode.MESSAGE_INDEX:
-            (size,) = struct.unpack_from("<I", block, start + 11)
-            return bool(length == size + 6 and size and size % 16 == 0)
-        return True
+            return _chunk_at(at, head, self.scan.size) is not None
+        return opcode != Opcode.MESSAGE_INDEX or (_index_in(head, length) or (0, 0))[1] > 0
+
+
+def _chunk_at(at: int, head: bytes, file_size: int) -> ChunkPlace | None:
+    """Return the chunk whose record begins with `head` at byte `at`; None if its two lengths
+    disagree."""
+    if len(head) < RECORD_HEAD.size + _CHUNK_FIXED:
+        return None
+    _, length, start_ns, end_ns, uncompressed, crc, name_length = _CHUNK_HEAD.unpack_from(head)
+    if name_length > 8 or len(head) < 49 + name_length:
+        return None
+    (size,) = struct.unpack_from("<Q", head, 41 + name_length)
+    if length != _CHUNK_FIXED + name_length + size:
+        return None
+    offset = at + RECORD_HEAD.size + _CHUNK_FIXED + name_length
+    compression = head[41:41 + name_length].decode("ascii", "replace")
+    return ChunkPlace(offset, size, compression, uncompressed, crc, start_ns, end_ns,
+                      offset + size > file_size)
+
+
+def _index_in(head: bytes, length: int) -> tuple[int, int] | None:
+    """Return (channel, messages) of a message index; None if its two lengths disagree."""
+    if length < 6:
+        return None
+    channel, size = struct.unpack_from("<HI", head, RECORD_HEAD.size)
+    return None if size != length - 6 or size % 16 else (channel, size // 16)
 
 
 def parse_record(opcode: int, body: bytes) -> McapRecord | None:
     """Return the record with this content, None if it makes no sense."""
-    kinds: dict[int, type[McapRecord]] = {
-        Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.ATTACHMENT: Attachment,
-        Opcode.METADATA: Metadata, Opcode.STATISTICS: Statistics}
-    kind = kinds.get(opcode)
+    kind = Statistics if opcode == Opcode.STATISTICS else _KINDS.get(opcode)
     if kind is None:
         return None
     stream = ReadDataStream(io.BytesIO(body))
@@ -286,42 +290,24 @@ def _attachment_intact(body: bytes) -> bool:
     return crc in (0, zlib.crc32(body[:-4]))
 
 
-@dataclass
-class _Summary:
-    """The part between the data and the footer: where it starts, what it repeats."""
-
-    start: int
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-
-
-def _read_summary(file: int, scan: FileScan) -> _Summary | None:
-    """Read the summary if it is there and sound; sets `finished` and `statistics`."""
+def _take_summary(file: int, scan: FileScan) -> int:
+    """Take in the summary before the footer if it is there and sound; return where data end."""
     at = scan.size - _FOOTER_BYTES
     footer = read_at(file, max(at, 0), _FOOTER_BYTES)
     if (len(footer) < _FOOTER_BYTES or footer[-8:] != MAGIC
             or footer[:9] != RECORD_HEAD.pack(Opcode.FOOTER, 20)):
-        return None
+        return scan.size
     start, _, crc = struct.unpack_from("<QQI", footer, RECORD_HEAD.size)
-    if start == 0:
-        scan.finished = True
-        return _Summary(at)
-    if start >= at:
-        return None
-    content = read_at(file, start, at - start)
-    if crc and zlib.crc32(footer[:25], zlib.crc32(content)) != crc:
-        return None
+    content = read_at(file, start, at - start) if 0 < start < at else b""
+    if start >= at or (start and crc and zlib.crc32(footer[:25], zlib.crc32(content)) != crc):
+        return scan.size
     scan.finished = True
-    summary = _Summary(start)
     for opcode, body in records_in(content):
         record = parse_record(opcode, body)
-        if isinstance(record, Schema):
-            summary.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            summary.channels[record.id] = record
-        elif isinstance(record, Statistics):
+        scan.define(record)
+        if isinstance(record, Statistics):
             scan.statistics = record
-    return summary
+    return start or at
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:

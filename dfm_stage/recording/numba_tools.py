@@ -44,6 +44,13 @@ def compiled(function: Function) -> Function:
     return result
 
 
+def inlined(function: Function) -> Function:
+    """Compile a function into each compiled function that calls it."""
+    result: Function = _njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True,
+                             forceinline=True)(function)
+    return result
+
+
 def _loader(bits: int) -> Any:
     """Return a compiled `load(data, at)`: the little-endian integer of `bits` at byte `at`."""
     word = ir.IntType(bits)
@@ -62,6 +69,25 @@ def _loader(bits: int) -> Any:
     return intrinsic(load)
 
 
+def _storer(bits: int) -> Any:
+    """Return a compiled `store(data, at, value)` that does the reverse of `_loader`."""
+    word = ir.IntType(bits)
+    whole = getattr(types, f"uint{bits}")
+
+    def store(_typing: Any, data: Any, _at: Any, _value: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            array = context.make_array(signature.args[0])(context, builder, arguments[0])
+            place = builder.gep(array.data, [arguments[1]])
+            builder.store(arguments[2], builder.bitcast(place, word.as_pointer()), align=1)
+            return context.get_dummy_value()
+
+        return types.void(data, types.int64, whole), generate
+
+    return intrinsic(store)
+
+
 u16 = _loader(16)
 u32 = _loader(32)
 u64 = _loader(64)
+put_u32 = _storer(32)
+put_u64 = _storer(64)

@@ -60,8 +60,8 @@ def read_record(
                       sample_period, gaps)
     if kind == "bag":
         if options != Options(axis=axis, sample_period=sample_period, gaps=gaps):
-            raise RecordError(f"{where}: is a bag, whose topics say what they are; columns and "
-                              f"units (--time, --input, --output) are for tables")
+            raise RecordError("is a bag, whose topics say what they are; columns and "
+                              "units (--time, --input, --output) are for tables", where)
         record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
         files = sorted(where.glob("*.mcap")) if where.is_dir() else [where]
         return replace(record, provenance=replace(record.provenance,
@@ -83,7 +83,7 @@ def _kind(path: Path) -> str:
         with path.open("rb") as file:
             start = file.read(64)
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+        raise RecordError(f"cannot be read ({error.strerror})", path) from error
     if path.suffix == ".mcap" or start.startswith(MAGIC):
         return "bag"
     if path.suffix == ".npz" or start.startswith(b"PK\x03\x04"):

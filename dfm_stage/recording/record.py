@@ -123,8 +123,8 @@ class Record:
             return next(iter(self.axes.values()))
         if name is None or name not in self.axes:
             said = "has several axes" if name is None else f"has no axis {name}"
-            raise RecordError(f"{self.provenance.source}: {said}; choose one of "
-                              f"{', '.join(self.axes)}")
+            raise RecordError(f"{said}; choose one of "
+                              f"{', '.join(self.axes)}", self.provenance.source)
         return self.axes[name]
 
     def slice(self, start: int, stop: int | None = None) -> Record:

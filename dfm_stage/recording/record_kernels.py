@@ -10,6 +10,7 @@ from dfm_stage.recording.numba_tools import (
     RECORD_HEAD,
     Bytes,
     Ints,
+    compiled,
     entry,
     u16,
     u64,
@@ -18,6 +19,20 @@ from dfm_stage.recording.numba_tools import (
 MESSAGE = 5
 SCHEMA = 3
 CHANNEL = 4
+
+
+@compiled
+def _head(data: Bytes, at: int) -> tuple[int, int]:
+    """Return (opcode, length) of the record at `at`; length -1 if no whole, possible one is
+    there."""
+    left = len(data) - at - RECORD_HEAD
+    if left < 0:
+        return 0, -1
+    opcode, length = np.int64(data[at]), np.int64(u64(data, at + 1))
+    if length > left or opcode == 0 or (
+            opcode == MESSAGE and length < MESSAGE_HEAD - RECORD_HEAD):
+        return opcode, -1
+    return opcode, length
 
 
 @entry
@@ -37,23 +52,16 @@ def survey(data: Bytes, counts: Ints, definitions: Ints) -> tuple[int, int]:
     """
     at = 0
     found = 0
-    size = len(data)
-    while size - at >= RECORD_HEAD:
-        opcode = data[at]
-        length = np.int64(u64(data, at + 1))
-        if length < 0 or length > size - at - RECORD_HEAD:
-            break
+    opcode, length = _head(data, at)
+    while length >= 0:
         if opcode == MESSAGE:
-            if length < MESSAGE_HEAD - RECORD_HEAD:
-                break
             counts[np.int64(u16(data, at + RECORD_HEAD))] += 1
         elif opcode in (SCHEMA, CHANNEL):
             if found < len(definitions):
                 definitions[found] = at
             found += 1
-        elif opcode == 0:
-            break
         at += RECORD_HEAD + length
+        opcode, length = _head(data, at)
     return at, found
 
 
@@ -75,24 +83,16 @@ def locate(data: Bytes, slots: NDArray[np.int32], cursors: Ints, ends: Ints,
     """
     at = 0
     surplus = 0
-    size = len(data)
-    while size - at >= RECORD_HEAD:
-        length = np.int64(u64(data, at + 1))
-        if length < 0 or length > size - at - RECORD_HEAD:
-            break
-        opcode = data[at]
-        if opcode == MESSAGE:
-            if length < MESSAGE_HEAD - RECORD_HEAD:
-                break
-            slot = slots[np.int64(u16(data, at + RECORD_HEAD))]
-            if slot >= 0:
-                cursor = cursors[slot]
-                if cursor < ends[slot]:
-                    offsets[cursor] = at
-                    cursors[slot] = cursor + 1
-                else:
-                    surplus += 1
-        elif opcode == 0:
-            break
+    opcode, length = _head(data, at)
+    while length >= 0:
+        slot = slots[np.int64(u16(data, at + RECORD_HEAD))] if opcode == MESSAGE else -1
+        if slot >= 0:
+            cursor = cursors[slot]
+            if cursor < ends[slot]:
+                offsets[cursor] = at
+                cursors[slot] = cursor + 1
+            else:
+                surplus += 1
         at += RECORD_HEAD + length
+        opcode, length = _head(data, at)
     return at, surplus

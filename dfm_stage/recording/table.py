@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.recording.errors import RecordError
+from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.plausibility import doubts
 from dfm_stage.recording.record import AxisRecord, FloatArray, Provenance, Record
 from dfm_stage.recording.time_base import (
@@ -112,13 +112,8 @@ def table_record(table: Table, options: Options, fingerprint: str = "") -> Recor
     RecordError
         If columns are missing or their content cannot be a record.
     """
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            return _record(table, options, fingerprint)
-    except RecordError as error:
-        name = str(table.path)
-        message = str(error)
-        raise RecordError(message if message.startswith(name) else f"{name}: {message}") from None
+    with in_file(table.path), np.errstate(over="ignore", invalid="ignore"):
+        return _record(table, options, fingerprint)
 
 
 def _record(table: Table, options: Options, fingerprint: str) -> Record:

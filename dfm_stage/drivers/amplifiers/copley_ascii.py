@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 from dfm_stage.drivers import copley_protocol as copley
 from dfm_stage.drivers.copley_protocol import Parameter, words
@@ -14,8 +15,8 @@ from dfm_stage.drivers.errors import (
     ProtocolError,
     RefusedError,
 )
-from dfm_stage.drivers.lines import LineBuffer
-from dfm_stage.drivers.transport import SerialPort
+from dfm_stage.drivers.lines import Line
+from dfm_stage.drivers.transport import LineDevice, SerialPort
 
 ATTEMPTS = 3
 ENABLE_S = 0.5
@@ -23,10 +24,13 @@ REPLY_S = 0.01
 _LINE_BITS = 400
 _BAUD_TOLERANCE = 0.02
 _QUESTIONS = (Parameter.STATUS, Parameter.ACTUAL_CURRENT) * 8
+_LIMITS = ((Parameter.PEAK_CURRENT, "peak current", "A", copley.AMPERE_PER_COUNT),
+           (Parameter.CONTINUOUS_CURRENT, "continuous current", "A", copley.AMPERE_PER_COUNT),
+           (Parameter.PEAK_TIME, "peak time", "s", 1e-3))
 _SLOW_QUESTIONS = (Parameter.LATCHED_FAULTS, Parameter.TEMPERATURE, Parameter.BUS_VOLTAGE)
 
 
-class CopleyAscii:
+class CopleyAscii(LineDevice):
     """See AmplifierDevice.
 
     Parameters
@@ -49,24 +53,16 @@ class CopleyAscii:
                  continuous_limit_a: float, peak_time_s: float = 1.0, ramp_a_per_s: float = 0.0,
                  reply_s: float = REPLY_S,
                  open_port: Callable[[str, int], SerialPort] = SerialPort) -> None:
-        self._path = port
+        super().__init__(port, b"\r", open_port)
         self._baud = baud
         self._limits = (peak_limit_a, continuous_limit_a, peak_time_s)
         self._ramp_ma = round(1000.0 * ramp_a_per_s)
         self._reply_s = reply_s
-        self._open_port = open_port
-        self._port: SerialPort | None = None
-        self._lines = LineBuffer(b"\r")
         self.counters = {"malformed_lines": 0, "retries": 0, "error_replies": 0}
         self._asked = 0
         self._notes: dict[str, str] = {}
 
     # Exchange
-
-    def _opened(self) -> SerialPort:
-        if self._port is None:
-            raise DeviceLostError(f"{self._path} is not open")
-        return self._port
 
     def request(self, command: bytes, attempts: int = ATTEMPTS) -> copley.Reply:
         """Send a command and return the reply.
@@ -79,7 +75,7 @@ class CopleyAscii:
         DeviceLostError
             When no attempt was answered, or the port is gone.
         """
-        port = self._opened()
+        port = self._port
         for attempt in range(attempts):
             if attempt:
                 self.counters["retries"] += 1
@@ -88,36 +84,42 @@ class CopleyAscii:
                 self.counters["malformed_lines"] += stray.count(b"\r") or 1
             self._lines.clear()
             port.write(command)
-            deadline = time.monotonic() + _LINE_BITS / port.baud + self._reply_s
-            while (left := deadline - time.monotonic()) > 0.0:
-                for line in self._lines.feed(port.read(left)):
-                    try:
-                        reply = copley.parse_reply(line.text)
-                    except ProtocolError:
-                        self.counters["malformed_lines"] += 1
-                        continue
-                    if reply.error is None and bool(reply.values) != (command[:1] == b"g"):
-                        self.counters["malformed_lines"] += 1  # it answers an earlier command
-                        continue
-                    self.counters["error_replies"] += reply.error is not None
-                    if attempt:  # the answer to the other attempt may still be under way
-                        port.drain(0.004, 0.02)
-                    return reply
+            lines = self._received(_LINE_BITS / port.baud + self._reply_s)
+            replies = (self._understood(line, command) for line in lines)
+            if reply := next(filter(None, replies), None):
+                if attempt:  # the answer to the other attempt may still be under way
+                    port.drain(0.004, 0.02)
+                return reply
         raise DeviceLostError(f"{self._path}: no answer to {command.strip().decode()} at "
                               f"{port.baud} baud; has the drive power, is the cable in?")
 
-    def _get(self, parameter: Parameter, bank: str = "r") -> int:
-        reply = self.request(copley.get(parameter, bank))
+    def _understood(self, line: Line, command: bytes) -> copley.Reply | None:
+        """Return the reply in a line, None for noise and for an answer to an earlier command."""
+        try:
+            reply = copley.parse_reply(line.text)
+        except ProtocolError:
+            reply = None
+        if reply is None or (reply.error is None
+                             and bool(reply.values) != command.startswith(b"g")):
+            self.counters["malformed_lines"] += 1
+            return None
+        self.counters["error_replies"] += reply.error is not None
+        return reply
+
+    def _done(self, command: bytes, what: str) -> copley.Reply:
+        """Return the reply to a command that the drive has carried out."""
+        reply = self.request(command)
         if reply.error is not None:
-            raise RefusedError(f"{self._path}: reading parameter {int(parameter):#04x}: "
-                               f"{reply.text}")
-        return reply.value
+            raise RefusedError(f"{self._path}: {what}: {reply.text}")
+        return reply
+
+    def _get(self, parameter: Parameter, bank: str = "r") -> int:
+        return self._done(copley.get(parameter, bank),
+                          f"reading parameter {int(parameter):#04x}").value
 
     def _set(self, parameter: Parameter, value: int) -> None:
-        reply = self.request(copley.set_ram(parameter, value))
-        if reply.error is not None:
-            raise RefusedError(f"{self._path}: setting parameter {int(parameter):#04x} to "
-                               f"{value}: {reply.text}")
+        self._done(copley.set_ram(parameter, value),
+                   f"setting parameter {int(parameter):#04x} to {value}")
 
     # Life
 
@@ -133,8 +135,7 @@ class CopleyAscii:
         RefusedError
             If the settings in its flash would energise the coil at power-up.
         """
-        self.close()
-        port = self._port = self._open_port(self._path, copley.POWER_UP_BAUD)
+        port = self._connect(copley.POWER_UP_BAUD)
         port.send_break(copley.BREAK_S)
         port.drain(0.02, 0.3)
         try:
@@ -142,12 +143,11 @@ class CopleyAscii:
             self._set(Parameter.STATE, copley.STATE_OFF)
             if self._get(Parameter.STATE) != copley.STATE_OFF:
                 raise IdentityError(f"{self._path}: the drive does not switch off")
-            at_power_up = self._get(Parameter.STATE, "f"), self._get(
+            state, current = self._get(Parameter.STATE, "f"), self._get(
                 Parameter.PROGRAMMED_CURRENT, "f")
         except RefusedError as error:
             raise IdentityError(f"{self._path}: what answers is not a Copley drive in this "
                                 f"protocol: {error}") from error
-        state, current = at_power_up
         if state != copley.STATE_OFF and (state != copley.STATE_PROGRAMMED_CURRENT or current):
             raise RefusedError(
                 f"{self._path}: at power-up this drive enters state {state} with "
@@ -160,7 +160,7 @@ class CopleyAscii:
 
     def _change_baud(self) -> None:
         """The answer comes at the new rate, so it is thrown away unread."""
-        port = self._opened()
+        port = self._port
         port.write(copley.set_ram(Parameter.BAUD, self._baud))
         time.sleep(copley.BAUD_SETTLING_S)
         port.set_baud(self._baud)
@@ -198,13 +198,8 @@ class CopleyAscii:
                                    f"{words(status & copley.OUTPUT_OFF)}")
 
     def _check_limits(self) -> None:
-        peak_a, continuous_a, time_s = self._limits
-        found = (self._get(Parameter.PEAK_CURRENT) * self.count_a,
-                 self._get(Parameter.CONTINUOUS_CURRENT) * self.count_a,
-                 self._get(Parameter.PEAK_TIME) * 1e-3)
-        for what, has, may, unit in zip(("peak current", "continuous current", "peak time"),
-                                        found, (peak_a, continuous_a, time_s), ("A", "A", "s"),
-                                        strict=True):
+        for (parameter, what, unit, scale), may in zip(_LIMITS, self._limits, strict=True):
+            has = self._get(parameter) * scale
             if has > may * (1.0 + 1e-9):
                 raise RefusedError(f"the drive's {what} limit is {has:g} {unit}, above the "
                                    f"configured {may:g} {unit}; lower it in the drive")
@@ -225,12 +220,9 @@ class CopleyAscii:
     def status(self) -> AmplifierStatus:
         """Ask for status and current in turn, now and then for the rest."""
         self._asked += 1
-        index = self._asked % (len(_QUESTIONS) + 1)
-        if index < len(_QUESTIONS):
-            question = _QUESTIONS[index]
-        else:
-            question = _SLOW_QUESTIONS[self._asked // (len(_QUESTIONS) + 1)
-                                       % len(_SLOW_QUESTIONS)]
+        turn, index = divmod(self._asked, len(_QUESTIONS) + 1)
+        slow = _SLOW_QUESTIONS[turn % len(_SLOW_QUESTIONS)]
+        question = (*_QUESTIONS, slow)[index]
         value = self._get(question)
         if question is Parameter.ACTUAL_CURRENT:
             return AmplifierStatus(current_a=value * self.count_a)
@@ -271,18 +263,7 @@ class CopleyAscii:
             self._set(Parameter.LATCHED_FAULTS, int(faults))
         return words(faults)
 
-    def close(self) -> None:
-        """Give the port back; the drive keeps doing what it was told last."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
 
-
-def create(port: str, **options: float) -> CopleyAscii:
+def create(port: str, **options: Any) -> CopleyAscii:
     """Return the driver; `baud`, `peak_limit_a`, `continuous_limit_a`, `peak_time_s`, ..."""
-    return CopleyAscii(port, int(options.get("baud", 115200)),
-                       peak_limit_a=options["peak_limit_a"],
-                       continuous_limit_a=options["continuous_limit_a"],
-                       peak_time_s=options.get("peak_time_s", 1.0),
-                       ramp_a_per_s=options.get("ramp_a_per_s", 0.0),
-                       reply_s=options.get("reply_s", REPLY_S))
+    return CopleyAscii(port, **options)

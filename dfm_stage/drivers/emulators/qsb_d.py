@@ -30,6 +30,8 @@ _HIGHEST = {
     Register.THRESHOLD: 0xFFFFFFFF, Register.INTERVAL: 0xFFFF, Register.TIMESTAMP: 1,
     Register.FORMAT: 0xF, Register.STOP_STREAMS: 1,
 }
+_COMMANDS = (Register.COUNTER_COMMAND, Register.LOAD_PRESET, Register.TIMESTAMP,
+             Register.STOP_STREAMS)      # writing these does something and is not kept
 _REVERSED = 0x180
 _ZERO = 2
 _FREE_RUNNING, _MODULO = 0, 3
@@ -142,24 +144,20 @@ class QsbDEmulator:
         if value > _HIGHEST[register]:
             self._say("e", register, value, now)
             return
-        self._track(now)
-        if register is Register.COUNTER_COMMAND:
-            if value & _ZERO:
+        count = self._count(now)
+        if register not in _COMMANDS:
+            self._registers[register] = value
+        match register:
+            case Register.COUNTER_COMMAND if value & _ZERO:
                 self._offset = self._turned(self._before)
-        elif register is Register.LOAD_PRESET:
-            self._offset = self._turned(self._before) - self._registers[Register.PRESET]
-        elif register is Register.TIMESTAMP:
-            if value:
-                self._clock_zero = now
-                self._next_tick = 0
-        elif register is Register.STOP_STREAMS:
-            self._stream = None
-        elif register in (Register.QUADRATURE, Register.DIRECTION):
-            count = self._count(now)
-            self._registers[register] = value
-            self._offset = self._turned(self._before) - count
-        else:
-            self._registers[register] = value
+            case Register.LOAD_PRESET:
+                self._offset = self._turned(self._before) - self._registers[Register.PRESET]
+            case Register.TIMESTAMP if value:
+                self._clock_zero, self._next_tick = now, 0
+            case Register.STOP_STREAMS:
+                self._stream = None
+            case Register.QUADRATURE | Register.DIRECTION:
+                self._offset = self._turned(self._before) - count
         self._say("w", register, value, now)
 
     def _read(self, number: int, now: float) -> int:
@@ -173,7 +171,9 @@ class QsbDEmulator:
         return self._registers[Register(number)]
 
     def _say(self, kind: str, register: int, data: int, now: float) -> None:
-        reply = Reply(kind, register, data & 0xFFFFFFFF, self._tick(now) & 0xFFFFFFFF)
+        self._send(Reply(kind, register, data & 0xFFFFFFFF, self._tick(now) & 0xFFFFFFFF))
+
+    def _send(self, reply: Reply) -> None:
         self.out.append(render_reply(reply, Format(self._registers[Register.FORMAT])))
 
     def _send_sample(self, now: float) -> None:
@@ -185,8 +185,7 @@ class QsbDEmulator:
             if abs(moved) < threshold:
                 return
         self._reported = value
-        reply = Reply("s", self._stream, value, self._next_tick & 0xFFFFFFFF)
-        self.out.append(render_reply(reply, Format(self._registers[Register.FORMAT])))
+        self._send(Reply("s", self._stream, value, self._next_tick & 0xFFFFFFFF))
 
     # Counting
 

@@ -9,8 +9,8 @@ from dfm_stage.drivers import qsb_protocol as qsb
 from dfm_stage.drivers.clock_map import ClockMap, Unwrap
 from dfm_stage.drivers.device import EncoderSample
 from dfm_stage.drivers.errors import DeviceLostError, IdentityError, ProtocolError
-from dfm_stage.drivers.lines import Line, LineBuffer
-from dfm_stage.drivers.transport import SerialPort
+from dfm_stage.drivers.lines import Line
+from dfm_stage.drivers.transport import LineDevice, SerialPort
 
 RESET_S = 1.5
 REPLY_S = 0.2
@@ -24,7 +24,7 @@ _SETUP = (
 )
 
 
-class QsbD:
+class QsbD(LineDevice):
     """See EncoderDevice. `interval` is the stream interval in ticks of 1/512 s.
 
     The counter dates its samples in ticks; ClockMap brings them to system time. Samples of the
@@ -34,15 +34,12 @@ class QsbD:
     def __init__(self, port: str, interval: int = 1, settling_s: float = 0.25,
                  reset_s: float = RESET_S,
                  open_port: Callable[[str, int], SerialPort] = SerialPort) -> None:
-        self._path = port
+        super().__init__(port, b"\r\n", open_port)
         self._interval = interval
         self._settling_ticks = round(settling_s * qsb.TICKS_PER_SECOND)
         self._reset_s = reset_s
-        self._open_port = open_port
-        self._port: SerialPort | None = None
         self.sample_period_s = interval / qsb.TICKS_PER_SECOND
         self.counters = {"malformed_lines": 0, "retries": 0, "resets_seen": 0}
-        self._lines = LineBuffer()
         self._clock = ClockMap(1.0 / qsb.TICKS_PER_SECOND, _STREAM_LINE_BYTES * 10 / qsb.BAUD)
         self._ticks = Unwrap()
         self._counts = Unwrap()
@@ -59,11 +56,6 @@ class QsbD:
         self._found = False
         self._next_poll_s = 0.0
 
-    @property
-    def clock_drift(self) -> float:
-        """Relative drift of the device's clock."""
-        return self._clock.drift
-
     # Start-up
 
     def open(self) -> str:
@@ -76,13 +68,11 @@ class QsbD:
         IdentityError
             If what answers is not a quadrature counter of this family.
         """
-        self.close()
-        self._port = self._open_port(self._path, qsb.BAUD)
-        self._lines.clear()
+        port = self._connect(qsb.BAUD)
         self._begin()
-        self._await_banner()
-        self._port.write(qsb.STOP_STREAMS)
-        self._port.drain(0.05)
+        any(qsb.is_banner(line.text) for line in self._received(self._reset_s))
+        port.write(qsb.STOP_STREAMS)
+        port.drain(0.05)
         self._lines.clear()
         self._command(qsb.SET_FORMAT)
         identity = qsb.Identity.of(self._command(qsb.READ_IDENTITY).data)
@@ -98,34 +88,19 @@ class QsbD:
                                 f"{int(status):#04x}; check that the encoder has power")
         return str(identity)
 
-    def _await_banner(self) -> None:
-        deadline = time.monotonic() + self._reset_s
-        while (left := deadline - time.monotonic()) > 0.0:
-            for line in self._lines.feed(self._opened().read(left)):
-                if qsb.is_banner(line.text):
-                    return
-
-    def _opened(self) -> SerialPort:
-        if self._port is None:
-            raise DeviceLostError(f"{self._path} is not open")
-        return self._port
-
     def _command(self, command: bytes) -> qsb.Reply:
         """Send and await the reply to this register, three times at most."""
         register = int(command[1:3], 16)
         for attempt in range(3):
             self.counters["retries"] += attempt > 0
-            self._opened().write(command)
-            deadline = time.monotonic() + REPLY_S
-            while (left := deadline - time.monotonic()) > 0.0:
-                for line in self._lines.feed(self._opened().read(left)):
-                    reply = self._understood(line)
-                    if reply is None or reply.register != register:
-                        continue
-                    if reply.refused:
-                        raise IdentityError(f"{self._path}: the device refuses "
-                                            f"{command.strip().decode()}: is it a QSB-D?")
-                    return reply
+            self._port.write(command)
+            replies = map(self._understood, self._received(REPLY_S))
+            reply = next((each for each in replies if each and each.register == register), None)
+            if reply is not None and reply.refused:
+                raise IdentityError(f"{self._path}: the device refuses "
+                                    f"{command.strip().decode()}: is it a QSB-D?")
+            if reply is not None:
+                return reply
         raise DeviceLostError(f"{self._path}: no answer to {command.strip().decode()}; is it a "
                               "QSB-D, and at 230400 baud?")
 
@@ -143,12 +118,12 @@ class QsbD:
 
     def start(self) -> None:
         """Start streaming; the acknowledgement is itself a sample."""
-        self._opened().write(qsb.STREAM_COUNT)
+        self._port.write(qsb.STREAM_COUNT)
 
     def stop(self) -> None:
         """Stop streaming."""
-        self._opened().write(qsb.STOP_STREAMS)
-        self._opened().drain(0.02, 0.2)
+        self._port.write(qsb.STOP_STREAMS)
+        self._port.drain(0.02, 0.2)
         self._lines.clear()
 
     def read(self, timeout_s: float) -> list[EncoderSample]:
@@ -159,7 +134,7 @@ class QsbD:
         DeviceLostError
             If the port is gone, or the counter restarted (its clock went back, or its banner).
         """
-        data = self._opened().read(timeout_s)
+        data = self._port.read(timeout_s)
         arrival_ns = time.time_ns()
         samples = []
         for line in self._lines.feed(data):
@@ -204,20 +179,20 @@ class QsbD:
         self._found = False
         self._index_before = None
         self._seeking = True
-        self._opened().write(qsb.RESET_ON_INDEX)
+        self._port.write(qsb.RESET_ON_INDEX)
 
     def _poll_index(self) -> None:
         now = time.monotonic()
         if now >= self._next_poll_s:
             self._next_poll_s = now + INDEX_POLL_S
-            self._opened().write(qsb.READ_STATUS)
+            self._port.write(qsb.READ_STATUS)
 
     def _on_status(self, status: qsb.Status) -> None:
         passed = bool(status & qsb.Status.INDEX)
         if self._index_before is None:
             self._index_before = passed
         elif passed and not self._index_before:
-            self._opened().write(qsb.FREE_RUNNING)
+            self._port.write(qsb.FREE_RUNNING)
             self._seeking = False
             self._found = True
         self._index_before = passed
@@ -225,12 +200,6 @@ class QsbD:
     def index_found(self) -> bool:
         """Return whether the index was passed since seek_index."""
         return self._found
-
-    def close(self) -> None:
-        """Give the port back."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
 
 
 def create(port: str, **options: float) -> QsbD:

@@ -11,7 +11,6 @@ from dfm_stage.drivers.errors import DeviceLostError
 class MemoryPort:
     """Stands in for SerialPort. `answers` replaces the emulator by fixed bytes."""
 
-    low_latency = True
 
     def __init__(self, path: str, baud: int, emulator: Emulator | None = None,
                  answers: list[bytes] | None = None) -> None:

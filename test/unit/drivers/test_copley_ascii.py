@@ -217,7 +217,7 @@ def test_questions_bring_current_temperature_voltage_and_faults():
 
 def test_garbled_and_missing_replies_are_asked_again_and_counted():
     device, ports = driver(answers=[b"\x90\x13k\r", b"", b"ok\r"])
-    device._port = ports("port", 115200)
+    device._opened = ports("port", 115200)
     device.set_counts(5)
     assert ports.sent == [b"s r0x02 5\r"] * 3
     assert device.counters == {"malformed_lines": 1, "retries": 2, "error_replies": 0}
@@ -225,7 +225,7 @@ def test_garbled_and_missing_replies_are_asked_again_and_counted():
 
 def test_a_late_reply_is_not_taken_for_the_next_one():
     device, ports = driver(answers=[b"v 7\r"])
-    port = device._port = ports("port", 115200)
+    port = device._opened = ports("port", 115200)
     port.pending = b"v 99\rok\r"
     assert device.request(b"g r0x20\r").value == 7
     assert device.counters["malformed_lines"] == 2
@@ -233,7 +233,7 @@ def test_a_late_reply_is_not_taken_for_the_next_one():
 
 def test_an_answer_to_an_earlier_question_acknowledges_nothing():
     device, ports = driver(answers=[b"v 1085440\rok\r", b"ok\rv 3\r"])
-    device._port = ports("port", 115200)
+    device._opened = ports("port", 115200)
     device.set_counts(0)
     assert device.request(b"g r0x20\r").value == 3
     assert device.counters["malformed_lines"] == 2

@@ -86,8 +86,3 @@ def test_bits_are_where_the_maker_puts_them():
     assert copley.words(Faults(1 << 2 | 1 << 10)) == "short, overcurrent"
     assert "0x8" in copley.words(Status(1 << 3 | 1 << 27)) or "undervoltage" in copley.words(
         Status(1 << 3 | 1 << 27))
-
-
-def test_ten_milliamperes_a_count():
-    assert copley.amperes_to_counts(-0.2) == -20
-    assert copley.amperes_to_counts(0.014) == 1

@@ -33,12 +33,10 @@ def test_what_came_after_a_line_is_known():
     assert (second.text, second.after) == (b"two", 3)
 
 
-def test_noise_without_end_is_counted_and_thrown_away():
+def test_noise_without_end_is_thrown_away():
     buffer = LineBuffer()
     assert buffer.feed(b"x" * 10000) == []
     assert [line.text for line in buffer.feed(b"\rok\r")] == [b"ok"]
-    assert buffer.overlong == 1
-    assert buffer.pending == 0
 
 
 @given(st.lists(st.integers(-2**31 + 1, 2**31 - 1), min_size=1, max_size=30),
@@ -72,7 +70,8 @@ def test_device_time_is_found_within_its_jitter(drift):
     late = (out - true_ns)[512 * 12:] * 1e-9
     assert np.max(np.abs(late)) < 100e-6
     assert np.std(np.diff(out[512 * 12:])) < 2e4
-    assert clock.drift == pytest.approx(drift, abs=2e-5)
+    second = (clock.at(int(arrival[-1])) - clock.at(int(arrival[-1]) - 10**9)) / 512
+    assert 1.0 / second - 1.0 == pytest.approx(drift, abs=2e-5)
     middle = 512 * 39
     assert clock.at(int(true_ns[middle])) == pytest.approx(middle, abs=0.06)
 

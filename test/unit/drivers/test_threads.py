@@ -179,6 +179,16 @@ def test_an_exception_anywhere_is_zero(rig):
     stage.listener.broken = False
 
 
+def test_an_order_that_fails_by_a_bug_is_no_success(rig, monkeypatch):
+    def broken():
+        raise ZeroDivisionError("a bug")
+
+    stage = rig()
+    monkeypatch.setattr(stage.device, "clear_faults", broken)
+    with pytest.raises(DriverError, match="a bug"):
+        stage.worker.clear()
+
+
 def test_a_drive_that_comes_back_stays_off_and_is_asked_for_again(rig):
     stage = rig()
     stage.run()
