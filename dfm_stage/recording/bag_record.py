@@ -234,7 +234,8 @@ def _together(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
     record = Record(
         period * np.arange(keep.stop - keep.start), period, result,
         Provenance(str(bag.path), "bag", "", int(axes[0].grid.stamps_ns[first]),
-                   run.texts.get(MODEL_ATTACHMENT), run.parameters, {str(key): str(value) for key, value in run.versions.items()}),
+                   run.texts.get(MODEL_ATTACHMENT), run.parameters,
+                   {str(key): str(value) for key, value in run.versions.items()}),
         warnings)
     warnings += doubts(record)
     return record
