@@ -20,10 +20,10 @@ from typing import Any
 
 from benchmarks.nursery import Nursery
 from dfm_interfaces.msg import Command
-from dfm_stage.emulated import EmulatedGraph, hardware_parameters
+from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.harness import HarnessError
 from dfm_stage.nodes.process import helper_node
-from dfm_stage.nodes.wire import codec
+from dfm_stage.middleware.wire import codec
 
 NODES = ("sim_plant", "encoder_driver", "amplifier_driver", "trajectory_generator")
 MOVING = {
@@ -149,7 +149,7 @@ class ZeroCurrentRig:
                     self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
                     self.graph.trigger("trajectory_generator", "start")
             if now > deaf_s:
-                # a started controller that hears nobody: see dfm_stage/nodes/shared_memory.py
+                # a started controller that hears nobody: see dfm_stage/middleware/shared_memory.py
                 self.deaf += 1
                 deaf_s = now + DEAF_S
                 self.nursery.start()

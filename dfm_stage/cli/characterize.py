@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dfm_stage.cli.characterize_summary import summary
 from dfm_stage.cli.command import command_parser, finite, output_folder, run_command, write_output
 from dfm_stage.errors import DfmError
 
@@ -109,32 +110,6 @@ def _model_of(record: Record) -> Model | None:
 
     model = parse_model(record.provenance.model, record.provenance.source)
     return model.axis(next(iter(record.axes))) if model.axes else model
-
-
-def summary(kind: str, result: Any) -> list[tuple[str, Any]]:
-    """Return what a result says, as (what, Quantity) pairs."""
-    if kind == "static":
-        return [("stiffness", result.stiffness),
-                ("largest distance from a line", result.linearity),
-                ("hysteresis loop", result.hysteresis),
-                ("hysteresis loop over the travel", result.hysteresis_percent)]
-    if kind == "decay":
-        return [("logarithmic decrement", result.decrement), ("damping ratio", result.damping),
-                ("damping ratio, Eq. 2 as printed", result.damping_as_printed),
-                ("natural frequency", result.natural_frequency),
-                ("decrement of the first half", result.early),
-                ("decrement of the second half", result.late)]
-    if kind == "step":
-        return [("rise time, 10 to 90 %", result.rise_time),
-                (f"settling time, {100 * result.band:g} %", result.settling_time),
-                ("overshoot", result.overshoot), ("time of the peak", result.peak_time),
-                ("damping ratio from the overshoot", result.damping),
-                ("natural frequency from the peak", result.natural_frequency)]
-    fit = result.constrained
-    return [("numerator", fit.numerator), ("damping, 2 zeta w", fit.damping),
-            ("stiffness, w^2", fit.stiffness), ("natural frequency", fit.natural_frequency),
-            ("damping ratio", fit.damping_ratio), ("static gain", fit.static_gain),
-            ("amplifier lag", fit.lag), ("delay", fit.delay)]
 
 
 def _print(kind: str, result: Any) -> None:

@@ -116,7 +116,7 @@ def _make(options: argparse.Namespace, link: Any, log: OutputLog | None) -> Emul
 def _connect(options: argparse.Namespace) -> Any:
     if not options.stage:
         return None
-    from dfm_stage.emulated import StageLink
+    from dfm_stage.harness.emulated import StageLink
 
     link = StageLink(options.stage, f"{options.device}_emulator", options.sample_period,
                      options.resolution)

@@ -25,11 +25,11 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 
 from dfm_interfaces.srv import Ready
-from dfm_stage.domain import claim_domain
+from dfm_stage.harness.domain import claim_domain
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
-from dfm_stage.nodes.security import require_what_was_asked
-from dfm_stage.nodes.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
+from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 
 __all__ = ["HarnessError", "Launched", "NodeSet"]
 

@@ -19,8 +19,8 @@ from dfm_interfaces.action import RunExperiment
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet
 from dfm_stage.model import load_model
-from dfm_stage.nodes.share import find_experiment
-from dfm_stage.nodes.wire import codec
+from dfm_stage.share import find_experiment
+from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, LOSSY_QOS, PUBLISHER_QOS
 from dfm_stage.trajectory import Experiment, load_experiment
 

@@ -25,10 +25,10 @@ import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.parameters import Setting, Settings
-from dfm_stage.nodes.scheduling import RealTime
-from dfm_stage.nodes.shared_memory import killed_endpoints, neighbour_killed
-from dfm_stage.nodes.watch import Input, Watch
-from dfm_stage.nodes.wire import codec
+from dfm_stage.middleware.scheduling import RealTime
+from dfm_stage.middleware.shared_memory import killed_endpoints, neighbour_killed
+from dfm_stage.middleware.watch import Input, Watch
+from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,

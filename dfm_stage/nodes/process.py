@@ -23,8 +23,8 @@ from rclpy.utilities import remove_ros_args
 
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import LoopNode
-from dfm_stage.nodes.security import require_what_was_asked
-from dfm_stage.nodes.shared_memory import PORT_LOOK_S, PortWatch, avoiding_dead_ports, sign_notes
+from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, avoiding_dead_ports, sign_notes
 
 BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 """How often this process began anew, in its environment."""

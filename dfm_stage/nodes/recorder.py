@@ -35,7 +35,7 @@ from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import BEGUN_ANEW, run_node
-from dfm_stage.nodes.wire import header_stamp_ns
+from dfm_stage.middleware.wire import header_stamp_ns
 from dfm_stage.nodes.wiring import RECORDER_TAP
 from dfm_stage.recording import (
     MODEL_ATTACHMENT,

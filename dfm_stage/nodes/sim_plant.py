@@ -20,7 +20,7 @@ from dfm_stage.model import CoupledPlant, Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wire import encode_clock
+from dfm_stage.middleware.wire import encode_clock
 
 _GIVE_UP_SAMPLES = 100
 

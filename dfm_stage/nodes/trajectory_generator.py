@@ -23,9 +23,9 @@ from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.share import find_experiment
+from dfm_stage.share import find_experiment
 from dfm_stage.nodes.signal_settings import KINDS, signal_settings, specification
-from dfm_stage.nodes.watch import HELD_UP_S
+from dfm_stage.middleware.watch import HELD_UP_S
 from dfm_stage.trajectory import (
     LIMIT_PARAMETERS,
     Excitation,

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 import rclpy
 
-from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE, claim_domain
+from dfm_stage.harness.domain import claim_domain
 from dfm_stage.harness import HarnessError, StageGraph
-from dfm_stage.nodes import shared_memory
+from dfm_stage.middleware import shared_memory
 from dfm_stage.nodes.process import helper_node
-from dfm_stage.nodes.shared_memory import (
+from dfm_stage.middleware.shared_memory import (
     LEASE_S,
     SHARED_MEMORY,
     PortWatch,

@@ -7,10 +7,11 @@ import socket
 from types import TracebackType
 
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.shared_memory import DOMAIN_GAIN, PORT_BASE
 
 DOMAINS = range(1, 102)  # 0 is everybody's default; above 101 DDS ports meet the ephemeral ones
-# DDSI-RTPS 2.5, 9.6.2.4: first port of a domain, and offset and step of a participant's own port
-PORT_BASE, DOMAIN_GAIN, UNICAST_OFFSET, PARTICIPANT_GAIN = 7400, 250, 10, 2
+# DDSI-RTPS 2.5, 9.6.2.4: offset and step of a participant's own port in its domain
+UNICAST_OFFSET, PARTICIPANT_GAIN = 10, 2
 PARTICIPANTS_LOOKED_FOR = 4
 
 

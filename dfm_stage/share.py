@@ -15,7 +15,7 @@ def config_folder() -> Path:
     DfmError
         If there is neither.
     """
-    tree = Path(__file__).resolve().parents[2] / "config"
+    tree = Path(__file__).resolve().parents[1] / "config"
     if tree.is_dir():
         return tree
     try:

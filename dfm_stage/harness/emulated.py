@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from dfm_stage.drivers.qsb_protocol import TICKS_PER_SECOND
 from dfm_stage.harness import HarnessError, StageGraph
-from dfm_stage.nodes.emulator_link import StageLink
+from dfm_stage.harness.emulator_link import StageLink
 
 __all__ = ["EmulatedDevice", "EmulatedGraph", "StageLink", "hardware_parameters"]
 
