@@ -20,10 +20,10 @@ from typing import Any
 
 from benchmarks.nursery import Nursery
 from dfm_interfaces.msg import Command
-from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.harness import HarnessError
-from dfm_stage.nodes.process import helper_node
+from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.middleware.wire import codec
+from dfm_stage.nodes.process import helper_node
 
 NODES = ("sim_plant", "encoder_driver", "amplifier_driver", "trajectory_generator")
 MOVING = {

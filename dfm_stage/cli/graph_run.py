@@ -13,9 +13,6 @@ from dfm_stage.cli.progress import Progress
 if TYPE_CHECKING:
     from dfm_stage.recording import Record
 
-_DID_NOT_MEET = ("not there after", "is not ready", "does not answer")
-"""What the harness says when nodes do not find each other, as happens on a busy machine."""
-
 
 def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, seed: int = 0,
                  axes: Sequence[str] = ("x",), composed: bool = True,
@@ -30,7 +27,7 @@ def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, 
     DfmError
         If the graph does not come up, the experiment fails or the bag cannot be read.
     """
-    from dfm_stage.harness import HarnessError, StageGraph
+    from dfm_stage.harness import NotInTimeError, StageGraph
     from dfm_stage.recording import read_record
 
     name = experiment if isinstance(experiment, str) else str(experiment["name"])
@@ -45,9 +42,7 @@ def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, 
 
     try:
         run()
-    except HarnessError as error:
-        if not any(words in str(error) for words in _DID_NOT_MEET):
-            raise
+    except NotInTimeError as error:
         print(f"  once more: {error}", file=sys.stderr)
         shutil.rmtree(bag, ignore_errors=True)
         run()

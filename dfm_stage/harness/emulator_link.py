@@ -17,8 +17,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from dfm_interfaces.msg import Drive, PositionCounts
 from dfm_stage.drivers.clock_map import ClockMap, Unwrap
-from dfm_stage.nodes.process import helper_node, make_executor
 from dfm_stage.middleware.wire import codec
+from dfm_stage.nodes.process import helper_node, make_executor
 from dfm_stage.nodes.wiring import PUBLISHER_QOS
 
 _STEADY_GAP_S = 0.5

@@ -17,8 +17,8 @@ from std_srvs.srv import Trigger
 
 from dfm_interfaces.msg import AmplifierState
 from dfm_stage.live.trace import Trace
-from dfm_stage.nodes.process import helper_node, make_executor
 from dfm_stage.middleware.wire import codec
+from dfm_stage.nodes.process import helper_node, make_executor
 from dfm_stage.nodes.wiring import LINKS
 
 MEASUREMENT = "dfm_interfaces/msg/Measurement"

@@ -12,7 +12,6 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_srvs.srv import Trigger
 
 from dfm_stage.drivers.amplifier_worker import AmplifierWorker
 from dfm_stage.drivers.device import (
@@ -21,14 +20,14 @@ from dfm_stage.drivers.device import (
     create_amplifier,
     names,
 )
-from dfm_stage.drivers.errors import DriverError
+from dfm_stage.drivers.errors import DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.base import Publisher
+from dfm_stage.nodes.base import LOOP_HEALTH, Publisher
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wiring import LATCHED_QOS
+from dfm_stage.nodes.wiring import LATCHED_FROM_MANY_QOS, LATCHED_QOS
 
 _NO_SAMPLE = 0
 _PUBLISHERS_PERIOD_S = 0.25
@@ -91,6 +90,7 @@ class AmplifierDriver(ManagedNode):
         self._easing = False
         self._current = math.nan
         self._encoder: DiagnosticStatus | None = None
+        self._loop: dict[str, DiagnosticStatus] = {}
         self._worker: AmplifierWorker | None = None
         self._device: AmplifierDevice | None = None
         self._drive: Publisher | None = None
@@ -100,18 +100,19 @@ class AmplifierDriver(ManagedNode):
             self._drive = self.link_publisher("sim/drive")
             self.link_subscription("sim/current", self._on_current)
         self.link_subscription("command", self._on_command)
-        self.create_service(Trigger, "~/arm", self._on_arm)
-        self.create_service(Trigger, "~/disarm", self._on_disarm)
-        self.create_service(Trigger, "~/clear", self._on_clear)
+        self.trigger_service("~/arm", self._arm)
+        self.trigger_service("~/disarm", self._disarm)
+        self.trigger_service("~/clear", self._clear)
         if not self.lockstep:
             self.create_subscription(DiagnosticStatus, "encoder_health", self._on_health,
                                      LATCHED_QOS)
+            self.create_subscription(DiagnosticStatus, LOOP_HEALTH, self._on_loop_health,
+                                     LATCHED_FROM_MANY_QOS)
             self.create_timer(_PUBLISHERS_PERIOD_S, self._check_publishers, clock=self.steady)
             if self.simulated:
                 self.create_timer(self._interlock.stale_s / 4, self._check_stale,
                                   clock=self.steady)
         self.begin()
-        self.publish_config()
 
     def _new_interlock(self) -> Interlock:
         limit = self.settings["voltage_limit_v"]
@@ -268,8 +269,21 @@ class AmplifierDriver(ManagedNode):
             travel = any(value.value == "travel" for value in health.values)
             self._trip(Cause.TRAVEL if travel else Cause.ENCODER, trouble)
 
+    def _on_loop_health(self, health: DiagnosticStatus) -> None:
+        self._loop[health.name] = health
+        if health.level == DiagnosticStatus.ERROR:
+            self._trip(Cause.ENCODER, health.message)
+
+    def _trouble(self) -> str:
+        """Return why the output must not be on, as far as encoder and sampling period go."""
+        if self.lockstep:
+            return ""
+        refused = (DiagnosticStatus.ERROR,) if self.simulated else (
+            DiagnosticStatus.ERROR, DiagnosticStatus.WARN)
+        return self._encoder_trouble() or "; ".join(
+            each.message for each in self._loop.values() if each.level in refused)
+
     def _encoder_trouble(self) -> str:
-        """Return why the output must not be on, as far as the encoder goes."""
         if self._encoder is None:
             return "" if self.simulated else "nothing is heard of an encoder_driver"
         if self._encoder.level == DiagnosticStatus.ERROR:
@@ -293,61 +307,45 @@ class AmplifierDriver(ManagedNode):
 
     # The operator
 
-    def _on_arm(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = False
-        trouble = "" if self.lockstep else self._encoder_trouble()
+    def _arm(self) -> str:
         if not self.active:
-            response.message = f"the driver is {self.life_cycle_state()}: activate it first"
-        elif self._interlock.armed:
-            response.success, response.message = True, "armed"
-        elif trouble:
-            response.message = f"refused: {trouble}"
-        else:
-            try:
-                if self._worker is not None:
-                    self._armed_s, self._easing = time.monotonic(), True
-                    self._worker.arm()
-                    self._armed_s = time.monotonic()
-                else:
-                    self._interlock.arm()
-                response.success, response.message = True, "armed"
-            except DriverError as error:
-                response.message = f"refused: {error}"
-            if trouble := "" if self.lockstep else self._encoder_trouble():
-                self._trip(Cause.ENCODER, trouble)
-        return response
-
-    def _on_disarm(self, _request: Trigger.Request,
-                   response: Trigger.Response) -> Trigger.Response:
-        self._off_bits = int(self._interlock.causes) or int(Cause.DISARMED)
-        response.success, response.message = True, "disarmed, output at zero"
-        if self._worker is not None:
-            try:
-                self._worker.disarm()
-            except DfmError as error:
-                response.success, response.message = False, str(error)
-            return response
-        self._interlock.disarm()
-        if not self.lockstep and self.active:
-            self._apply(self.now_ns(), 0.0, self._off_bits)
-        return response
-
-    def _on_clear(self, _request: Trigger.Request,
-                  response: Trigger.Response) -> Trigger.Response:
-        """Forget what was latched; leaves the output disarmed."""
-        response.success = True
-        if not self._interlock.causes and self._worker is None:
-            response.message = "nothing was latched"
-            return response
+            raise RefusedError(f"the driver is {self.life_cycle_state()}: activate it first")
+        if self._interlock.armed:
+            return "armed"
+        if trouble := self._trouble():
+            raise RefusedError(f"refused: {trouble}")
         try:
-            was = self._worker.clear() if self._worker is not None else (
-                f"cleared: {self._interlock.clear()}")
-            self._off_bits = int(Cause.DISARMED)
-            self.errors_active.pop(_LATCHED, None)
-            response.message = f"{was}; disarmed"
-        except DfmError as error:
-            response.success, response.message = False, str(error)
-        return response
+            if self._worker is None:
+                self._interlock.arm()
+            else:
+                self._armed_s, self._easing = time.monotonic(), True
+                self._worker.arm()
+                self._armed_s = time.monotonic()
+        except DriverError as error:
+            raise RefusedError(f"refused: {error}") from error
+        if trouble := self._trouble():
+            self._trip(Cause.ENCODER, trouble)
+        return "armed"
+
+    def _disarm(self) -> str:
+        self._off_bits = int(self._interlock.causes) or int(Cause.DISARMED)
+        if self._worker is not None:
+            self._worker.disarm()
+        else:
+            self._interlock.disarm()
+            if not self.lockstep and self.active:
+                self._apply(self.now_ns(), 0.0, self._off_bits)
+        return "disarmed, output at zero"
+
+    def _clear(self) -> str:
+        """Forget what was latched; leaves the output disarmed."""
+        if not self._interlock.causes and self._worker is None:
+            return "nothing was latched"
+        was = self._worker.clear() if self._worker is not None else (
+            f"cleared: {self._interlock.clear()}")
+        self._off_bits = int(Cause.DISARMED)
+        self.errors_active.pop(_LATCHED, None)
+        return f"{was}; disarmed"
 
     # Reports
 

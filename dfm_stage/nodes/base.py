@@ -9,6 +9,7 @@ about, and in lockstep whether all it published has arrived there; the harness w
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -20,15 +21,17 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.middleware.scheduling import RealTime
 from dfm_stage.middleware.shared_memory import killed_endpoints, neighbour_killed
 from dfm_stage.middleware.watch import Input, Watch
 from dfm_stage.middleware.wire import codec
+from dfm_stage.nodes.parameters import Setting, Settings
+from dfm_stage.nodes.sample_period import SAMPLE_PERIOD, PeriodCheck, SamplePeriodError
 from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
@@ -44,6 +47,7 @@ COMMON = (
             "deterministic, faster than real time"),
     Setting("wait_for_recorder", False, "hold the first sample until a recorder is subscribed"),
 )
+LOOP_HEALTH = "loop_health"
 PRIORITY = Setting(
     "realtime_priority", 20, "SCHED_RR priority of the node's process (recorder: 10) where the "
     "user has the right to it (rtprio in limits.conf); 0 = none; not in a process that the node "
@@ -127,6 +131,13 @@ class Publisher:
         return self._open
 
 
+def node_class(kind: str) -> type[LoopNode]:
+    """Return the class of one of the package's nodes by its name on the command line."""
+    found: type[LoopNode] = getattr(importlib.import_module(f"dfm_stage.nodes.{kind}"),
+                                    "".join(map(str.capitalize, kind.split("_"))))
+    return found
+
+
 class LoopNode(Node):
     """Base of the nodes on the loop of one axis.
 
@@ -144,8 +155,7 @@ class LoopNode(Node):
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
                          cli_args=cli_args, use_global_arguments=cli_args is None)
         own = (replace(PRIORITY, default=self.priority), *self.settings_table)
-        self.settings = Settings(self, (*COMMON, *own), self.check_settings,
-                                 self.settings_applied)
+        self.settings = Settings(self, (*COMMON, *own))
         self.lockstep: bool = self.settings["lockstep"]
         self.axis = self.get_namespace().rpartition("/")[2]
         self.counters: dict[str, int] = {}
@@ -154,6 +164,7 @@ class LoopNode(Node):
         self.errors_active: dict[str, str] = {}
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.publishers_of_links: list[Publisher] = []
+        self._begun = False
         self._config = self.create_publisher(String, "~/config", LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Ready, "~/ready", self._on_ready)
@@ -162,10 +173,32 @@ class LoopNode(Node):
         self.create_timer(1.0, self._every_second, clock=self.steady)
         self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
 
+    def begin(self) -> None:
+        """Check the parameters as a whole and start to work; once the node is complete.
+
+        Whoever makes a node calls it; a node may do so itself at the end of its constructor.
+
+        Raises
+        ------
+        DfmError
+            If it cannot work with its parameters.
+        """
+        if not self._begun:
+            self._begun = True
+            self.settings.follow(self.check_settings, self.settings_applied)
+            self.start_work()
+            self.publish_config()
+
     # What a node may override
 
-    def check_settings(self, values: dict[str, Any]) -> None:
-        """Refuse a combination of parameter values by raising DfmError."""
+    def start_work(self) -> None:
+        """Do what needs the complete node and parameters that were checked."""
+
+    def check_settings(self, values: dict[str, Any]) -> object:
+        """Refuse a combination of parameter values by raising DfmError, and change nothing.
+
+        What it returns, made of these values, is `settings.plan` once they are in force.
+        """
 
     def settings_applied(self, names: set[str]) -> None:
         """React to parameters that changed at run time."""
@@ -204,6 +237,8 @@ class LoopNode(Node):
         link = LINKS[topic]
         decode = codec(link.type).decode
         heard = Input(prefix + topic, link.publisher)
+        if topic == "measurement" and SAMPLE_PERIOD.name in self.settings.values:
+            callback = self._comparing_period(callback)
         self._watch.inputs.append(heard)
 
         def decoded(data: bytes) -> None:
@@ -212,6 +247,48 @@ class LoopNode(Node):
 
         self.create_subscription(link.type, prefix + topic, decoded,
                                  subscriber_qos(link, self.kind, self.lockstep), raw=True)
+
+    def trigger_service(self, name: str, action: Callable[[], str]) -> None:
+        """Offer a std_srvs/Trigger: `action` returns what to say, or refuses with a DfmError."""
+        def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.message, response.success = action(), True
+            except DfmError as error:
+                response.message, response.success = str(error), False
+            return response
+
+        self.create_service(Trigger, name, answer)
+
+    def _comparing_period(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Hold the stamps of the measurements against the node's sampling period.
+
+        `loop_health` (latched) tells amplifier_driver, which does not arm before it agrees. In
+        lockstep, where nothing can be harmed, the node ends.
+        """
+        check = PeriodCheck(self.settings[SAMPLE_PERIOD.name], exact=self.lockstep)
+        health = self.create_publisher(DiagnosticStatus, LOOP_HEALTH, LATCHED_QOS)
+
+        def say() -> None:
+            self.errors_active.pop(SAMPLE_PERIOD.name, None)
+            level, words = DiagnosticStatus.OK, "running"
+            if check.complaint:
+                level, words = DiagnosticStatus.ERROR, f"{self.kind}: {check.complaint}"
+                self.errors_active[SAMPLE_PERIOD.name] = words
+            elif check.measured_s is None:
+                level = DiagnosticStatus.WARN
+                words = f"{self.kind} still compares its sampling period with the measurements"
+            health.publish(DiagnosticStatus(level=level, name=self.get_fully_qualified_name(),
+                                            message=words, hardware_id=self.axis))
+
+        def compared(measurement: Any) -> None:
+            if check.heard(measurement.seq, measurement.stamp_ns):
+                if self.lockstep and check.complaint:
+                    raise SamplePeriodError(f"{self.kind}: {check.complaint}")
+                say()
+            callback(measurement)
+
+        say()
+        return compared
 
     def destroy_node(self) -> None:
         """End the node when its last messages have arrived, or had `leaving_s` to."""

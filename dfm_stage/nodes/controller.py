@@ -10,6 +10,7 @@ output stays zero until `mode` is set again.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
+from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 
 
 class _AtZero(NamedTuple):
@@ -42,8 +44,6 @@ class _AtZero(NamedTuple):
 
 
 _AT_ZERO = _AtZero()
-
-
 _KEPT_AHEAD = 64
 
 
@@ -85,7 +85,7 @@ class Controller(LoopNode):
     settings_table = (
         Setting("mode", "pid", "control law; open_loop passes the excitation on as it is",
                 choices=MODES, live=True),
-        Setting("sample_period_s", 0.001, "sample period of the loop", "s", 1e-5, 1.0),
+        SAMPLE_PERIOD,
         *(Setting.of(parameter, live=True) for parameter in PID_PARAMETERS),
         Setting("anti_windup", "back_calculation", "what keeps the integral from winding up",
                 choices=ANTI_WINDUP, live=True),
@@ -113,13 +113,9 @@ class Controller(LoopNode):
                 choices=("none", *TUNING_RUNS), live=True),
         *(Setting.of(parameter, live=True) for parameter in TUNING_PARAMETERS),
     )
-    _loaded: tuple[str, Model] | None = None
-    _plan: Any = None
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._period: float = self.settings["sample_period_s"]
-        self._laws = Laws(self.settings.values, self._plan)
         self._guard = self._new_guard()
         self._seq = 0
         self._last_seq: int | None = None
@@ -134,34 +130,28 @@ class Controller(LoopNode):
         self.link_subscription("excitation", self._on_excitation)
         if self.settings["amplifier_feedback"]:
             self.link_subscription("amplifier", self._on_amplifier)
-        self.publish_config()
+        self.begin()
+
+    def start_work(self) -> None:
+        """Make the laws that were planned from the parameters."""
+        self._laws = Laws(self.settings.values, self.settings.plan)
 
     # Parameters
 
     def _new_guard(self) -> Guard:
-        return Guard(self._period, *(self.settings[parameter.name]
-                                     for parameter in GUARD_PARAMETERS))
+        return Guard(self.settings[SAMPLE_PERIOD.name],
+                     *(self.settings[parameter.name] for parameter in GUARD_PARAMETERS))
 
-    def check_settings(self, values: dict[str, Any]) -> None:
-        """Refuse gains and models that the laws cannot work with."""
-        last = self._plan.design if self._plan is not None else None
-        self._plan = plan_laws(values, self._model(values["model"]), last)
-
-    def _model(self, name: str) -> Model | None:
-        if not name:
-            return None
+    def check_settings(self, values: dict[str, Any]) -> Any:
+        """Return the plan of the laws; refuse gains and models that they cannot work with."""
+        last, name = self.settings.plan, values["model"]
         file = Path(name)
-        key = f"{name} {file.stat().st_mtime_ns}" if file.is_file() else name
-        if self._loaded is None or self._loaded[0] != key:
-            model = load_model(name)
-            if model.axes:
-                model = model.axis(self.get_namespace().rpartition("/")[2])
-            self._loaded = key, model
-        return self._loaded[1]
+        model = name and _model(name, self.axis, file.stat().st_mtime_ns if file.is_file() else 0)
+        return plan_laws(values, model or None, last.design if last is not None else None)
 
     def settings_applied(self, names: set[str]) -> None:
         """Take over new gains and modes without a bump."""
-        self._laws.change(self.settings.values, self._plan, names)
+        self._laws.change(self.settings.values, self.settings.plan, names)
         if "mode" in names or names & {parameter.name for parameter in GUARD_PARAMETERS}:
             self._guard = self._new_guard()
             self.warnings_active.pop("guard", None)
@@ -293,6 +283,13 @@ class Controller(LoopNode):
         if state is not None and state.measurement_seq != self._last_seq:
             return "amplifier", self._last_seq or 0
         return None
+
+
+@lru_cache(maxsize=2)
+def _model(name: str, axis: str, _modified_ns: int) -> Model:
+    """Return a model, or its part for the axis; read again where the file has changed."""
+    model = load_model(name)
+    return model.axis(axis) if model.axes else model
 
 
 def main(args: list[str] | None = None) -> int:

@@ -35,7 +35,7 @@ def device_settings(devices: tuple[str, ...], what: str) -> tuple[Setting, ...]:
 
 
 class ManagedNode(LifecycleNodeMixin, LoopNode):
-    """A node between one device and the loop. Subclasses call `begin` when they are complete."""
+    """A node between one device and the loop."""
 
     def __init__(self, **kwargs: Any) -> None:
         LoopNode.__init__(self, **kwargs)
@@ -65,7 +65,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
 
     # Life cycle
 
-    def begin(self) -> None:
+    def start_work(self) -> None:
         """Become a managed node; in simulation with `autostart` an active one."""
         LifecycleNodeMixin.__init__(self)
         change = self._service_change_state.callback
