@@ -79,5 +79,5 @@ class PeriodCheck:
         if self.measured_s is None or self.agrees:
             return ""
         return (f"{SAMPLE_PERIOD.name} is {self.period_s:.6g} s, but the measurements come every "
-                f"{self.measured_s:.4g} s: give all nodes of the loop the period of the "
+                f"{self.measured_s:.3g} s: give all nodes of the loop the period of the "
                 "measurements")
