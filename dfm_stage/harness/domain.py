@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import AbstractContextManager
 from types import TracebackType
 
 from dfm_stage.errors import DfmError
@@ -19,7 +20,7 @@ class NoFreeDomainError(DfmError):
     """Every ROS domain of this machine is taken."""
 
 
-class Domain:
+class Domain(AbstractContextManager["Domain"]):
     """A domain id that this process holds until `release` or its end; a context manager.
 
     Held by an abstract socket's name: the kernel frees it with the process, however that ends, and
@@ -33,9 +34,6 @@ class Domain:
     def release(self) -> None:
         """Let others have the domain; again is harmless."""
         self._claim.close()
-
-    def __enter__(self) -> Domain:
-        return self
 
     def __exit__(
         self,

@@ -80,16 +80,12 @@ class EmulatedDevice:
 
     def close(self) -> None:
         """End it."""
-        if self._process.poll() is None:
+        with self._process:  # closes the pipes and waits
             self._process.terminate()
-        try:
-            self._process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+            try:
+                self._process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
 
 
 def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, Any]]:

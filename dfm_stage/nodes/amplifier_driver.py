@@ -115,14 +115,14 @@ class AmplifierDriver(ManagedNode):
         self.begin()
 
     def _new_interlock(self) -> Interlock:
-        limit = self.settings["voltage_limit_v"]
+        limit, stale_s = self.settings["voltage_limit_v"], self.settings["stale_timeout_s"]
         if self._limit_a and not self.simulated and self._gain:
             limit = min(limit, self._limit_a / abs(self._gain))
+        clocked = 0.0 if self.lockstep else 1.0
         return Interlock(
-            limit, 0.0 if self.lockstep else self.settings["stale_timeout_s"],
-            0.0 if self.lockstep else self.settings["measurement_timeout_s"],
-            0.0 if self.lockstep else self.settings["divergence_window_s"],
-            self.settings["stale_timeout_s"] if self.simulated else 0.0, self._on_trip)
+            limit, clocked * stale_s, clocked * self.settings["measurement_timeout_s"],
+            clocked * self.settings["divergence_window_s"],
+            stale_s if self.simulated else 0.0, self._on_trip)
 
     # Life cycle
 
@@ -234,13 +234,11 @@ class AmplifierDriver(ManagedNode):
         self._off_bits = int(self._interlock.causes)
         name = str(cause.name).lower()
         self.count(f"trips_{name}")
-        self.errors_active[_LATCHED] = f"output at zero until clear and arm: {self._words()}"
+        self.errors_active[_LATCHED] = ("output at zero until clear and arm: "
+                                        f"{self._interlock.words()}")
         if self._worker is not None:
             self._worker.nudge()
         self.get_logger().error(f"output to zero: {name}: {why}")
-
-    def _words(self) -> str:
-        return self._interlock.words()
 
     def _trip(self, cause: Cause, why: str) -> None:
         """Latch a cause that no command brought, and act on it now."""
@@ -351,32 +349,27 @@ class AmplifierDriver(ManagedNode):
 
     def report(self) -> dict[str, Any]:
         """Return rate, ages, limits and what the drive says."""
-        interlock, limit = self._interlock, self._interlock.limit
+        interlock, worker, device = self._interlock, self._worker, self._device
+        age = time.monotonic() - interlock.last_command_s
         out: dict[str, Any] = {
             "state": self.life_cycle_state(), "armed": interlock.armed,
-            "latched": self._words() or "nothing",
+            "latched": interlock.words() or "nothing",
             "command rate": self.rate("commands", self.counters.get("commands", 0)),
-            "command limit": f"{limit:g}", "stale after": f"{interlock.stale_s * 1e3:g} ms"}
-        age = time.monotonic() - interlock.last_command_s
-        if math.isfinite(age) and not self.lockstep:
-            out["age of last command"] = f"{age * 1e3:.2f} ms"
-        if math.isfinite(self._current):
-            out["current"] = f"{self._current:.4g} A"
-        if self._limit_a:
-            out["current limit"] = f"{self._limit_a:g} A"
-        if self._encoder is not None:
-            out["encoder"] = self._encoder.message
-        worker, device = self._worker, self._device
+            "command limit": f"{interlock.limit:g}",
+            "stale after": f"{interlock.stale_s * 1e3:g} ms",
+            "age of last command": f"{age * 1e3:.2f} ms"
+            if math.isfinite(age) and not self.lockstep else None,
+            "current": f"{self._current:.4g} A" if math.isfinite(self._current) else None,
+            "current limit": f"{self._limit_a:g} A" if self._limit_a else None,
+            "encoder": self._encoder.message if self._encoder is not None else None}
         if worker is not None:
             out |= {"connected": worker.connected, "reconnect attempts": worker.reconnects,
                     "output rate": self.rate("outputs", worker.outputs)}
-            if not worker.connected:
-                self.warnings_active["link"] = "the drive does not answer"
-            else:
-                self.warnings_active.pop("link", None)
+            self.warnings_active.put("link", "" if worker.connected else
+                                     "the drive does not answer")
         if device is not None:
             out |= {**self._status_words, **device.counters}
-        return out
+        return {key: value for key, value in out.items() if value is not None}
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Without a command there is nothing to drive."""

@@ -12,7 +12,7 @@ import contextlib
 import importlib
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +28,7 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.scheduling import RealTime
 from dfm_stage.middleware.shared_memory import killed_endpoints, neighbour_killed
-from dfm_stage.middleware.watch import Input, Watch
+from dfm_stage.middleware.watch import Input, Notices, Watch
 from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD, PeriodCheck, SamplePeriodError
@@ -160,11 +160,11 @@ class LoopNode(Node):
         self.axis = self.get_namespace().rpartition("/")[2]
         self.counters: dict[str, int] = {}
         self.realtime = RealTime()
-        self.warnings_active: dict[str, str] = {}
-        self.errors_active: dict[str, str] = {}
+        self.warnings_active, self.errors_active = Notices(), Notices()
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.publishers_of_links: list[Publisher] = []
         self._begun = False
+        self._waiting_since: tuple[tuple[str, int] | None, float] = None, 0.0
         self._config = self.create_publisher(String, "~/config", LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Ready, "~/ready", self._on_ready)
@@ -269,16 +269,14 @@ class LoopNode(Node):
         health = self.create_publisher(DiagnosticStatus, LOOP_HEALTH, LATCHED_QOS)
 
         def say() -> None:
-            self.errors_active.pop(SAMPLE_PERIOD.name, None)
-            level, words = DiagnosticStatus.OK, "running"
+            level, words = DiagnosticStatus.OK, ""
+            self.errors_active.put(SAMPLE_PERIOD.name, check.complaint)
             if check.complaint:
                 level, words = DiagnosticStatus.ERROR, f"{self.kind}: {check.complaint}"
-                self.errors_active[SAMPLE_PERIOD.name] = words
             elif check.measured_s is None:
                 level = DiagnosticStatus.WARN
                 words = f"{self.kind} still compares its sampling period with the measurements"
-            health.publish(DiagnosticStatus(level=level, name=self.get_fully_qualified_name(),
-                                            message=words, hardware_id=self.axis))
+            health.publish(self.status(level, words))
 
         def compared(measurement: Any) -> None:
             if check.heard(measurement.seq, measurement.stamp_ns):
@@ -304,6 +302,14 @@ class LoopNode(Node):
             self._config.topic_name)[0].endpoint_gid
         return identifier
 
+    def status(self, level: bytes, words: str = "",
+               values: Mapping[str, Any] | None = None) -> DiagnosticStatus:
+        """Return a message about this node."""
+        return DiagnosticStatus(
+            level=level, name=self.get_fully_qualified_name(), hardware_id=self.axis,
+            message=words or "running",
+            values=[KeyValue(key=key, value=str(value)) for key, value in (values or {}).items()])
+
     def publish_config(self) -> None:
         """Publish the latched description of this node."""
         content = {"node": self.get_fully_qualified_name(), "kind": self.kind,
@@ -326,7 +332,7 @@ class LoopNode(Node):
             self._opening.cancel()
 
     def _on_ready(self, request: Ready.Request, response: Ready.Response) -> Ready.Response:
-        reasons = []
+        reasons = [self.not_ready()]
         kinds = {name.rpartition("/")[2] for name in request.nodes}
         for publisher in self.publishers_of_links:
             wanted = [kind for kind in publisher.link.subscribers if kind in kinds]
@@ -336,14 +342,9 @@ class LoopNode(Node):
                 reasons.append(f"{publisher.ros.topic_name} has no {', '.join(missing)}")
             elif self.lockstep and not publisher.delivered():
                 reasons.append(f"{publisher.ros.topic_name} is still being delivered")
-        own = self.not_ready()
-        if own:
-            reasons.append(own)
-        response.ready = not reasons
-        response.message = "; ".join(reasons)
+        response.message = "; ".join(filter(None, reasons))
+        response.ready = not response.message
         return response
-
-    _waiting_since: tuple[tuple[str, int], float] | None = None
 
     def _broken(self) -> str:
         if self._watch.silent:
@@ -351,34 +352,25 @@ class LoopNode(Node):
         return "a killed node is still written to" if neighbour_killed() else ""
 
     def _every_second(self) -> None:
+        now = time.monotonic()
         if not self.lockstep:
-            self._watch.look(time.monotonic())
-        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic(),
-                                                                    self._broken()):
+            self._watch.look(now)
+        if self.priority >= PRIORITY.default and self.realtime.look(now, self._broken()):
             self.get_logger().info(f"scheduling: {self.realtime.words}")
-            self.warnings_active.pop("scheduling", None)
-            if not self.realtime.held:
-                self.warnings_active["scheduling"] = (
-                    f"no real-time priority: {self.realtime.words}")
+            self.warnings_active.put("scheduling", "" if self.realtime.held else
+                                     f"no real-time priority: {self.realtime.words}")
         waiting = self.waiting_for() if self.lockstep else None
-        if waiting is None:
-            self._waiting_since = None
-            self.warnings_active.pop("waiting", None)
-        elif self._waiting_since is None or self._waiting_since[0] != waiting:
-            self._waiting_since = (waiting, time.monotonic())
-        elif time.monotonic() - self._waiting_since[1] >= LOCKSTEP_PATIENCE_S:
-            if "waiting" not in self.warnings_active:
-                self.get_logger().warning(f"lockstep: waiting for {waiting[0]}")
-            self.warnings_active["waiting"] = f"waiting for {waiting[0]}"
+        if waiting != self._waiting_since[0]:
+            self._waiting_since = waiting, now
+        late = now - self._waiting_since[1] >= LOCKSTEP_PATIENCE_S
+        missing = f"waiting for {waiting[0]}" if waiting is not None and late else ""
+        if self.warnings_active.put("waiting", missing):
+            self.get_logger().warning(f"lockstep: {missing}")
         values = {**self.counters, **self.report(), "scheduling": self.realtime.words}
         level = (DiagnosticStatus.ERROR if self.errors_active
                  else DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK)
         words = [*self.errors_active.values(), *self.warnings_active.values()]
-        status = DiagnosticStatus(
-            level=level, name=self.get_fully_qualified_name(), hardware_id=self.axis,
-            message="; ".join(words) or "running",
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
-        array = DiagnosticArray(status=[status])
+        array = DiagnosticArray(status=[self.status(level, "; ".join(words), values)])
         array.header.stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(Exception):
             self._diagnostics.publish(array)

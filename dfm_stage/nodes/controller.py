@@ -30,6 +30,7 @@ from dfm_stage.control import (
     plan_laws,
 )
 from dfm_stage.control.gains import ANTI_WINDUP
+from dfm_stage.middleware.recent import Recent
 from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
@@ -47,32 +48,20 @@ _AT_ZERO = _AtZero()
 _KEPT_AHEAD = 64
 
 
-class Ahead:
+class Ahead(Recent[Any]):
     """Messages that are sent ahead, by the sample they are for."""
 
-    def __init__(self) -> None:
-        self._by_seq: dict[int, Any] = {}
-        self.last: Any = None
-
-    def __contains__(self, seq: int) -> bool:
-        return seq in self._by_seq
-
-    def put(self, message: Any) -> None:
-        """Keep a message until its sample comes; of many that never come, the newest."""
-        self._by_seq[message.seq] = message
-        if len(self._by_seq) > _KEPT_AHEAD:
-            del self._by_seq[next(iter(self._by_seq))]
+    last: Any = None
 
     def take(self, seq: int) -> bool:
         """Make the message for sample `seq` the `last`, or the newest older one.
 
         Returns whether it was the one for this very sample; older ones are forgotten.
         """
-        exact = self._by_seq.pop(seq, None)
-        if exact is None or self._by_seq:
-            older = [each for each in self._by_seq if (seq - each) & 0x80000000 == 0]
-            for each in older:
-                self.last = self._by_seq.pop(each)
+        exact = self.pop(seq, None)
+        if exact is None or self:
+            for each in [each for each in self if (seq - each) & 0x80000000 == 0]:
+                self.last = self.pop(each)
         if exact is not None:
             self.last = exact
         return exact is not None
@@ -122,8 +111,7 @@ class Controller(LoopNode):
         self._sent_v = self._added_v = 0.0
         self._measurement: Any = None
         self._amplifier: Any = None
-        self._references = Ahead()
-        self._excitations = Ahead()
+        self._references, self._excitations = Ahead(_KEPT_AHEAD), Ahead(_KEPT_AHEAD)
         self._out = self.link_publisher("command")
         self.link_subscription("measurement", self._on_measurement)
         self.link_subscription("reference", self._on_reference)
@@ -186,12 +174,12 @@ class Controller(LoopNode):
         self._answer(measurement)
 
     def _on_reference(self, reference: Any) -> None:
-        self._references.put(reference)
+        self._references.keep(reference.seq, reference)
         if self.lockstep:
             self._answer_when_complete()
 
     def _on_excitation(self, excitation: Any) -> None:
-        self._excitations.put(excitation)
+        self._excitations.keep(excitation.seq, excitation)
         if self.lockstep:
             self._answer_when_complete()
 
@@ -252,22 +240,18 @@ class Controller(LoopNode):
                        saturated)
 
     def _law(self, reference: Any, position: float, samples: int) -> float:
-        laws = self._laws
-        run = laws.run
-        if run is None:
-            return laws.step(reference, position, samples, not self._guard.tripped)
-        before = run.ended
-        law = laws.step(reference, position, samples, not self._guard.tripped)
-        if run.ended != before:
+        run = self._laws.run
+        before = run is not None and run.ended
+        law = self._laws.step(reference, position, samples, not self._guard.tripped)
+        if run is not None and run.ended != before:
             self.publish_config()
         return law
 
     def _let_go(self) -> None:
-        if "guard" not in self.warnings_active:
+        words = f"output is zero until mode is set again: {self._guard.tripped}"
+        if self.warnings_active.put("guard", words):
             self.count("guard_trips")
-            self.warnings_active["guard"] = (f"output is zero until mode is set again: "
-                                             f"{self._guard.tripped}")
-            self.get_logger().warning(self.warnings_active["guard"])
+            self.get_logger().warning(words)
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Return which part of the answer is missing."""

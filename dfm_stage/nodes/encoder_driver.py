@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from dfm_interfaces.msg import Measurement
@@ -196,17 +196,15 @@ class EncoderDriver(ManagedNode):
             self._publish_health()
 
     def _publish_health(self) -> None:
-        level, words, cause = DiagnosticStatus.OK, "running", ""
-        if self._alarms:
-            level, words = DiagnosticStatus.ERROR, "; ".join(list(self._alarms.values()))
-            cause = "travel" if list(self._alarms) == ["travel"] else "encoder"
-        elif not self._flags & _REFERENCED:
-            level, words = DiagnosticStatus.WARN, "not referenced"
-        elif not self.active:
-            level, words = DiagnosticStatus.WARN, "not active"
-        self._health.publish(DiagnosticStatus(
-            level=level, name="encoder", message=words, hardware_id=self.axis,
-            values=[KeyValue(key="cause", value=cause)]))
+        level, words = DiagnosticStatus.OK, ""
+        alarms = dict(self._alarms)
+        cause = "travel" if list(alarms) == ["travel"] else "encoder" if alarms else ""
+        if alarms:
+            level, words = DiagnosticStatus.ERROR, "; ".join(alarms.values())
+        elif not (self.active and self._flags & _REFERENCED):
+            level = DiagnosticStatus.WARN
+            words = "not active" if self._flags & _REFERENCED else "not referenced"
+        self._health.publish(self.status(level, words, {"cause": cause}))
 
     # Referencing
 

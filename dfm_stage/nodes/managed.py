@@ -90,14 +90,14 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         try:
             action()
         except DfmError as error:
-            self.errors_active[_LIFE_CYCLE] = f"{name} failed: {error}"
+            self.errors_active.put(_LIFE_CYCLE, f"{name} failed: {error}")
             self.get_logger().error(self.errors_active[_LIFE_CYCLE])
             return TransitionCallbackReturn.FAILURE
         except Exception as error:  # noqa: BLE001 rclpy would swallow it
-            self.errors_active[_LIFE_CYCLE] = f"{name} failed: {error!r}"
+            self.errors_active.put(_LIFE_CYCLE, f"{name} failed: {error!r}")
             self.get_logger().error(traceback.format_exc())
             return TransitionCallbackReturn.ERROR
-        self.errors_active.pop(_LIFE_CYCLE, None)
+        self.errors_active.put(_LIFE_CYCLE, "")
         return TransitionCallbackReturn.SUCCESS
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:

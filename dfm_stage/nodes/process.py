@@ -59,6 +59,27 @@ def helper_node(name: str, namespace: str, context: Any) -> Node:
                                  start_parameter_services=False)
 
 
+class Helper:
+    """A node beside the graph in a context of its own, which `executor` spins."""
+
+    def __init__(self, name: str, namespace: str) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, args=[],
+                   signal_handler_options=SignalHandlerOptions.NO)
+        self.node = helper_node(name, namespace, self._context)
+        self.executor = make_executor(self._context)
+        self.executor.add_node(self.node)
+
+    def ok(self) -> bool:
+        """Return whether its context is still there."""
+        return bool(self._context.ok())
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
 def quiet_collector() -> None:
     """Keep the garbage collector away from what is there at start."""
     gc.collect()

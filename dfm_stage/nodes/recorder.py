@@ -187,9 +187,8 @@ class Recorder(LoopNode):
     # State
 
     def _failed(self, error: BagWriteError) -> None:
-        if "bag" not in self.warnings_active:
+        if self.warnings_active.put("bag", str(error)):
             self.get_logger().error(str(error))
-        self.warnings_active["bag"] = str(error)
 
     def _every_second(self) -> None:
         self.counters["messages"] = self._bag.message_count

@@ -158,28 +158,20 @@ class SimPlant(LoopNode):
             self._publish_samples(self.now_ns())
             return
         due = (now - self._next_ns + self._period_ns // 2) // self._period_ns
-        if due > _GIVE_UP_SAMPLES:
-            self.count("deadlines_missed", due)
+        self._next_ns += due * self._period_ns
+        left_out = due > _GIVE_UP_SAMPLES
+        if left_out:
             self.get_logger().warning(f"held up for {due} samples; they are left out",
                                       throttle_duration_sec=1.0)
-            self._next_ns += due * self._period_ns
-            if self._watchdog:
-                self._cut_off()
-            for _ in range(due):
-                self._advance()
-            self._publish_samples(self.now_ns())
-            return
+            # an amplifier that sees no samples for so long has put its output to zero
+            for stage in self._stages if self._watchdog else ():
+                stage.inputs = [0.0] * len(stage.inputs)
         if due > 1:
-            self.count("deadlines_missed", due - 1)
-        for _ in range(due):
-            self._next_ns += self._period_ns
+            self.count("deadlines_missed", due if left_out else due - 1)
+        for k in range(1, due + 1):
             self._advance()
-            self._publish_samples(self.now_ns())
-
-    def _cut_off(self) -> None:
-        """An amplifier that sees no samples for so long has put its output to zero."""
-        for stage in self._stages:
-            stage.inputs = [0.0] * len(stage.inputs)
+            if k == due or not left_out:
+                self._publish_samples(self.now_ns())
 
     # Both
 

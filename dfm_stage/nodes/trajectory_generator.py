@@ -8,6 +8,7 @@ holds the last position. What would leave a limit (`limits.*`) is refused before
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -103,7 +104,7 @@ class TrajectoryGenerator(LoopNode):
             handle_accepted_callback=self._on_goal,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT)
         self.create_timer(0.2, self._report, clock=self.steady)
-        self._recorder_heard_s: float | None = None
+        self._recorder_heard_s = math.inf
         if self.settings["wait_for_recorder"] and not self.lockstep:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10,
                                      raw=True)
@@ -311,12 +312,10 @@ class TrajectoryGenerator(LoopNode):
             self._recorder_heard_s = time.monotonic()
 
     def _every_second(self) -> None:
-        heard = self._recorder_heard_s
-        if heard is not None and (silent := time.monotonic() - heard) > RECORDER_SILENT_S:
-            self.warnings_active["recorder"] = (f"nothing is heard of the recorder for "
-                                                f"{silent:.0f} s: this is not recorded")
-        else:
-            self.warnings_active.pop("recorder", None)
+        silent = time.monotonic() - self._recorder_heard_s
+        self.warnings_active.put("recorder", "" if silent <= RECORDER_SILENT_S else
+                                 f"nothing is heard of the recorder for {silent:.0f} s: this is "
+                                 "not recorded")
         super()._every_second()
 
     def not_ready(self) -> str | None:
