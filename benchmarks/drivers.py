@@ -218,7 +218,6 @@ def _run(steps: str, duration_s: float) -> tuple[NDArray[np.float64], NDArray[np
     period_s = 1.0 / TICKS_PER_SECOND
     plant = Plant(replace(load_model("current_stage"), sample_period=period_s))
     given = hardware_parameters(Path(), Path())["controller"]
-    del given["sample_period_s"]
     pid = Pid(PidGains(**given), period_s)
     wanted = make_reference(RASTER, sample_period_s=period_s, duration_s=duration_s, seed=0)
     quantise = SigmaDelta(CopleyAscii.count_a, shaped=steps == "shaped")

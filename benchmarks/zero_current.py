@@ -20,6 +20,7 @@ from typing import Any
 
 from benchmarks.nursery import Nursery
 from dfm_interfaces.msg import Command
+from dfm_stage.drivers.qsb_protocol import TICKS_PER_SECOND
 from dfm_stage.harness import HarnessError
 from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.middleware.wire import codec
@@ -199,7 +200,8 @@ def moving_stage() -> Iterator[ZeroCurrentRig]:
     """Yield a ZeroCurrentRig on a stage that swings under control."""
     with EmulatedGraph(nodes=NODES, parameters=MOVING) as graph:
         parameters = graph.output_log.with_name("controller.yaml")
-        values = hardware_parameters(Path(), Path())["controller"]
+        values = {**hardware_parameters(Path(), Path())["controller"],
+                  "sample_period_s": 1.0 / TICKS_PER_SECOND}
         parameters.write_text(json.dumps(
             {"/stage/x/controller": {"ros__parameters": values}}), "utf-8")
         nursery = Nursery(["--ros-args", "-r", "__ns:=/stage/x", "--params-file",
