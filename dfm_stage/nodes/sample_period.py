@@ -14,9 +14,9 @@ TOLERANCE = 0.1
 """Share by which the measured period may differ. The clocks of a counter and of the host differ by
 1e-4 at most, stamps taken on a crowded machine by some 1e-2 after the median; what gets mixed up
 (1 kHz and the counter's 512 Hz) differs by a factor."""
-COMPARED_S = 0.5
+COMPARED_S = 0.25
 """Length of an interval that is compared: samples that a late plant makes up for come in bursts of
-up to 0.1 s, whose single intervals are zero."""
+up to 0.1 s, whose single intervals are zero. Twice this long the comparison takes."""
 FEWEST, MOST = 8, 512
 """Bounds of the number of samples in that interval, for very slow and very fast loops."""
 _MASK, _HALF = 0xFFFFFFFF, 0x80000000
@@ -41,14 +41,16 @@ class PeriodCheck:
         self.period_s = period_s
         self.measured_s: float | None = None
         self._lag = 1 if exact else min(max(round(COMPARED_S / period_s), FEWEST), MOST)
+        self._sure_after = self._doubts = 1 if exact else 2
         self._samples: deque[tuple[int, int]] = deque(maxlen=2 * self._lag)
         self._last: int | None = None
 
     def heard(self, seq: int, stamp_ns: int) -> bool:
         """Take a measurement; return whether something new is known.
 
-        What agrees is not looked at again until the measurements are numbered anew; what does not
-        is compared again with the next ones.
+        What agrees is not looked at again until the measurements are numbered anew. What does not
+        is compared again with the next ones, and believed the second time: the host may have stood
+        still.
         """
         last, self._last = self._last, seq
         if last is not None and not 0 < (seq - last) & _MASK < _HALF:
@@ -62,16 +64,22 @@ class PeriodCheck:
             return False
         samples = list(self._samples)
         self._samples.clear()
-        self.measured_s = median(
+        measured_s = median(
             1e-9 * (late - early) / ((number - first) & _MASK) for (first, early), (number, late)
             in zip(samples, samples[self._lag:], strict=False))
+        self._doubts = self._sure_after if self._near(measured_s) else self._doubts - 1
+        if not self._near(measured_s) and self._doubts > 0:
+            return False
+        self.measured_s = measured_s
         return True
+
+    def _near(self, measured_s: float) -> bool:
+        return abs(measured_s - self.period_s) <= TOLERANCE * self.period_s
 
     @property
     def agrees(self) -> bool:
         """Whether the measured period is the given one, within TOLERANCE."""
-        return (self.measured_s is not None
-                and abs(self.measured_s - self.period_s) <= TOLERANCE * self.period_s)
+        return self.measured_s is not None and self._near(self.measured_s)
 
     @property
     def complaint(self) -> str:

@@ -43,12 +43,26 @@ def test_another_period_is_named_with_both_values(measured_s: float, agrees: boo
         assert f"every {measured_s:.3g} s" in check.complaint
 
 
-def test_a_plant_that_makes_up_for_its_samples_in_bursts_is_no_other_period() -> None:
+@pytest.mark.parametrize(("held_up_s", "every_s"), [(0.02, 0.02), (0.1, 0.4)])
+def test_a_plant_that_makes_up_for_its_samples_in_bursts_is_no_other_period(
+        held_up_s: float, every_s: float) -> None:
     grid = 1e-3 * np.arange(3000)
-    held_up = 0.1 * np.ceil(grid / 0.1)  # nothing for 0.1 s, then a hundred at once
-    assert np.median(np.diff(held_up)) == 0.0
-    assert compared(1e-3, held_up).agrees
-    assert not compared(2e-3, held_up).agrees
+    into = grid % every_s
+    late = grid + np.where(into < held_up_s, held_up_s - into, 0.0)  # nothing, then all at once
+    assert compared(1e-3, late).agrees
+    assert not compared(2e-3, late).agrees
+
+
+def test_a_standstill_alone_is_not_believed() -> None:
+    late = 1e-3 * np.arange(3000)
+    late[100:300] = late[300]
+    check = PeriodCheck(1e-3)
+    for seq in range(500):
+        check.heard(seq, round(1e9 * late[seq]))
+    assert not check.complaint
+    for seq in range(500, 1000):
+        check.heard(seq, round(1e9 * late[seq]))
+    assert check.agrees
 
 
 def test_measurements_that_begin_anew_are_compared_anew() -> None:
