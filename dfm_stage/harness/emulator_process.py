@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -28,18 +28,6 @@ DEVICES = ("qsb_d", "copley_ascii")
 
 class EmulateError(DfmError):
     """The emulator cannot be set up."""
-
-
-class OutputLog:
-    """The output current over time, as lines `steady-clock-ns amperes on|off`."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-
-    def __call__(self, now: float, current_a: float, enabled: bool) -> None:
-        """Write one change."""
-        self._file.write(f"{round(now * 1e9)} {current_a:.6f} {'on' if enabled else 'off'}\n")
-        self._file.flush()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,20 +67,20 @@ def _flash(items: Sequence[str]) -> dict[int, int]:
     return {int(key): value for key, value in out.items()}
 
 
-def _swing(amplitude: float, frequency_hz: float) -> Callable[[float], int]:
-    return lambda now: round(amplitude * math.sin(2.0 * math.pi * frequency_hz * now))
-
-
-def _make(options: argparse.Namespace, link: Any, log: OutputLog | None) -> Emulator:
+def _make(options: argparse.Namespace, link: Any, log: TextIO | None) -> Emulator:
     if options.device == "qsb_d":
-        scale = link.counts if link is not None else _swing(options.amplitude, options.frequency)
+        turn = 2.0 * math.pi * options.frequency
+        scale = link.counts if link is not None else (
+            lambda now: round(options.amplitude * math.sin(turn * now)))
         return QsbDEmulator(scale, index_at=options.index_at, drift=options.drift)
 
     def output(now: float, current_a: float, enabled: bool) -> None:
+        """Pass the output current on; the log has lines `steady-clock-ns amperes on|off`."""
         if link is not None:
             link.output(now, current_a, enabled)
         if log is not None:
-            log(now, current_a, enabled)
+            print(f"{round(now * 1e9)} {current_a:.6f} {'on' if enabled else 'off'}", file=log,
+                  flush=True)
 
     return CopleyAsciiEmulator(output, _flash(options.flash))
 
@@ -163,8 +151,8 @@ def run(options: argparse.Namespace) -> int:
         for number in (signal.SIGINT, signal.SIGTERM):
             before = signal.signal(number, lambda signum, _frame: stop.append(signum))
             cleanup.callback(signal.signal, number, before)
-        log = OutputLog(cleanup.enter_context(options.log.open("w", encoding="utf-8"))
-                        ) if options.log else None
+        log = cleanup.enter_context(
+            options.log.open("w", encoding="utf-8")) if options.log else None
         stage = _connect(options)
         if stage is not None:
             cleanup.callback(stage.close)
