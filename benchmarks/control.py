@@ -19,7 +19,7 @@ from benchmarks.control_scan import (
     NAMES,
     RASTER,
     Controller,
-    Run,
+    ScanRun,
     compare,
     controllers,
     drive,
@@ -78,7 +78,7 @@ def figures(quick: bool = False, keep: Path | None = None) -> list[Figure]:
     return out
 
 
-def _scenarios(stage: Model, model: Model) -> dict[str, dict[str, Run]]:
+def _scenarios(stage: Model, model: Model) -> dict[str, dict[str, ScanRun]]:
     """Return what all controllers did, by what their model knows of the stage."""
     base = stage.base
     wrong = stage.with_parameters({
@@ -103,7 +103,7 @@ def _scenarios(stage: Model, model: Model) -> dict[str, dict[str, Run]]:
     return out
 
 
-def _of_scenario(suffix: str, runs: dict[str, Run], how: str) -> list[Figure]:
+def _of_scenario(suffix: str, runs: dict[str, ScanRun], how: str) -> list[Figure]:
     out = []
     notes = {"": f"model {how}", ".wrong_10": "model with mass +10 %, stiffness -10 %, damping "
              "+10 %, second mode's frequency +10 %", ".friction": "0.02 N of dry friction that "

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.control_scan import Run, tabled
+from benchmarks.control_scan import ScanRun, tabled
 from benchmarks.figure import Figure
 from benchmarks.picture import write_picture
 from dfm_stage.reporting import Page, Table, new_figure, page_style
 
-Scenarios = Mapping[str, Mapping[str, Run]]
+Scenarios = Mapping[str, Mapping[str, ScanRun]]
 Make = Callable[[int, float], tuple[Any, Any]]
 SCENARIOS = {
     "": "The stage, controllers tuned on the model identified from a bag of it",
@@ -56,7 +56,7 @@ def write_page(scenarios: Scenarios, figures: list[Figure], folder: Path) -> Pat
     return page.write(folder / "control.html")
 
 
-def errors_over_time(runs: Mapping[str, Run], make: Make) -> Any:
+def errors_over_time(runs: Mapping[str, ScanRun], make: Make) -> Any:
     """Return a plot of every controller's error over the last period, in um."""
     figure, plots = make(len(runs), 1.3 * len(runs) + 0.6)
     for plot, (name, run) in zip(plots, runs.items(), strict=True):

@@ -61,7 +61,7 @@ class Controller:
 
 
 @dataclass
-class Run:
+class ScanRun:
     """What a controller did: errors, m, on the scan's samples; volts; what else was found."""
 
     error: Array
@@ -158,16 +158,16 @@ def drive(stage: Model, controller: Controller, reference: Reference, seed: int 
     return true, volts
 
 
-def compare(stage: Model, model: Model) -> dict[str, Run]:
+def compare(stage: Model, model: Model) -> dict[str, ScanRun]:
     """Return what every controller does on a stage when it was tuned on a model."""
     h = stage.sample_period
     scan = scan_of(PERIODS, h)
     step = make_reference({"kind": "hold", "position_m": STEP_M}, sample_period_s=h,
                           duration_s=6.0)
-    out: dict[str, Run] = {}
+    out: dict[str, ScanRun] = {}
     for each in controllers(model, stage):
         true, volts = drive(stage, each, scan)
-        run = Run(scan.position - true, volts, scan)
+        run = ScanRun(scan.position - true, volts, scan)
         if not each.inverse:
             stood = drive(stage, each, step)[0]
             outside = np.flatnonzero(np.abs(stood - STEP_M) > SETTLED_M)
@@ -188,7 +188,7 @@ def _margins(controller: Controller, stage: Model) -> Margins:
     return law.design.margins_on(sample_model(stage))
 
 
-def learned(stage: Model, controller: Controller, passes: int = PASSES) -> Run:
+def learned(stage: Model, controller: Controller, passes: int = PASSES) -> ScanRun:
     """Learn for passes of one line there and back each; the error is that of the last one.
 
     Raises
@@ -219,14 +219,14 @@ def learned(stage: Model, controller: Controller, passes: int = PASSES) -> Run:
     error = scan.position - true
     note = (f"pass {passes} there and back, contraction {design.contraction:.2f} checked against "
             f"+-10 % in each parameter{'; ' + learner.stopped if learner.stopped else ''}")
-    found = Run(error, volts, scan, note=note)
+    found = ScanRun(error, volts, scan, note=note)
     for k in range(passes):
         one = slice(first + k * period, first + (k + 1) * period)
         found.per_pass_m.append(_rms(error[one][scan.steady[one]]))
     return found
 
 
-def tabled(runs: Mapping[str, Run]) -> tuple[list[str], list[list[str | float | None]]]:
+def tabled(runs: Mapping[str, ScanRun]) -> tuple[list[str], list[list[str | float | None]]]:
     """Return columns and rows of the comparison."""
     columns = ["controller", "line RMS / nm", "line peak / nm", "turn RMS / nm", "turn peak / nm",
                "effort RMS / V", "1 mm step settles / s", "modulus margin", "gain margin",

@@ -23,8 +23,8 @@ from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
 from dfm_stage.drivers.encoders.qsb_d import QsbD
 from dfm_stage.drivers.qsb_protocol import BAUD, TICKS_PER_SECOND
 from dfm_stage.drivers.quantiser import SigmaDelta
-from dfm_stage.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.harness import HarnessError, RunResult
+from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.model import Plant, load_model
 from dfm_stage.recording import read_bag
 from dfm_stage.trajectory import make_reference
@@ -218,7 +218,6 @@ def _run(steps: str, duration_s: float) -> tuple[NDArray[np.float64], NDArray[np
     period_s = 1.0 / TICKS_PER_SECOND
     plant = Plant(replace(load_model("current_stage"), sample_period=period_s))
     given = hardware_parameters(Path(), Path())["controller"]
-    del given["sample_period_s"]
     pid = Pid(PidGains(**given), period_s)
     wanted = make_reference(RASTER, sample_period_s=period_s, duration_s=duration_s, seed=0)
     quantise = SigmaDelta(CopleyAscii.count_a, shaped=steps == "shaped")

@@ -6,10 +6,8 @@ import contextlib
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,7 +16,6 @@ from benchmarks.fault_campaign import CONTROLLER
 from benchmarks.fault_sight import TRAVEL_M
 from benchmarks.figure import Figure
 from dfm_stage.harness import HarnessError, StageGraph
-from dfm_stage.model import load_model, save_model
 
 DURATION_S, QUICK_DURATION_S = 30.0, 4.0
 DIAGNOSTICS_S = 2.5
@@ -52,16 +49,15 @@ def figures(quick: bool = False) -> list[Figure]:
     """Measure 30 s (quick: 4 s) of each rate composed, and of processes beside busy cores."""
     duration_s = QUICK_DURATION_S if quick else DURATION_S
     out = []
-    with tempfile.TemporaryDirectory(prefix="dfm_load_") as folder:
-        for rate in RATES_HZ:
-            out += _figures(f"composed_{rate}hz", run(rate, duration_s, True, Path(folder)),
-                            f"all nodes in one process at {rate} Hz, {duration_s:g} s")
-        out += _figures("processes", run(1000, duration_s, False, Path(folder)),
-                        f"five processes at 1000 Hz, {duration_s:g} s")
-        with busy_cores() as cores:
-            out += _figures("processes_busy", run(1000, duration_s, False, Path(folder)),
-                            f"five processes at 1000 Hz beside a busy loop on each of {cores} "
-                            f"cores, {duration_s:g} s")
+    for rate in RATES_HZ:
+        out += _figures(f"composed_{rate}hz", run(rate, duration_s, True),
+                        f"all nodes in one process at {rate} Hz, {duration_s:g} s")
+    out += _figures("processes", run(1000, duration_s, False),
+                    f"five processes at 1000 Hz, {duration_s:g} s")
+    with busy_cores() as cores:
+        out += _figures("processes_busy", run(1000, duration_s, False),
+                        f"five processes at 1000 Hz beside a busy loop on each of {cores} "
+                        f"cores, {duration_s:g} s")
     return out
 
 
@@ -78,11 +74,8 @@ def busy_cores() -> Iterator[int]:
             loop.wait()
 
 
-def run(rate_hz: int, duration_s: float, composed: bool, folder: Path) -> Outcome:
+def run(rate_hz: int, duration_s: float, composed: bool) -> Outcome:
     """Scan at a rate; a run that is cut short is an outcome, too."""
-    period_s = 1.0 / rate_hz
-    file = folder / f"stage_{rate_hz}.yaml"
-    save_model(replace(load_model("paper_stage"), sample_period=period_s), file)
     outcome = Outcome()
 
     def on_diagnostics(array: DiagnosticArray) -> None:
@@ -93,9 +86,8 @@ def run(rate_hz: int, duration_s: float, composed: bool, folder: Path) -> Outcom
             elif status.name == AMPLIFIER and values.get("latched", "nothing") != "nothing":
                 outcome.latched = values["latched"]
 
-    period = {"sample_period_s": period_s}
-    with StageGraph(model=str(file), composed=composed, parameters={
-            "controller": {**CONTROLLER, **period}, "trajectory_generator": period}) as graph:
+    with StageGraph(composed=composed, sample_period_s=1.0 / rate_hz,
+                    parameters={"controller": CONTROLLER}) as graph:
         graph.watch_diagnostics(on_diagnostics)
         plant = graph.listen("x", "plant")
         try:

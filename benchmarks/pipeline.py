@@ -16,7 +16,7 @@ STAGES = 5
 def ages_ms(duration_s: float, priority: int = 0) -> NDArray[np.float64]:
     """Run the pipeline, with SCHED_RR if there is a `priority`; return the ages of the
     messages at the sink, ms."""
-    from dfm_stage.domain import claim_domain
+    from dfm_stage.harness.domain import claim_domain
 
     with claim_domain() as domain:
         env = {**os.environ, "ROS_DOMAIN_ID": str(domain.number)}
@@ -40,7 +40,7 @@ def _stage(index: int, duration_s: float, priority: int) -> None:
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
     from dfm_interfaces.msg import Measurement
-    from dfm_stage.nodes.scheduling import RealTime
+    from dfm_stage.middleware.scheduling import RealTime
 
     rclpy.init()
     node = rclpy.create_node(f"stage_{index}")

@@ -20,10 +20,11 @@ from typing import Any
 
 from benchmarks.nursery import Nursery
 from dfm_interfaces.msg import Command
-from dfm_stage.emulated import EmulatedGraph, hardware_parameters
+from dfm_stage.drivers.qsb_protocol import TICKS_PER_SECOND
 from dfm_stage.harness import HarnessError
+from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
+from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.process import helper_node
-from dfm_stage.nodes.wire import codec
 
 NODES = ("sim_plant", "encoder_driver", "amplifier_driver", "trajectory_generator")
 MOVING = {
@@ -149,7 +150,7 @@ class ZeroCurrentRig:
                     self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
                     self.graph.trigger("trajectory_generator", "start")
             if now > deaf_s:
-                # a started controller that hears nobody: see dfm_stage/nodes/shared_memory.py
+                # a started controller that hears nobody: see dfm_stage/middleware/shared_memory.py
                 self.deaf += 1
                 deaf_s = now + DEAF_S
                 self.nursery.start()
@@ -199,7 +200,8 @@ def moving_stage() -> Iterator[ZeroCurrentRig]:
     """Yield a ZeroCurrentRig on a stage that swings under control."""
     with EmulatedGraph(nodes=NODES, parameters=MOVING) as graph:
         parameters = graph.output_log.with_name("controller.yaml")
-        values = hardware_parameters(Path(), Path())["controller"]
+        values = {**hardware_parameters(Path(), Path())["controller"],
+                  "sample_period_s": 1.0 / TICKS_PER_SECOND}
         parameters.write_text(json.dumps(
             {"/stage/x/controller": {"ros__parameters": values}}), "utf-8")
         nursery = Nursery(["--ros-args", "-r", "__ns:=/stage/x", "--params-file",

@@ -19,7 +19,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from dfm_stage.domain import Domain, claim_domain
+from dfm_stage.harness.domain import Domain, claim_domain
 
 GRACE_S = 3.0
 PR_SET_CHILD_SUBREAPER = 36

@@ -17,7 +17,7 @@ from benchmarks.corpus.severity import Refit, left_by_refit, rms, scale_for
 from benchmarks.corpus.stage import (
     PERIOD,
     SAMPLES,
-    Run,
+    CaseRun,
     Stage,
     closed_loop,
     draw_runs,
@@ -57,8 +57,8 @@ class Setup:
     """Truth: a stage, its runs, the neighbour's motion, the effects, and how noise is made."""
 
     stage: Stage
-    train: list[Run]
-    held: list[Run]
+    train: list[CaseRun]
+    held: list[CaseRun]
     neighbour: Stage | None = None
     other: dict[int, tuple[Any, Any]] = field(default_factory=dict)
     effects: dict[str, Parameters] = field(default_factory=dict)
@@ -66,7 +66,7 @@ class Setup:
     jitter_s: float = 0.0
     lead: int = 0
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[CaseRun]:
         """All of them; the place in this list is a run's number."""
         return [*self.train, *self.held]
 
@@ -131,7 +131,7 @@ def _setup(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Setup:
     stage = draw_stage(rng, spec.effects)
     setup = Setup(stage, *draw_runs(rng, stage, samples))
     if spec.trap == "rest":
-        zero = Run("rest", NOTHING, np.zeros(samples))
+        zero = CaseRun("rest", NOTHING, np.zeros(samples))
         setup.train, setup.held = [zero], [zero]
     elif spec.trap == "feedback_noise":
         stage = Stage(stage.base, stage.amplitude, log_uniform(rng, 2e-7, 1e-6),
@@ -247,8 +247,8 @@ def _fit_severities(spec: CaseSpec, setup: Setup, rng: np.random.Generator) -> d
     return found
 
 
-def _smaller(run: Run, factor: float) -> Run:
-    return Run(run.kind, factor * run.reference, factor * run.feed, run.gains)
+def _smaller(run: CaseRun, factor: float) -> CaseRun:
+    return CaseRun(run.kind, factor * run.reference, factor * run.feed, run.gains)
 
 
 def _severity(setup: Setup, drawn: Draw) -> Callable[[float], float]:

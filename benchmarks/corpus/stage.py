@@ -17,7 +17,7 @@ NO_LOOP = np.zeros(4)
 
 
 @dataclass(frozen=True)
-class Run:
+class CaseRun:
     """An experiment as it is asked for: open loop `feed` is the input, else it is added."""
 
     kind: str
@@ -81,7 +81,7 @@ def draw_stage(rng: np.random.Generator, effects: tuple[str, ...]) -> Stage:
 
 
 def open_loop(rng: np.random.Generator, stage: Stage, kind: str, amplitude: float,
-              samples: int = SAMPLES) -> Run:
+              samples: int = SAMPLES) -> CaseRun:
     """A run by input alone whose linear motion has the peak `amplitude` (m)."""
     if kind == "multisine":
         repeat = float(rng.choice([4.0, 4.0, 8.0]))
@@ -96,11 +96,11 @@ def open_loop(rng: np.random.Generator, stage: Stage, kind: str, amplitude: floa
         feed = signals.scan(rng, PERIOD, samples, _line_hz(rng, stage))
     motion = response(stage.base, PERIOD, feed)
     feed = feed * amplitude / np.max(np.abs(motion))
-    return Run(kind, np.zeros(0), feed)
+    return CaseRun(kind, np.zeros(0), feed)
 
 
 def closed_loop(rng: np.random.Generator, stage: Stage, amplitude: float,
-                dither: float, samples: int = SAMPLES) -> Run:
+                dither: float, samples: int = SAMPLES) -> CaseRun:
     """A scan under control with static feedforward; `dither` (m) is the peak motion that an added
     multisine would cause in open loop."""
     reference = amplitude * signals.scan(rng, PERIOD, samples, _line_hz(rng, stage))
@@ -109,7 +109,7 @@ def closed_loop(rng: np.random.Generator, stage: Stage, amplitude: float,
         feed = 0.9 * reference / float(np.real(transfer(stage.base, PERIOD, [1e-3])[0]))
     if dither > 0.0:
         feed = feed + open_loop(rng, stage, "multisine", dither, samples).feed
-    return Run("closed_scan", reference, feed, signals.gains(stage.base, PERIOD))
+    return CaseRun("closed_scan", reference, feed, signals.gains(stage.base, PERIOD))
 
 
 def _line_hz(rng: np.random.Generator, stage: Stage) -> float:
@@ -117,7 +117,7 @@ def _line_hz(rng: np.random.Generator, stage: Stage) -> float:
 
 
 def draw_runs(rng: np.random.Generator, stage: Stage,
-              samples: int = SAMPLES) -> tuple[list[Run], list[Run]]:
+              samples: int = SAMPLES) -> tuple[list[CaseRun], list[CaseRun]]:
     """Training runs and held-out runs, which differ in kind."""
     top = stage.amplitude
     choice = rng.random()

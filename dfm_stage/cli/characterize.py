@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dfm_stage.cli.characterize_summary import summary
 from dfm_stage.cli.command import (
     NO_REPORT,
     PROCESSES,
@@ -50,27 +51,6 @@ OPTIONS = (
     NO_REPORT,
     json_option("characterize.json"),
 )
-RESPONSE = {
-    "numerator": "numerator", "damping, 2 zeta w": "damping", "stiffness, w^2": "stiffness",
-    "natural frequency": "natural_frequency", "damping ratio": "damping_ratio",
-    "static gain": "static_gain", "amplifier lag": "lag", "delay": "delay"}
-QUANTITIES: dict[str, dict[str, str]] = {
-    "static": {"stiffness": "stiffness", "largest distance from a line": "linearity",
-               "hysteresis loop": "hysteresis",
-               "hysteresis loop over the travel": "hysteresis_percent"},
-    "decay": {"logarithmic decrement": "decrement", "damping ratio": "damping",
-              "damping ratio, Eq. 2 as printed": "damping_as_printed",
-              "natural frequency": "natural_frequency",
-              "decrement of the first half": "early", "decrement of the second half": "late"},
-    "step": {"rise time, 10 to 90 %": "rise_time", "settling time, {band:g} %": "settling_time",
-             "overshoot": "overshoot", "time of the peak": "peak_time",
-             "damping ratio from the overshoot": "damping",
-             "natural frequency from the peak": "natural_frequency"},
-    "stepped_sine": RESPONSE, "multisine": RESPONSE,
-}
-"""What is told of each kind of experiment: words, and the attribute of its result."""
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run and analyse characterisation experiments; 0 done, 2 unusable input."""
     options = command_parser("characterize", __doc__, EPILOG, OPTIONS).parse_args(argv)
@@ -137,16 +117,7 @@ def _model_of(record: Record) -> Model | None:
     return model.axis(next(iter(record.axes))) if model.axes else model
 
 
-def summary(kind: str, result: Any) -> list[tuple[str, Any]]:
-    """Return what a result says, as (what, Quantity) pairs."""
-    found = getattr(result, "constrained", result)
-    band = 100.0 * getattr(found, "band", 0.0)
-    return [(words.format(band=band), getattr(found, name))
-            for words, name in QUANTITIES[kind].items()]
-
-
 def _print(kind: str, result: Any) -> None:
-
     print(kind.replace("_", " "))
     for name, q in summary(kind, result):
         print(f"  {name:<34} {q}")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dfm_stage.cli.characterize_summary import summary
 from dfm_stage.paper.figures import (
     curves_figure,
     decay_figure,
@@ -37,8 +38,6 @@ def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Mod
     ReportError
         If the folder cannot be written.
     """
-    from dfm_stage.cli.characterize import summary
-
     page = Page("Characterisation")
     page.lead(" ".join(_sentence(kind, result) for kind, (_, result) in found.items()))
     for kind, (record, result) in found.items():

@@ -7,6 +7,9 @@ import sys
 from typing import Literal, TextIO
 
 Tone = Literal["good", "warn", "bad"]
+TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
+                          "unknown": "bad", "not_excited": "warn"}
+"""How good news each verdict of the diagnosis is."""
 _CODES = {"good": "32", "warn": "33", "bad": "31"}
 
 

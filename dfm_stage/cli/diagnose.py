@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.cli.colour import Tone, paint
+from dfm_stage.cli.colour import TONES, paint
 from dfm_stage.cli.command import (
     add_column_options,
     command_parser,
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from dfm_stage.diagnosis import Diagnosis
     from dfm_stage.model import Model
 
-TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
-                          "unknown": "bad", "not_excited": "warn"}
 EPILOG = """\
 examples:
   ./run diagnose runs/multisine --holdout runs/scan --model found/model.yaml --out diagnosis

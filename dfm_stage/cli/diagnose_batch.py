@@ -9,8 +9,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from dfm_stage.cli.batch import Job, Outcome, run_batch
 from dfm_stage.cli.command import command_parser, output_folder, run_command, write_output
-from dfm_stage.diagnosis.batch import Job, Outcome, run_batch
 from dfm_stage.errors import DfmError
 
 EPILOG = """\

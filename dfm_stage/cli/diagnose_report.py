@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from dfm_stage.cli.diagnose import TONES
+from dfm_stage.cli.colour import TONES
 from dfm_stage.reporting import (
     Drawing,
     Page,

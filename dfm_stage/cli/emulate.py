@@ -1,32 +1,12 @@
-"""emulate: a serial device that is not there, on a pseudo-terminal, byte for byte.
-
-Alone it shows a scale at rest (or swinging) and a coil that takes what it gets; with --stage it
-stands between a running sim_plant and the drivers. Faults are typed as lines on its input.
-"""
+"""emulate: a serial device that is not there, on a pseudo-terminal, byte for byte."""
 
 from __future__ import annotations
 
-import argparse
-import math
-import os
-import signal
-import sys
-import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from pathlib import Path
-from typing import Any, TextIO
+from collections.abc import Sequence
 
-from dfm_stage.cli.command import command_parser, option, run_command
-from dfm_stage.drivers.copley_protocol import Parameter
-from dfm_stage.drivers.emulators.copley_ascii import CopleyAsciiEmulator
-from dfm_stage.drivers.emulators.pty_port import Emulator, PtyPort
-from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
-from dfm_stage.errors import DfmError
+from dfm_stage.cli.command import command_parser, run_command
+from dfm_stage.harness.emulator_process import add_arguments, run
 
-Output = Callable[[float, float, bool], None]
-"""Takes a change of the output: time (s), current (A), enabled."""
-DEVICES = ("qsb_d", "copley_ascii")
 HELP = """faults, typed as lines:
   silence S        hears and says nothing for S seconds
   garbage N        sends N random bytes
@@ -41,141 +21,15 @@ examples:
   ./run emulate qsb_d --amplitude 1000 --frequency 2
   ./run emulate copley_ascii --stage /stage/x --log out/current.txt
 """
-OPTIONS = (
-    option("device", choices=DEVICES),
-    option("--link", type=Path, metavar="PATH",
-           help="where the port is to be found (default /tmp/dfm_<device>)"),
-    option("--stage", metavar="NAMESPACE",
-           help="connect to the sim_plant of this axis, such as /stage/x"),
-    option("--sample-period", type=float, default=1e-3, metavar="S",
-           help="of the simulated model (default 0.001)"),
-    option("--resolution", type=float, default=0.0, metavar="M",
-           help="length of a count of the scale (default: the simulated one's)"),
-    option("--amplitude", type=float, default=0.0, metavar="COUNTS",
-           help="without a stage: the scale swings by this much"),
-    option("--frequency", type=float, default=1.0, metavar="HZ",
-           help="without a stage: and this fast"),
-    option("--index-at", type=int, metavar="COUNTS",
-           help="qsb_d: where the index mark is"),
-    option("--drift", type=float, default=0.0,
-           help="qsb_d: how slow its clock is, relative (1e-4 = 0.1 ms per s)"),
-    option("--flash", action="append", default=[], metavar="0xNN=VALUE",
-           help="copley_ascii: a parameter as stored in the drive"),
-    option("--log", type=Path, metavar="FILE",
-           help="copley_ascii: write every change of the output current"),
-    option("--seed", type=int, default=0, help="fixes what garbage is"),
-)
-
-
-class EmulateError(DfmError):
-    """The emulator cannot be set up."""
-
-
-def _output_log(file: TextIO) -> Output:
-    """Return what writes a change of the output as a line `steady-clock-ns amperes on|off`."""
-    return lambda now, current_a, enabled: print(
-        f"{round(now * 1e9)} {current_a:.6f} {'on' if enabled else 'off'}", file=file, flush=True)
-
-
-def _flash(items: Sequence[str]) -> dict[int, int]:
-    out = {}
-    for item in items:
-        try:
-            name, value = item.split("=")
-            out[int(Parameter(int(name, 0)))] = int(value, 0)
-        except ValueError as error:
-            raise EmulateError(f"--flash {item}: write it as 0x24=1 ({error})") from error
-    return out
-
-
-def _make(options: argparse.Namespace, link: Any, log: Output | None) -> Emulator:
-    if options.device == "qsb_d":
-        omega = 2.0 * math.pi * options.frequency
-        scale = link.counts if link is not None else (
-            lambda now: round(options.amplitude * math.sin(omega * now)))
-        return QsbDEmulator(scale, index_at=options.index_at, drift=options.drift)
-    takers = [each for each in (link.output if link is not None else None, log) if each]
-
-    def output(now: float, current_a: float, enabled: bool) -> None:
-        for take in takers:
-            take(now, current_a, enabled)
-
-    return CopleyAsciiEmulator(output, _flash(options.flash))
-
-
-def _connect(options: argparse.Namespace, opened: ExitStack) -> Any:
-    """Return the link to the axis of --stage, None without one."""
-    if not options.stage:
-        return None
-    from dfm_stage.emulated import StageLink
-
-    link = StageLink(options.stage, f"{options.device}_emulator", options.sample_period,
-                     options.resolution)
-    opened.callback(link.close)
-    if options.device == "qsb_d":
-        link.read_scale()
-    else:
-        link.drive_coil()
-    link.start()
-    return link
-
-
-class _Input:
-    """Lines of a file descriptor that must not block."""
-
-    def __init__(self, handle: int) -> None:
-        self.handles = [handle]
-        self._rest = b""
-
-    def lines(self) -> list[str]:
-        """Return the lines that have come; at the end of input nothing is listened to."""
-        data = os.read(self.handles[0], 4096)
-        if not data:
-            self.handles.clear()
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        return [line.decode(errors="replace").strip() for line in lines]
-
-
-def _run(port: PtyPort, stop: list[int]) -> None:
-    typed = _Input(sys.stdin.fileno())
-    while not stop:
-        if not port.step(typed.handles, 0.05):
-            continue
-        for line in typed.lines():
-            if line == "quit":
-                return
-            if not line:
-                continue
-            try:
-                print(f"{time.monotonic_ns()} {port.inject(line)}", flush=True)
-            except DfmError as error:
-                print(f"emulate: {error}", file=sys.stderr, flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 after quit or a signal, 2 when it cannot be set up."""
-    options = command_parser("emulate", (__doc__ or "").partition("\n")[0], HELP,
-                             OPTIONS).parse_args(argv)
-    stop: list[int] = []
-    with ExitStack() as opened:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            before = signal.signal(number, lambda signum, _frame: stop.append(signum))
-            opened.callback(signal.signal, number, before)
-        return run_command(lambda: _emulate(options, opened, stop))
+    parser = command_parser("emulate", __doc__, HELP)
+    add_arguments(parser)
+    options = parser.parse_args(argv)
+    return run_command(lambda: run(options))
 
 
-def _emulate(options: argparse.Namespace, opened: ExitStack, stop: list[int]) -> int:
-    """Run the device until `stop` holds a signal; `opened` closes what was opened."""
-    path = options.link or Path(f"/tmp/dfm_{options.device}")  # noqa: S108 asked for by name
-    log = _output_log(opened.enter_context(options.log.open("w", encoding="utf-8"))
-                      ) if options.log else None
-    stage = _connect(options, opened)
-    try:
-        port = PtyPort(_make(options, stage, log), path, options.seed)
-    except OSError as error:
-        raise EmulateError(f"cannot put a port at {path}: {error.strerror}: name another "
-                           "--link") from error
-    opened.callback(port.close)
-    print(f"{options.device} at {path}", flush=True)
-    _run(port, stop)
-    return 130 if signal.SIGINT in stop else 0
+if __name__ == "__main__":
+    raise SystemExit(main())

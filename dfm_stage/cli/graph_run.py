@@ -27,7 +27,7 @@ def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, 
     DfmError
         If the graph does not come up, the experiment fails or the bag cannot be read.
     """
-    from dfm_stage.harness import NotReachedError, StageGraph
+    from dfm_stage.harness import NotInTimeError, StageGraph
     from dfm_stage.recording import read_record
 
     name = experiment if isinstance(experiment, str) else str(experiment["name"])
@@ -42,7 +42,7 @@ def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, 
 
     try:
         run()
-    except NotReachedError as error:
+    except NotInTimeError as error:
         print(f"  once more: {error}", file=sys.stderr)
         shutil.rmtree(bag, ignore_errors=True)
         run()

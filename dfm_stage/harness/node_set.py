@@ -6,7 +6,6 @@ import atexit
 import contextlib
 import ctypes
 import gc
-import importlib
 import json
 import os
 import signal
@@ -25,13 +24,14 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 
 from dfm_interfaces.srv import Ready
-from dfm_stage.domain import claim_domain
 from dfm_stage.errors import DfmError
+from dfm_stage.harness.domain import claim_domain
+from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
+from dfm_stage.nodes.base import node_class
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
-from dfm_stage.nodes.security import require_what_was_asked
-from dfm_stage.nodes.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 
-__all__ = ["HarnessError", "Launched", "NodeSet", "NotReachedError"]
+__all__ = ["HarnessError", "Launched", "NodeSet", "NotInTimeError"]
 
 _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
@@ -45,8 +45,8 @@ class HarnessError(DfmError):
     """A node set did not come up, an experiment did not finish, or a node died."""
 
 
-class NotReachedError(HarnessError):
-    """A node did not find another, or did not answer in time, as happens on a busy machine."""
+class NotInTimeError(HarnessError):
+    """Something did not come in time, as happens where nodes meet on a busy machine."""
 
 
 @dataclass
@@ -147,12 +147,12 @@ class NodeSet:
             {launched.full_name: {"ros__parameters": dict(parameters)}}))
         ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
         if self.composed and make is None:
-            module = importlib.import_module(f"dfm_stage.nodes.{kind}")
-            make = getattr(module, "".join(part.capitalize() for part in kind.split("_")))
+            make = node_class(kind)
         if make is not None:
             launched.node = make(context=self._context, cli_args=ros_args)
             self.launched.append(launched)
             self._executor.add_node(launched.node)
+            launched.node.begin()
             return launched
         launched.log = file.with_suffix(".log")
         with launched.log.open("wb") as log:
@@ -184,7 +184,7 @@ class NodeSet:
                 if answer.ready:
                     break
                 if time.monotonic() > deadline:
-                    raise NotReachedError(f"{launched.full_name} is not ready: {answer.message}")
+                    raise NotInTimeError(f"{launched.full_name} is not ready: {answer.message}")
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -214,7 +214,7 @@ class NodeSet:
                         said = "".join(f"; {name} says: {text}"
                                        for name, text in self._complaints.items() if text)
                         said += _DEAF if self._deaf else ""
-                        raise NotReachedError(f"{what}: not there after {timeout_s:.3g} s{said}")
+                        raise NotInTimeError(f"{what}: not there after {timeout_s:.3g} s{said}")
         if interrupted and not self._closing:
             raise KeyboardInterrupt
 
@@ -309,7 +309,7 @@ class NodeSet:
             if answered:
                 return answered[0]
             if time.monotonic() >= deadline:
-                raise NotReachedError(f"service {name} does not answer within {timeout_s:g} s")
+                raise NotInTimeError(f"service {name} does not answer within {timeout_s:g} s")
 
     def _client(self, kind: Any, name: str, anew: bool = False) -> Any:
         """Return the client of a service, which is kept until the end.
@@ -339,10 +339,7 @@ class NodeSet:
         result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically",
                            request).result
         if not result.successful:
-            names = ", ".join(values)
-            if "undeclared" in result.reason:
-                raise HarnessError(f"{node} lacks one of the parameters {names}")
-            raise HarnessError(f"{node}: {result.reason} (setting {names})")
+            raise HarnessError(f"{node}: {result.reason} (setting {', '.join(values)})")
 
     def cpu_seconds(self) -> float:
         """Return the processor time that the node processes have used so far, s."""

@@ -18,10 +18,11 @@ from std_srvs.srv import Trigger
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet
+from dfm_stage.middleware.wire import codec
 from dfm_stage.model import load_model
-from dfm_stage.nodes.share import find_experiment
-from dfm_stage.nodes.wire import codec
+from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, LOSSY_QOS, PUBLISHER_QOS
+from dfm_stage.share import find_experiment
 from dfm_stage.trajectory import Experiment, load_experiment
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RunResult", "StageGraph"]
 
+SAMPLING = ("sim_plant", "controller", "trajectory_generator")
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 STAGE_NODES = ("sim_plant", "recorder")
 START_ORDER = ("recorder", "sim_plant", *AXIS_NODES)
@@ -63,6 +65,8 @@ class StageGraph(NodeSet):
         Per node kind, further ROS parameters: `{"controller": {"kp": 2000.0}}`.
     nodes : sequence of str, optional
         Only these kinds, for instance without the controller.
+    sample_period_s : float, optional
+        Sampling period that every node gets; by default that of the model.
     domain_id : int, optional
         A ROS domain to join instead of one's own.
     start_timeout_s : float
@@ -79,13 +83,15 @@ class StageGraph(NodeSet):
                  bag: str | os.PathLike[str] | None = None,
                  parameters: Mapping[str, Mapping[str, Any]] | None = None,
                  nodes: Sequence[str] | None = None, seed: int = 0,
-                 domain_id: int | None = None, start_timeout_s: float = 60.0) -> None:
+                 domain_id: int | None = None, start_timeout_s: float = 60.0,
+                 sample_period_s: float | None = None) -> None:
         super().__init__(composed, domain_id, start_timeout_s)
         self.axes = tuple(axes)
         self.lockstep = lockstep
         self.bag = Path(bag) if bag is not None else None
         kinds = tuple(nodes) if nodes is not None else (*STAGE_NODES, *AXIS_NODES)
         self._kinds = [kind for kind in kinds if kind != "recorder" or self.bag is not None]
+        self._sample_period_s = sample_period_s
         self._parameters = self._node_parameters(model, seed, parameters or {})
         self._goals: dict[str, Any] = {}
 
@@ -121,12 +127,15 @@ class StageGraph(NodeSet):
 
     def start_nodes(self) -> None:
         """Launch the nodes and wait until they have met and experiments can be asked for."""
-        if "sim_plant" in self._kinds:
-            load_model(self._parameters["sim_plant"]["model"])  # before the recorder has a bag
-        if "sim_plant" in self._kinds and not self.composed:
-            from dfm_stage.compile_all import compile_all
+        if "sim_plant" in self._kinds:  # before the recorder has a bag
+            model = load_model(self._parameters["sim_plant"]["model"])
+            self._sample_period_s = self._sample_period_s or model.sample_period
+            if not self.composed:
+                from dfm_stage.compile_all import compile_all
 
-            compile_all()
+                compile_all()
+        for kind in self._kinds:
+            self._parameters[kind] = {**self._sampling(kind), **self._parameters[kind]}
         deadline = time.monotonic() + self._start_timeout_s
         for kind in sorted(self._kinds, key=START_ORDER.index):
             namespaces = ["/stage"] if kind in STAGE_NODES else [
@@ -152,11 +161,21 @@ class StageGraph(NodeSet):
         axis : str
             Whose namespace it lives in.
         parameters : mapping, optional
-            ROS parameters, besides `lockstep` and `wait_for_recorder`, which are the graph's.
+            ROS parameters, besides `lockstep`, `wait_for_recorder` and `sample_period_s`, which
+            are the graph's.
         """
-        common = {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds}
+        common = {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds,
+                  **self._sampling("controller")}
         return self.launch(make.kind, f"/stage/{axis}", {**common, **(parameters or {})},
                            make).node
+
+    def _sampling(self, kind: str) -> dict[str, float]:
+        """Return the one sampling period for a kind of node that has one."""
+        if kind not in SAMPLING or self._sample_period_s is None:
+            return {}
+        if kind == "sim_plant" and self._on_hardware("encoder_driver"):
+            return {}  # a counter samples by its own clock
+        return {SAMPLE_PERIOD.name: self._sample_period_s}
 
     def _wait_connected(self, deadline: float) -> None:
         by_wire = [kind for kind in self._kinds if self._on_hardware(kind)]
@@ -248,18 +267,17 @@ class StageGraph(NodeSet):
         return results
 
     def _rearm(self, axis: str) -> None:
-        """In simulation, what an earlier run left latched does not spoil the next."""
-        if "amplifier_driver" not in self._kinds or self._on_hardware("amplifier_driver"):
+        """Arm a simulated output that arms by itself: what an earlier run left latched is over."""
+        settings = self._parameters.get("amplifier_driver", {"autoarm": False})
+        if self._on_hardware("amplifier_driver") or not (
+                settings.get("autoarm", True) and settings.get("autostart", True)):
             return
         node = f"/stage/{axis}/amplifier_driver"
-        answer = self.call(Trigger, f"{node}/clear", Trigger.Request())
         deadline = time.monotonic() + REARM_S
-        while answer.message.startswith("cleared"):
-            armed = self.call(Trigger, f"{node}/arm", Trigger.Request())
-            if armed.success:
-                return
+        while not (armed := self.call(Trigger, f"{node}/arm", Trigger.Request())).success:
             if time.monotonic() > deadline:
-                raise HarnessError(f"{node} cannot be armed again: {armed.message}")
+                raise HarnessError(f"{node} cannot be armed: {armed.message}")
+            self.call(Trigger, f"{node}/clear", Trigger.Request())
 
     def _set_controller(self, experiment: Experiment, axis: str) -> None:
         """Set what the experiment asks of the controller, from its mapping or parameter file."""

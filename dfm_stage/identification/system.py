@@ -209,7 +209,7 @@ class System(Problem):
             for g in self.groups:
                 at = [self.fitted.index(n) for n in g.fitted]
                 table[:, at] = [g.backward(row) for row in table[:, at]]
-        return table
+        return np.asarray(table)
 
     # -- simulation -----------------------------------------------------------------------------
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
+from dfm_stage.middleware.recent import Recent
+
 KEPT = 2000
 BEHIND = 100
 """Samples that the view stays behind the loop, so that a sample's command and answer are there."""
@@ -20,8 +22,8 @@ class Trace:
 
     def __init__(self) -> None:
         self._measured: deque[tuple[int, int, float]] = deque(maxlen=KEPT)
-        self._references: dict[int, float] = {}
-        self._answers: dict[int, tuple[float, float]] = {}
+        self._references: Recent[float] = Recent(KEPT)
+        self._answers: Recent[tuple[float, float]] = Recent(KEPT)
         self.heard = 0
         self.every = 1
         self.amplifier: Any = None
@@ -35,12 +37,12 @@ class Trace:
 
     def on_reference(self, message: Any) -> None:
         """Take the reference of a sample, which may come before or after it."""
-        _keep(self._references, message.seq, message.position)
+        self._references.keep(message.seq, message.position)
 
     def on_amplifier(self, message: Any) -> None:
         """Take what was given in answer to a sample."""
         self.amplifier = message
-        _keep(self._answers, message.measurement_seq, (message.voltage, message.current))
+        self._answers.keep(message.measurement_seq, (message.voltage, message.current))
 
     def rows(self, everything: bool = False) -> list[list[float | None]]:
         """Return [time s, position m, reference m, volts, amperes] of the new samples.
@@ -58,9 +60,3 @@ class Trace:
                 amperes = None
             out.append([stamp_ns * 1e-9, position, self._references.get(seq), volts, amperes])
         return out
-
-
-def _keep(kept: dict[int, Any], seq: int, value: Any) -> None:
-    kept[seq] = value
-    if len(kept) > KEPT:
-        del kept[next(iter(kept))]

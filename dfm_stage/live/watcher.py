@@ -9,16 +9,14 @@ from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from dfm_interfaces.msg import AmplifierState
 from dfm_stage.live.trace import Trace
-from dfm_stage.nodes.process import helper_node, make_executor
-from dfm_stage.nodes.wire import codec
+from dfm_stage.middleware.wire import codec
+from dfm_stage.nodes.process import Helper
 from dfm_stage.nodes.wiring import LINKS
 
 MEASUREMENT = "dfm_interfaces/msg/Measurement"
@@ -39,13 +37,9 @@ class Watcher:
     """Listens in a thread of its own from `start` to `close`."""
 
     def __init__(self) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, args=[],
-                   signal_handler_options=SignalHandlerOptions.NO)
-        self._node = helper_node("view", "/stage", self._context)
-        self._executor = make_executor(self._context)
-        self._executor.add_node(self._node)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self._ros = Helper("view", "/stage")
+        self._ros.node.create_subscription(DiagnosticArray, "/diagnostics",
+                                           self._on_diagnostics, 50)
         self._clients: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._traces: dict[str, Trace] = {}
@@ -64,8 +58,7 @@ class Watcher:
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._ros.close()
 
     def wish(self, what: str, axis: str, answer: Answer) -> None:
         """Ask for one of WISHES on an axis; `answer` gets the node's words, in another thread."""
@@ -101,13 +94,13 @@ class Watcher:
                 looked = time.monotonic()
                 self._find_axes()
             for _ in range(64):
-                self._executor.spin_once(0.01)
+                self._ros.executor.spin_once(0.01)
                 if not self._wishes.empty() or self._ending.is_set():
                     break
             self._pass_on()
 
     def _find_axes(self) -> None:
-        for name, types in self._node.get_topic_names_and_types():
+        for name, types in self._ros.node.get_topic_names_and_types():
             axis, _, topic = name.rpartition("/")
             if topic == "measurement" and MEASUREMENT in types and axis not in self._traces:
                 trace = Trace()
@@ -126,7 +119,7 @@ class Watcher:
             with self._lock:
                 take(message)
 
-        self._node.create_subscription(kind, topic, heard, QOS, raw=True)
+        self._ros.node.create_subscription(kind, topic, heard, QOS, raw=True)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         with self._lock:
@@ -142,16 +135,15 @@ class Watcher:
             except Empty:
                 return
             if service not in self._clients:  # kept, as by NodeSet
-                self._clients[service] = self._node.create_client(Trigger, service)
+                self._clients[service] = self._ros.node.create_client(Trigger, service)
             client = self._clients[service]
             deadline = time.monotonic() + ANSWER_S
-            future = None
+            future, said = None, f"no answer within {ANSWER_S:g} s"
             while time.monotonic() < deadline and not self._ending.is_set():
                 if future is None and client.service_is_ready():
                     future = client.call_async(Trigger.Request())
-                self._executor.spin_once(0.01)
+                self._ros.executor.spin_once(0.01)
                 if future is not None and future.done():
+                    said = future.result().message
                     break
-            said = future.result().message if future is not None and future.done() else (
-                f"no answer within {ANSWER_S:g} s")
             answer(f"{service}: {said}")

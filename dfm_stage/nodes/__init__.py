@@ -4,6 +4,6 @@ Whatever of it is imported, the nodes of the process are visible on this machine
 user said otherwise.
 """
 
-from dfm_stage.nodes.discovery import keep_to_this_machine
+from dfm_stage.middleware.discovery import keep_to_this_machine
 
 keep_to_this_machine()

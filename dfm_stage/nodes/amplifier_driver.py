@@ -12,7 +12,6 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_srvs.srv import Trigger
 
 from dfm_stage.drivers.amplifier_worker import AmplifierWorker
 from dfm_stage.drivers.device import (
@@ -21,14 +20,14 @@ from dfm_stage.drivers.device import (
     create_amplifier,
     names,
 )
-from dfm_stage.drivers.errors import DriverError
+from dfm_stage.drivers.errors import DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
 from dfm_stage.errors import DfmError
-from dfm_stage.nodes.base import Publisher
+from dfm_stage.nodes.base import LOOP_HEALTH, Publisher
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wiring import LATCHED_QOS
+from dfm_stage.nodes.wiring import LATCHED_FROM_MANY_QOS, LATCHED_QOS
 
 _NO_SAMPLE = 0
 _PUBLISHERS_PERIOD_S = 0.25
@@ -91,6 +90,7 @@ class AmplifierDriver(ManagedNode):
         self._easing = False
         self._current = math.nan
         self._encoder: DiagnosticStatus | None = None
+        self._loop: dict[str, DiagnosticStatus] = {}
         self._worker: AmplifierWorker | None = None
         self._device: AmplifierDevice | None = None
         self._drive: Publisher | None = None
@@ -100,28 +100,29 @@ class AmplifierDriver(ManagedNode):
             self._drive = self.link_publisher("sim/drive")
             self.link_subscription("sim/current", self._on_current)
         self.link_subscription("command", self._on_command)
-        self.create_service(Trigger, "~/arm", self._on_arm)
-        self.create_service(Trigger, "~/disarm", self._on_disarm)
-        self.create_service(Trigger, "~/clear", self._on_clear)
+        self.trigger_service("~/arm", self._arm)
+        self.trigger_service("~/disarm", self._disarm)
+        self.trigger_service("~/clear", self._clear)
         if not self.lockstep:
             self.create_subscription(DiagnosticStatus, "encoder_health", self._on_health,
                                      LATCHED_QOS)
+            self.create_subscription(DiagnosticStatus, LOOP_HEALTH, self._on_loop_health,
+                                     LATCHED_FROM_MANY_QOS)
             self.create_timer(_PUBLISHERS_PERIOD_S, self._check_publishers, clock=self.steady)
             if self.simulated:
                 self.create_timer(self._interlock.stale_s / 4, self._check_stale,
                                   clock=self.steady)
         self.begin()
-        self.publish_config()
 
     def _new_interlock(self) -> Interlock:
-        limit = self.settings["voltage_limit_v"]
+        limit, stale_s = self.settings["voltage_limit_v"], self.settings["stale_timeout_s"]
         if self._limit_a and not self.simulated and self._gain:
             limit = min(limit, self._limit_a / abs(self._gain))
+        clocked = 0.0 if self.lockstep else 1.0
         return Interlock(
-            limit, 0.0 if self.lockstep else self.settings["stale_timeout_s"],
-            0.0 if self.lockstep else self.settings["measurement_timeout_s"],
-            0.0 if self.lockstep else self.settings["divergence_window_s"],
-            self.settings["stale_timeout_s"] if self.simulated else 0.0, self._on_trip)
+            limit, clocked * stale_s, clocked * self.settings["measurement_timeout_s"],
+            clocked * self.settings["divergence_window_s"],
+            stale_s if self.simulated else 0.0, self._on_trip)
 
     # Life cycle
 
@@ -233,13 +234,11 @@ class AmplifierDriver(ManagedNode):
         self._off_bits = int(self._interlock.causes)
         name = str(cause.name).lower()
         self.count(f"trips_{name}")
-        self.errors_active[_LATCHED] = f"output at zero until clear and arm: {self._words()}"
+        self.errors_active[_LATCHED] = ("output at zero until clear and arm: "
+                                        f"{self._interlock.words()}")
         if self._worker is not None:
             self._worker.nudge()
         self.get_logger().error(f"output to zero: {name}: {why}")
-
-    def _words(self) -> str:
-        return self._interlock.words()
 
     def _trip(self, cause: Cause, why: str) -> None:
         """Latch a cause that no command brought, and act on it now."""
@@ -268,8 +267,21 @@ class AmplifierDriver(ManagedNode):
             travel = any(value.value == "travel" for value in health.values)
             self._trip(Cause.TRAVEL if travel else Cause.ENCODER, trouble)
 
+    def _on_loop_health(self, health: DiagnosticStatus) -> None:
+        self._loop[health.name] = health
+        if health.level == DiagnosticStatus.ERROR:
+            self._trip(Cause.ENCODER, health.message)
+
+    def _trouble(self) -> str:
+        """Return why the output must not be on, as far as encoder and sampling period go."""
+        if self.lockstep:
+            return ""
+        refused = (DiagnosticStatus.ERROR,) if self.simulated else (
+            DiagnosticStatus.ERROR, DiagnosticStatus.WARN)
+        return self._encoder_trouble() or "; ".join(
+            each.message for each in self._loop.values() if each.level in refused)
+
     def _encoder_trouble(self) -> str:
-        """Return why the output must not be on, as far as the encoder goes."""
         if self._encoder is None:
             return "" if self.simulated else "nothing is heard of an encoder_driver"
         if self._encoder.level == DiagnosticStatus.ERROR:
@@ -293,92 +305,71 @@ class AmplifierDriver(ManagedNode):
 
     # The operator
 
-    def _on_arm(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = False
-        trouble = "" if self.lockstep else self._encoder_trouble()
+    def _arm(self) -> str:
         if not self.active:
-            response.message = f"the driver is {self.life_cycle_state()}: activate it first"
-        elif self._interlock.armed:
-            response.success, response.message = True, "armed"
-        elif trouble:
-            response.message = f"refused: {trouble}"
-        else:
-            try:
-                if self._worker is not None:
-                    self._armed_s, self._easing = time.monotonic(), True
-                    self._worker.arm()
-                    self._armed_s = time.monotonic()
-                else:
-                    self._interlock.arm()
-                response.success, response.message = True, "armed"
-            except DriverError as error:
-                response.message = f"refused: {error}"
-            if trouble := "" if self.lockstep else self._encoder_trouble():
-                self._trip(Cause.ENCODER, trouble)
-        return response
-
-    def _on_disarm(self, _request: Trigger.Request,
-                   response: Trigger.Response) -> Trigger.Response:
-        self._off_bits = int(self._interlock.causes) or int(Cause.DISARMED)
-        response.success, response.message = True, "disarmed, output at zero"
-        if self._worker is not None:
-            try:
-                self._worker.disarm()
-            except DfmError as error:
-                response.success, response.message = False, str(error)
-            return response
-        self._interlock.disarm()
-        if not self.lockstep and self.active:
-            self._apply(self.now_ns(), 0.0, self._off_bits)
-        return response
-
-    def _on_clear(self, _request: Trigger.Request,
-                  response: Trigger.Response) -> Trigger.Response:
-        """Forget what was latched; leaves the output disarmed."""
-        response.success = True
-        if not self._interlock.causes and self._worker is None:
-            response.message = "nothing was latched"
-            return response
+            raise RefusedError(f"the driver is {self.life_cycle_state()}: activate it first")
+        if self._interlock.armed:
+            return "armed"
+        if trouble := self._trouble():
+            raise RefusedError(f"refused: {trouble}")
         try:
-            was = self._worker.clear() if self._worker is not None else (
-                f"cleared: {self._interlock.clear()}")
-            self._off_bits = int(Cause.DISARMED)
-            self.errors_active.pop(_LATCHED, None)
-            response.message = f"{was}; disarmed"
-        except DfmError as error:
-            response.success, response.message = False, str(error)
-        return response
+            if self._worker is None:
+                self._interlock.arm()
+            else:
+                self._armed_s, self._easing = time.monotonic(), True
+                self._worker.arm()
+                self._armed_s = time.monotonic()
+        except DriverError as error:
+            raise RefusedError(f"refused: {error}") from error
+        if trouble := self._trouble():
+            self._trip(Cause.ENCODER, trouble)
+        return "armed"
+
+    def _disarm(self) -> str:
+        self._off_bits = int(self._interlock.causes) or int(Cause.DISARMED)
+        if self._worker is not None:
+            self._worker.disarm()
+        else:
+            self._interlock.disarm()
+            if not self.lockstep and self.active:
+                self._apply(self.now_ns(), 0.0, self._off_bits)
+        return "disarmed, output at zero"
+
+    def _clear(self) -> str:
+        """Forget what was latched; leaves the output disarmed."""
+        if not self._interlock.causes and self._worker is None:
+            return "nothing was latched"
+        was = self._worker.clear() if self._worker is not None else (
+            f"cleared: {self._interlock.clear()}")
+        self._off_bits = int(Cause.DISARMED)
+        self.errors_active.pop(_LATCHED, None)
+        return f"{was}; disarmed"
 
     # Reports
 
     def report(self) -> dict[str, Any]:
         """Return rate, ages, limits and what the drive says."""
-        interlock, limit = self._interlock, self._interlock.limit
+        interlock, worker, device = self._interlock, self._worker, self._device
+        age = time.monotonic() - interlock.last_command_s
         out: dict[str, Any] = {
             "state": self.life_cycle_state(), "armed": interlock.armed,
-            "latched": self._words() or "nothing",
+            "latched": interlock.words() or "nothing",
             "command rate": self.rate("commands", self.counters.get("commands", 0)),
-            "command limit": f"{limit:g}", "stale after": f"{interlock.stale_s * 1e3:g} ms"}
-        age = time.monotonic() - interlock.last_command_s
-        if math.isfinite(age) and not self.lockstep:
-            out["age of last command"] = f"{age * 1e3:.2f} ms"
-        if math.isfinite(self._current):
-            out["current"] = f"{self._current:.4g} A"
-        if self._limit_a:
-            out["current limit"] = f"{self._limit_a:g} A"
-        if self._encoder is not None:
-            out["encoder"] = self._encoder.message
-        worker, device = self._worker, self._device
+            "command limit": f"{interlock.limit:g}",
+            "stale after": f"{interlock.stale_s * 1e3:g} ms",
+            "age of last command": f"{age * 1e3:.2f} ms"
+            if math.isfinite(age) and not self.lockstep else None,
+            "current": f"{self._current:.4g} A" if math.isfinite(self._current) else None,
+            "current limit": f"{self._limit_a:g} A" if self._limit_a else None,
+            "encoder": self._encoder.message if self._encoder is not None else None}
         if worker is not None:
             out |= {"connected": worker.connected, "reconnect attempts": worker.reconnects,
                     "output rate": self.rate("outputs", worker.outputs)}
-            if not worker.connected:
-                self.warnings_active["link"] = "the drive does not answer"
-            else:
-                self.warnings_active.pop("link", None)
+            self.warnings_active.put("link", "" if worker.connected else
+                                     "the drive does not answer")
         if device is not None:
             out |= {**self._status_words, **device.counters}
-        return out
+        return {key: value for key, value in out.items() if value is not None}
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Without a command there is nothing to drive."""

@@ -9,6 +9,7 @@ about, and in lockstep whether all it published has arrived there; the harness w
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,15 +21,17 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.scheduling import RealTime
+from dfm_stage.middleware.shared_memory import killed_endpoints, neighbour_killed
+from dfm_stage.middleware.watch import Input, Notices, Watch
+from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.parameters import Setting, Settings
-from dfm_stage.nodes.scheduling import RealTime
-from dfm_stage.nodes.shared_memory import killed_endpoints, neighbour_killed
-from dfm_stage.nodes.watch import Input, Watch
-from dfm_stage.nodes.wire import codec
+from dfm_stage.nodes.sample_period import SAMPLE_PERIOD, PeriodCheck, SamplePeriodError
 from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
@@ -44,6 +47,7 @@ COMMON = (
             "deterministic, faster than real time"),
     Setting("wait_for_recorder", False, "hold the first sample until a recorder is subscribed"),
 )
+LOOP_HEALTH = "loop_health"
 PRIORITY = Setting(
     "realtime_priority", 20, "SCHED_RR priority of the node's process (recorder: 10) where the "
     "user has the right to it (rtprio in limits.conf); 0 = none; not in a process that the node "
@@ -127,6 +131,13 @@ class Publisher:
         return self._open
 
 
+def node_class(kind: str) -> type[LoopNode]:
+    """Return the class of one of the package's nodes by its name on the command line."""
+    found: type[LoopNode] = getattr(importlib.import_module(f"dfm_stage.nodes.{kind}"),
+                                    "".join(map(str.capitalize, kind.split("_"))))
+    return found
+
+
 class LoopNode(Node):
     """Base of the nodes on the loop of one axis.
 
@@ -145,16 +156,16 @@ class LoopNode(Node):
                          cli_args=cli_args, use_global_arguments=cli_args is None)
         own = (replace(PRIORITY, default=self.priority),
                *self.settings_for(self._parameter_overrides))
-        self.settings = Settings(self, (*COMMON, *own), self.check_settings,
-                                 self.settings_applied)
+        self.settings = Settings(self, (*COMMON, *own))
         self.lockstep: bool = self.settings["lockstep"]
         self.axis = self.get_namespace().rpartition("/")[2]
         self.counters: dict[str, int] = {}
         self.realtime = RealTime()
-        self.warnings_active: dict[str, str] = {}
-        self.errors_active: dict[str, str] = {}
+        self.warnings_active, self.errors_active = Notices(), Notices()
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.publishers_of_links: list[Publisher] = []
+        self._begun = False
+        self._waiting_since: tuple[tuple[str, int] | None, float] = None, 0.0
         self._config = self.create_publisher(String, "~/config", LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Ready, "~/ready", self._on_ready)
@@ -163,6 +174,22 @@ class LoopNode(Node):
         self.create_timer(1.0, self._every_second, clock=self.steady)
         self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
 
+    def begin(self) -> None:
+        """Check the parameters as a whole and start to work; once the node is complete.
+
+        Whoever makes a node calls it; a node may do so itself at the end of its constructor.
+
+        Raises
+        ------
+        DfmError
+            If it cannot work with its parameters.
+        """
+        if not self._begun:
+            self._begun = True
+            self.settings.follow(self.check_settings, self.settings_applied)
+            self.start_work()
+            self.publish_config()
+
     # What a node may override
 
     @classmethod
@@ -170,8 +197,14 @@ class LoopNode(Node):
         """Return the settings to declare, where these depend on parameter overrides."""
         return cls.settings_table
 
-    def check_settings(self, values: dict[str, Any]) -> None:
-        """Refuse a combination of parameter values by raising DfmError."""
+    def start_work(self) -> None:
+        """Do what needs the complete node and parameters that were checked."""
+
+    def check_settings(self, values: dict[str, Any]) -> object:
+        """Refuse a combination of parameter values by raising DfmError, and change nothing.
+
+        What it returns, made of these values, is `settings.plan` once they are in force.
+        """
 
     def settings_applied(self, names: set[str]) -> None:
         """React to parameters that changed at run time."""
@@ -210,6 +243,8 @@ class LoopNode(Node):
         link = LINKS[topic]
         decode = codec(link.type).decode
         heard = Input(prefix + topic, link.publisher)
+        if topic == "measurement" and SAMPLE_PERIOD.name in self.settings.values:
+            callback = self._comparing_period(callback)
         self._watch.inputs.append(heard)
 
         def decoded(data: bytes) -> None:
@@ -218,6 +253,46 @@ class LoopNode(Node):
 
         self.create_subscription(link.type, prefix + topic, decoded,
                                  subscriber_qos(link, self.kind, self.lockstep), raw=True)
+
+    def trigger_service(self, name: str, action: Callable[[], str]) -> None:
+        """Offer a std_srvs/Trigger: `action` returns what to say, or refuses with a DfmError."""
+        def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.message, response.success = action(), True
+            except DfmError as error:
+                response.message, response.success = str(error), False
+            return response
+
+        self.create_service(Trigger, name, answer)
+
+    def _comparing_period(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Hold the stamps of the measurements against the node's sampling period.
+
+        `loop_health` (latched) tells amplifier_driver, which does not arm before it agrees. In
+        lockstep, where nothing can be harmed, the node ends.
+        """
+        check = PeriodCheck(self.settings[SAMPLE_PERIOD.name], exact=self.lockstep)
+        health = self.create_publisher(DiagnosticStatus, LOOP_HEALTH, LATCHED_QOS)
+
+        def say() -> None:
+            level, words = DiagnosticStatus.OK, ""
+            self.errors_active.put(SAMPLE_PERIOD.name, check.complaint)
+            if check.complaint:
+                level, words = DiagnosticStatus.ERROR, f"{self.kind}: {check.complaint}"
+            elif check.measured_s is None:
+                level = DiagnosticStatus.WARN
+                words = f"{self.kind} still compares its sampling period with the measurements"
+            health.publish(self.status(level, words))
+
+        def compared(measurement: Any) -> None:
+            if check.heard(measurement.seq, measurement.stamp_ns):
+                if self.lockstep and check.complaint:
+                    raise SamplePeriodError(f"{self.kind}: {check.complaint}")
+                say()
+            callback(measurement)
+
+        say()
+        return compared
 
     def destroy_node(self) -> None:
         """End the node when its last messages have arrived, or had `leaving_s` to."""
@@ -232,6 +307,14 @@ class LoopNode(Node):
         identifier: Sequence[int] = self.get_publishers_info_by_topic(
             self._config.topic_name)[0].endpoint_gid
         return identifier
+
+    def status(self, level: bytes, words: str = "",
+               values: Mapping[str, Any] | None = None) -> DiagnosticStatus:
+        """Return a message about this node."""
+        return DiagnosticStatus(
+            level=level, name=self.get_fully_qualified_name(), hardware_id=self.axis,
+            message=words or "running",
+            values=[KeyValue(key=key, value=str(value)) for key, value in (values or {}).items()])
 
     def publish_config(self) -> None:
         """Publish the latched description of this node."""
@@ -255,7 +338,7 @@ class LoopNode(Node):
             self._opening.cancel()
 
     def _on_ready(self, request: Ready.Request, response: Ready.Response) -> Ready.Response:
-        reasons = []
+        reasons = [self.not_ready()]
         kinds = {name.rpartition("/")[2] for name in request.nodes}
         for publisher in self.publishers_of_links:
             wanted = [kind for kind in publisher.link.subscribers if kind in kinds]
@@ -265,14 +348,9 @@ class LoopNode(Node):
                 reasons.append(f"{publisher.ros.topic_name} has no {', '.join(missing)}")
             elif self.lockstep and not publisher.delivered():
                 reasons.append(f"{publisher.ros.topic_name} is still being delivered")
-        own = self.not_ready()
-        if own:
-            reasons.append(own)
-        response.ready = not reasons
-        response.message = "; ".join(reasons)
+        response.message = "; ".join(filter(None, reasons))
+        response.ready = not response.message
         return response
-
-    _waiting_since: tuple[tuple[str, int], float] | None = None
 
     def _broken(self) -> str:
         if self._watch.silent:
@@ -280,34 +358,25 @@ class LoopNode(Node):
         return "a killed node is still written to" if neighbour_killed() else ""
 
     def _every_second(self) -> None:
+        now = time.monotonic()
         if not self.lockstep:
-            self._watch.look(time.monotonic())
-        if self.priority >= PRIORITY.default and self.realtime.look(time.monotonic(),
-                                                                    self._broken()):
+            self._watch.look(now)
+        if self.priority >= PRIORITY.default and self.realtime.look(now, self._broken()):
             self.get_logger().info(f"scheduling: {self.realtime.words}")
-            self.warnings_active.pop("scheduling", None)
-            if not self.realtime.held:
-                self.warnings_active["scheduling"] = (
-                    f"no real-time priority: {self.realtime.words}")
+            self.warnings_active.put("scheduling", "" if self.realtime.held else
+                                     f"no real-time priority: {self.realtime.words}")
         waiting = self.waiting_for() if self.lockstep else None
-        if waiting is None:
-            self._waiting_since = None
-            self.warnings_active.pop("waiting", None)
-        elif self._waiting_since is None or self._waiting_since[0] != waiting:
-            self._waiting_since = (waiting, time.monotonic())
-        elif time.monotonic() - self._waiting_since[1] >= LOCKSTEP_PATIENCE_S:
-            if "waiting" not in self.warnings_active:
-                self.get_logger().warning(f"lockstep: waiting for {waiting[0]}")
-            self.warnings_active["waiting"] = f"waiting for {waiting[0]}"
+        if waiting != self._waiting_since[0]:
+            self._waiting_since = waiting, now
+        late = now - self._waiting_since[1] >= LOCKSTEP_PATIENCE_S
+        missing = f"waiting for {waiting[0]}" if waiting is not None and late else ""
+        if self.warnings_active.put("waiting", missing):
+            self.get_logger().warning(f"lockstep: {missing}")
         values = {**self.counters, **self.report(), "scheduling": self.realtime.words}
         level = (DiagnosticStatus.ERROR if self.errors_active
                  else DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK)
         words = [*self.errors_active.values(), *self.warnings_active.values()]
-        status = DiagnosticStatus(
-            level=level, name=self.get_fully_qualified_name(), hardware_id=self.axis,
-            message="; ".join(words) or "running",
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
-        array = DiagnosticArray(status=[status])
+        array = DiagnosticArray(status=[self.status(level, "; ".join(words), values)])
         array.header.stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(Exception):
             self._diagnostics.publish(array)

@@ -29,10 +29,12 @@ from dfm_stage.control import (
     modes,
     plan_laws,
 )
+from dfm_stage.middleware.recent import Recent
 from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
+from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 
 _AT_ZERO = Point()
 _LAW_FILES = "law_files"
@@ -52,7 +54,7 @@ def settings_of(laws: Mapping[str, type[Law]]) -> tuple[Setting, ...]:
                 choices=modes(laws), live=True),
         Setting(_LAW_FILES, "", "Python files with further laws for mode, separated by `:`; "
                 "their parameters are declared beside those of the others"),
-        Setting("sample_period_s", 0.001, "sample period of the loop", "s", 1e-5, 1.0),
+        SAMPLE_PERIOD,
         Setting("amplifier_feedback", False, "count what the amplifier says it gave (topic "
                 "amplifier) in place of what was asked, where it limits or is off"),
         *(Setting.of(entry, live=True) for entry in (
@@ -63,32 +65,20 @@ def settings_of(laws: Mapping[str, type[Law]]) -> tuple[Setting, ...]:
 _KEPT_AHEAD = 64
 
 
-class Ahead:
+class Ahead(Recent[Any]):
     """Messages that are sent ahead, by the sample they are for."""
 
-    def __init__(self) -> None:
-        self._by_seq: dict[int, Any] = {}
-        self.last: Any = None
-
-    def __contains__(self, seq: int) -> bool:
-        return seq in self._by_seq
-
-    def put(self, message: Any) -> None:
-        """Keep a message until its sample comes; of many that never come, the newest."""
-        self._by_seq[message.seq] = message
-        if len(self._by_seq) > _KEPT_AHEAD:
-            del self._by_seq[next(iter(self._by_seq))]
+    last: Any = None
 
     def take(self, seq: int) -> bool:
         """Make the message for sample `seq` the `last`, or the newest older one.
 
         Returns whether it was the one for this very sample; older ones are forgotten.
         """
-        exact = self._by_seq.pop(seq, None)
-        if exact is None or self._by_seq:
-            older = [each for each in self._by_seq if (seq - each) & 0x80000000 == 0]
-            for each in older:
-                self.last = self._by_seq.pop(each)
+        exact = self.pop(seq, None)
+        if exact is None or self:
+            for each in [each for each in self if (seq - each) & 0x80000000 == 0]:
+                self.last = self.pop(each)
         if exact is not None:
             self.last = exact
         return exact is not None
@@ -102,30 +92,31 @@ class Controller(LoopNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._period: float = self.settings["sample_period_s"]
-        values = self.settings.values
-        self._laws = LawSet(values, self._plan_of(values), laws_with(values[_LAW_FILES]))
         self._guard = self._new_guard()
         self._seq = 0
         self._last_seq: int | None = None
         self._sent_v = self._added_v = 0.0
         self._measurement: Any = None
         self._amplifier: Any = None
-        self._references = Ahead()
-        self._excitations = Ahead()
+        self._references, self._excitations = Ahead(_KEPT_AHEAD), Ahead(_KEPT_AHEAD)
         self._out = self.link_publisher("command")
         self.link_subscription("measurement", self._on_measurement)
         self.link_subscription("reference", self._on_reference)
         self.link_subscription("excitation", self._on_excitation)
         if self.settings["amplifier_feedback"]:
             self.link_subscription("amplifier", self._on_amplifier)
-        self.publish_config()
+        self.begin()
+
+    def start_work(self) -> None:
+        """Make the laws that were planned from the parameters."""
+        values = self.settings.values
+        self._laws = LawSet(values, self.settings.plan, laws_with(values[_LAW_FILES]))
 
     # Parameters
 
     def _new_guard(self) -> Guard:
-        return Guard(self._period, *(self.settings[parameter.name]
-                                     for parameter in GUARD_PARAMETERS))
+        return Guard(self.settings[SAMPLE_PERIOD.name],
+                     *(self.settings[parameter.name] for parameter in GUARD_PARAMETERS))
 
     @classmethod
     def settings_for(cls, overrides: Mapping[str, Any]) -> tuple[Setting, ...]:
@@ -134,21 +125,17 @@ class Controller(LoopNode):
         return settings_of(laws_with(str(given.value))) if given is not None else (
             cls.settings_table)
 
-    def check_settings(self, values: dict[str, Any]) -> None:
-        """Refuse gains and models that the laws cannot work with."""
-        self._plan_of(values)
-
-    def _plan_of(self, values: dict[str, Any]) -> Plan:
+    def check_settings(self, values: dict[str, Any]) -> Plan:
+        """Return the plan of the laws; refuse gains and models that they cannot work with."""
         name, model = values["model"], None
         if name:
             changed_ns = Path(name).stat().st_mtime_ns if Path(name).is_file() else 0
-            model = _axis_model(name, changed_ns, self.get_namespace().rpartition("/")[2])
+            model = _axis_model(name, changed_ns, self.axis)
         return plan_laws(values, model, laws_with(values[_LAW_FILES]))
 
     def settings_applied(self, names: set[str]) -> None:
         """Take over new gains and modes without a bump."""
-        values = self.settings.values
-        self._laws.change(values, self._plan_of(values), names)
+        self._laws.change(self.settings.values, self.settings.plan, names)
         if "mode" in names or names & {parameter.name for parameter in GUARD_PARAMETERS}:
             self._guard = self._new_guard()
             self.warnings_active.pop("guard", None)
@@ -178,12 +165,12 @@ class Controller(LoopNode):
         self._answer(measurement)
 
     def _on_reference(self, reference: Any) -> None:
-        self._references.put(reference)
+        self._references.keep(reference.seq, reference)
         if self.lockstep:
             self._answer_when_complete()
 
     def _on_excitation(self, excitation: Any) -> None:
-        self._excitations.put(excitation)
+        self._excitations.keep(excitation.seq, excitation)
         if self.lockstep:
             self._answer_when_complete()
 
@@ -244,22 +231,18 @@ class Controller(LoopNode):
                        saturated)
 
     def _law(self, reference: Any, position: float, samples: int) -> float:
-        laws = self._laws
-        run = laws.run
-        if run is None:
-            return laws.step(reference, position, samples, not self._guard.tripped)
-        before = run.ended
-        law = laws.step(reference, position, samples, not self._guard.tripped)
-        if run.ended != before:
+        run = self._laws.run
+        before = run is not None and run.ended
+        law = self._laws.step(reference, position, samples, not self._guard.tripped)
+        if run is not None and run.ended != before:
             self.publish_config()
         return law
 
     def _let_go(self) -> None:
-        if "guard" not in self.warnings_active:
+        words = f"output is zero until mode is set again: {self._guard.tripped}"
+        if self.warnings_active.put("guard", words):
             self.count("guard_trips")
-            self.warnings_active["guard"] = (f"output is zero until mode is set again: "
-                                             f"{self._guard.tripped}")
-            self.get_logger().warning(self.warnings_active["guard"])
+            self.get_logger().warning(words)
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Return which part of the answer is missing."""
@@ -275,6 +258,13 @@ class Controller(LoopNode):
         if state is not None and state.measurement_seq != self._last_seq:
             return "amplifier", self._last_seq or 0
         return None
+
+
+@lru_cache(maxsize=2)
+def _model(name: str, axis: str, _modified_ns: int) -> Model:
+    """Return a model, or its part for the axis; read again where the file has changed."""
+    model = load_model(name)
+    return model.axis(axis) if model.axes else model
 
 
 def main(args: list[str] | None = None) -> int:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from dfm_interfaces.msg import Measurement
 from dfm_stage.drivers.device import EncoderDevice, EncoderSample, create_encoder, names
 from dfm_stage.drivers.encoder_reader import EncoderReader
+from dfm_stage.drivers.errors import RefusedError
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
@@ -71,12 +71,11 @@ class EncoderDriver(ManagedNode):
         self._health = self.create_publisher(DiagnosticStatus, "encoder_health", LATCHED_QOS)
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
         self.create_timer(_JOINT_STATE_PERIOD_S, self._publish_joint_state, clock=self.steady)
-        self.create_service(Trigger, "~/home", self._on_home)
+        self.trigger_service("~/home", self._home)
         if self.simulated:
             self.link_subscription("sim/position_counts", self._on_counts)
         self.begin()
         self._publish_health()
-        self.publish_config()
 
     # Life cycle
 
@@ -197,36 +196,30 @@ class EncoderDriver(ManagedNode):
             self._publish_health()
 
     def _publish_health(self) -> None:
-        level, words, cause = DiagnosticStatus.OK, "running", ""
-        if self._alarms:
-            level, words = DiagnosticStatus.ERROR, "; ".join(list(self._alarms.values()))
-            cause = "travel" if list(self._alarms) == ["travel"] else "encoder"
-        elif not self._flags & _REFERENCED:
-            level, words = DiagnosticStatus.WARN, "not referenced"
-        elif not self.active:
-            level, words = DiagnosticStatus.WARN, "not active"
-        self._health.publish(DiagnosticStatus(
-            level=level, name="encoder", message=words, hardware_id=self.axis,
-            values=[KeyValue(key="cause", value=cause)]))
+        level, words = DiagnosticStatus.OK, ""
+        alarms = dict(self._alarms)
+        cause = "travel" if list(alarms) == ["travel"] else "encoder" if alarms else ""
+        if alarms:
+            level, words = DiagnosticStatus.ERROR, "; ".join(alarms.values())
+        elif not (self.active and self._flags & _REFERENCED):
+            level = DiagnosticStatus.WARN
+            words = "not active" if self._flags & _REFERENCED else "not referenced"
+        self._health.publish(self.status(level, words, {"cause": cause}))
 
     # Referencing
 
-    def _on_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = False
+    def _home(self) -> str:
         if not self.active or self._last_seq is None:
-            response.message = "there are no samples: activate the driver first"
-        elif self.settings["reference"] == "operator":
+            raise RefusedError("there are no samples: activate the driver first")
+        if self.settings["reference"] == "operator":
             self._zero = self._sign * self._last_counts
             self._referenced()
-            response.success, response.message = True, "zero is here"
-        elif self._reader is None:
-            response.message = "the simulated scale has no index: set reference to operator"
-        else:
-            self._unreference()
-            self._reader.seek_index()
-            response.success = True
-            response.message = "looking for the index: move the stage over it by hand"
-        return response
+            return "zero is here"
+        if self._reader is None:
+            raise RefusedError("the simulated scale has no index: set reference to operator")
+        self._unreference()
+        self._reader.seek_index()
+        return "looking for the index: move the stage over it by hand"
 
     def on_index(self) -> None:
         """The index was passed: the counter's own zero, plus zero_counts, is position zero."""

@@ -35,7 +35,7 @@ def device_settings(devices: tuple[str, ...], what: str) -> tuple[Setting, ...]:
 
 
 class ManagedNode(LifecycleNodeMixin, LoopNode):
-    """A node between one device and the loop. Subclasses call `begin` when they are complete."""
+    """A node between one device and the loop."""
 
     def __init__(self, **kwargs: Any) -> None:
         LoopNode.__init__(self, **kwargs)
@@ -65,7 +65,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
 
     # Life cycle
 
-    def begin(self) -> None:
+    def start_work(self) -> None:
         """Become a managed node; in simulation with `autostart` an active one."""
         LifecycleNodeMixin.__init__(self)
         change = self._service_change_state.callback
@@ -90,14 +90,14 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         try:
             action()
         except DfmError as error:
-            self.errors_active[_LIFE_CYCLE] = f"{name} failed: {error}"
+            self.errors_active.put(_LIFE_CYCLE, f"{name} failed: {error}")
             self.get_logger().error(self.errors_active[_LIFE_CYCLE])
             return TransitionCallbackReturn.FAILURE
         except Exception as error:  # noqa: BLE001 rclpy would swallow it
-            self.errors_active[_LIFE_CYCLE] = f"{name} failed: {error!r}"
+            self.errors_active.put(_LIFE_CYCLE, f"{name} failed: {error!r}")
             self.get_logger().error(traceback.format_exc())
             return TransitionCallbackReturn.ERROR
-        self.errors_active.pop(_LIFE_CYCLE, None)
+        self.errors_active.put(_LIFE_CYCLE, "")
         return TransitionCallbackReturn.SUCCESS
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:

@@ -96,25 +96,30 @@ class Setting:
 
 
 class Settings:
-    """The declared parameters of one node, readable as attributes of the dict `values`.
+    """The declared parameters of one node, by name; `values` holds those in force.
 
-    `check(values)` may refuse a combination by raising DfmError; `applied(names)` is called after
-    a change at run time took effect.
+    `given` are the names that somebody set, `plan` is what the check of the values in force
+    returned. Before `follow` nothing can change.
     """
 
-    def __init__(self, node: Node, settings: Sequence[Setting],
-                 check: Callable[[dict[str, Any]], None] | None = None,
-                 applied: Callable[[set[str]], None] | None = None) -> None:
+    def __init__(self, node: Node, settings: Sequence[Setting]) -> None:
+        self._node = node
         self._table = {setting.name: setting for setting in settings}
-        self._check = check
-        self._applied = applied
-        self.values: dict[str, Any] = {}
-        for setting in settings:
-            self.values[setting.name] = self._declare(node, setting)
-        if check is not None:
-            check(self.values)
-        node.add_on_set_parameters_callback(self._on_set)
-        node.add_post_set_parameters_callback(self._post_set)
+        self.values = {setting.name: self._declare(node, setting) for setting in settings}
+        self.given = set(node._parameter_overrides)
+        self.plan: Any = None
+
+    def follow(self, check: Callable[[dict[str, Any]], object],
+               applied: Callable[[set[str]], object]) -> None:
+        """Check the values as a whole, and from now on every change of them.
+
+        `check(values)` refuses a combination by raising DfmError and changes nothing; what it
+        returns becomes `plan` with the values. `applied(names)` is called after that.
+        """
+        self.plan = self._next_plan = check(self.values)
+        self._check, self._applied = check, applied
+        self._node.add_on_set_parameters_callback(self._on_set)
+        self._node.add_post_set_parameters_callback(self._post_set)
 
     def _declare(self, node: Node, setting: Setting) -> Any:
         default = setting.default
@@ -150,20 +155,19 @@ class Settings:
             if reason:
                 return SetParametersResult(successful=False, reason=reason)
             proposed[change.name] = change.value
-        if self._check is not None:
-            try:
-                self._check(proposed)
-            except DfmError as error:
-                return SetParametersResult(successful=False, reason=str(error))
+        try:
+            self._next_plan = self._check(proposed)
+        except DfmError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _post_set(self, changes: list[RosParameter]) -> None:
-        names = {change.name for change in changes if change.name in self._table}
-        for change in changes:
-            if change.name in names:
-                self.values[change.name] = change.value
-        if names and self._applied is not None:
-            self._applied(names)
+        changed = {each.name: each.value for each in changes if each.name in self._table}
+        self.values |= changed
+        self.given |= changed.keys()
+        self.plan = self._next_plan
+        if changed:
+            self._applied(set(changed))
 
     def __getitem__(self, name: str) -> Any:
         return self.values[name]

@@ -22,9 +22,14 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.middleware.shared_memory import (
+    PORT_LOOK_S,
+    PortWatch,
+    avoiding_dead_ports,
+    sign_notes,
+)
 from dfm_stage.nodes.base import LoopNode
-from dfm_stage.nodes.security import require_what_was_asked
-from dfm_stage.nodes.shared_memory import PORT_LOOK_S, PortWatch, avoiding_dead_ports, sign_notes
 
 BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 """How often this process began anew, in its environment."""
@@ -52,6 +57,27 @@ def helper_node(name: str, namespace: str, context: Any) -> Node:
         return rclpy.create_node(name, namespace=namespace, context=context,
                                  use_global_arguments=False, enable_rosout=False,
                                  start_parameter_services=False)
+
+
+class Helper:
+    """A node beside the graph in a context of its own, which `executor` spins."""
+
+    def __init__(self, name: str, namespace: str) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, args=[],
+                   signal_handler_options=SignalHandlerOptions.NO)
+        self.node = helper_node(name, namespace, self._context)
+        self.executor = make_executor(self._context)
+        self.executor.add_node(self.node)
+
+    def ok(self) -> bool:
+        """Return whether its context is still there."""
+        return bool(self._context.ok())
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.node.destroy_node()
+        self._context.try_shutdown()
 
 
 def quiet_collector() -> None:
@@ -106,44 +132,14 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
     stop = StopRequest()
     stop.install()
     given = list(sys.argv[1:] if args is None else args)
-    try:
-        require_what_was_asked()
-        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-        foreign = remove_ros_args(["", *given])[1:]
-    except (RuntimeError, DfmError) as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        return 2
-    if foreign:
-        rclpy.try_shutdown()
-        print(f"error: unknown arguments {' '.join(foreign)}: write parameters as "
-              "--ros-args -p name:=value", file=sys.stderr)
-        return 2
     node: LoopNode | None = None
     anew = False
     try:
+        _join(given)
         with avoiding_dead_ports():
             node = make()
-        sign_notes(node.an_endpoint())
-        node.leaving_s = _LEAVING_S
-        executor = make_executor(node.context)
-        executor.add_node(node)
-        quiet_collector()
-        if not isinstance(executor, SingleThreadedExecutor):  # that keeps the processors full
-            node.take_process()
-        ports, look = PortWatch(), time.monotonic()
-        while rclpy.ok():
-            # spin() of this executor forgets timers while no message comes
-            for _ in range(_EVENTS_PER_LOOK):
-                executor.spin_once(0.1)
-                if stop.asked:
-                    return 0
-            if time.monotonic() - look > PORT_LOOK_S:
-                look = time.monotonic()
-                anew = ports.lost()
-                if anew:
-                    node.get_logger().error("its port in shared memory is gone (was another "
-                                            "process killed?): it hears nobody and begins anew")
-                    break
+        node.begin()
+        anew = _spin(node, stop)
     except ExternalShutdownException:
         pass
     except (DfmError, InvalidParameterTypeException) as error:
@@ -157,6 +153,44 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
                 _begin_anew()
         rclpy.try_shutdown()
     return 0
+
+
+def _join(given: list[str]) -> None:
+    """Join the graph with these ROS arguments; DfmError where that cannot be."""
+    require_what_was_asked()
+    try:
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        foreign = remove_ros_args(["", *given])[1:]
+    except RuntimeError as error:
+        raise DfmError(str(error)) from error
+    if foreign:
+        raise DfmError(f"unknown arguments {' '.join(foreign)}: write parameters as "
+                       "--ros-args -p name:=value")
+
+
+def _spin(node: LoopNode, stop: StopRequest) -> bool:
+    """Spin until asked to stop; return True where the node has to begin anew instead."""
+    sign_notes(node.an_endpoint())
+    node.leaving_s = _LEAVING_S
+    executor = make_executor(node.context)
+    executor.add_node(node)
+    quiet_collector()
+    if not isinstance(executor, SingleThreadedExecutor):  # that keeps the processors full
+        node.take_process()
+    ports, look = PortWatch(), time.monotonic()
+    while rclpy.ok():
+        # spin() of this executor forgets timers while no message comes
+        for _ in range(_EVENTS_PER_LOOK):
+            executor.spin_once(0.1)
+            if stop.asked:
+                return False
+        if time.monotonic() - look > PORT_LOOK_S:
+            look = time.monotonic()
+            if ports.lost():
+                node.get_logger().error("its port in shared memory is gone (was another "
+                                        "process killed?): it hears nobody and begins anew")
+                return True
+    return False
 
 
 def _begin_anew() -> None:

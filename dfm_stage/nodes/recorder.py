@@ -9,6 +9,7 @@ stops nothing else.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import os
@@ -28,14 +29,13 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
-from std_srvs.srv import Trigger
 
 import dfm_stage
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.wire import header_stamp_ns
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import BEGUN_ANEW, run_node
-from dfm_stage.nodes.wire import header_stamp_ns
 from dfm_stage.nodes.wiring import RECORDER_TAP
 from dfm_stage.recording import (
     MODEL_ATTACHMENT,
@@ -87,13 +87,13 @@ class Recorder(LoopNode):
         self._tap = Node(RECORDER_TAP, namespace=self.get_namespace(), context=self.context,
                          use_global_arguments=False, enable_rosout=False,
                          start_parameter_services=False)
-        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.trigger_service("~/stop", self.finish)
         self._look_for_topics()
         self.create_timer(_FETCH_PERIOD_S, self._fetch, clock=self.steady)
         self._last_new_s = time.monotonic()
         self._looking = self.create_timer(_LOOK_PERIODS_S[0], self._look_now_and_then,
                                           clock=self.steady)
-        self.publish_config()
+        self.begin()
         self.get_logger().info(f"recording to {folder}")
 
     # Topics
@@ -187,9 +187,8 @@ class Recorder(LoopNode):
     # State
 
     def _failed(self, error: BagWriteError) -> None:
-        if "bag" not in self.warnings_active:
+        if self.warnings_active.put("bag", str(error)):
             self.get_logger().error(str(error))
-        self.warnings_active["bag"] = str(error)
 
     def _every_second(self) -> None:
         self.counters["messages"] = self._bag.message_count
@@ -206,14 +205,16 @@ class Recorder(LoopNode):
                 return f"recorder is not matched with {name} yet"
         return None
 
-    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self.finish()
-        return response
+    def finish(self) -> str:
+        """Close the bag; return what is in it.
 
-    def finish(self) -> tuple[bool, str]:
-        """Close the bag; return whether it is complete and what is in it."""
+        Raises
+        ------
+        BagWriteError
+            If it is not complete.
+        """
         if not self._open:
-            return True, "closed before"
+            return "closed before"
         until = time.monotonic() + (_DRAIN_S if self.lockstep else _REPAIR_S)
         self._fetch()
         while time.monotonic() < until:  # what is still on its way was published before
@@ -232,12 +233,13 @@ class Recorder(LoopNode):
             self._bag.close()
         except BagWriteError as error:
             self.get_logger().error(str(error))
-            return False, str(error)
-        return True, f"{self._bag.message_count} messages in {self._bag.directory}"
+            raise
+        return f"{self._bag.message_count} messages in {self._bag.directory}"
 
     def destroy_node(self) -> None:
         """Close the bag, then the node."""
-        self.finish()
+        with contextlib.suppress(BagWriteError):  # it is in the log
+            self.finish()
         self._taps.clear()
         self._tap.destroy_node()
         super().destroy_node()

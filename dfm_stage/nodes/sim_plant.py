@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from typing import Any
 
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.wire import encode_clock
 from dfm_stage.model import CoupledPlant, Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wire import encode_clock
+from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 
 _GIVE_UP_SAMPLES = 100
 
@@ -84,6 +86,8 @@ class SimPlant(LoopNode):
                 "config/models"),
         Setting("axes", "", "axes to simulate, such as 'x y', each in its own sub-namespace; "
                 "empty: all axes of the model; one without a name stays in the node's namespace"),
+        replace(SAMPLE_PERIOD, default=0.0, low=0.0, description="sampling period of the "
+                "simulated scale; 0 = that of the model"),
         Setting("seed", 0, "fixes the noise", "", 0, 2**31),
         Setting("drive_watchdog_s", 0.0, "real time: without a drive for this long the coil has "
                 "no current, as behind a hardware watchdog relay; 0 = it keeps the last, as a "
@@ -92,7 +96,10 @@ class SimPlant(LoopNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._model = load_model(self.settings["model"])
+        model = load_model(self.settings["model"])
+        period_s = self.settings[SAMPLE_PERIOD.name] or model.sample_period
+        self._model = model if period_s == model.sample_period else replace(
+            model, sample_period=period_s, document=None)
         names = self.settings["axes"].split() or list(self._model.axis_names) or [""]
         self._period_ns = round(self._model.sample_period * 1e9)
         self.seq = 0
@@ -107,7 +114,7 @@ class SimPlant(LoopNode):
             self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
         else:
             self.create_timer(self._model.sample_period, self._tick, clock=self.steady)
-        self.publish_config()
+        self.begin()
 
     def _wire(self, names: list[str]) -> list[_Axis]:
         """Connect each named axis to its place in a plant; axes of one model share one plant."""
@@ -151,28 +158,20 @@ class SimPlant(LoopNode):
             self._publish_samples(self.now_ns())
             return
         due = (now - self._next_ns + self._period_ns // 2) // self._period_ns
-        if due > _GIVE_UP_SAMPLES:
-            self.count("deadlines_missed", due)
+        self._next_ns += due * self._period_ns
+        left_out = due > _GIVE_UP_SAMPLES
+        if left_out:
             self.get_logger().warning(f"held up for {due} samples; they are left out",
                                       throttle_duration_sec=1.0)
-            self._next_ns += due * self._period_ns
-            if self._watchdog:
-                self._cut_off()
-            for _ in range(due):
-                self._advance()
-            self._publish_samples(self.now_ns())
-            return
+            # an amplifier that sees no samples for so long has put its output to zero
+            for stage in self._stages if self._watchdog else ():
+                stage.inputs = [0.0] * len(stage.inputs)
         if due > 1:
-            self.count("deadlines_missed", due - 1)
-        for _ in range(due):
-            self._next_ns += self._period_ns
+            self.count("deadlines_missed", due if left_out else due - 1)
+        for k in range(1, due + 1):
             self._advance()
-            self._publish_samples(self.now_ns())
-
-    def _cut_off(self) -> None:
-        """An amplifier that sees no samples for so long has put its output to zero."""
-        for stage in self._stages:
-            stage.inputs = [0.0] * len(stage.inputs)
+            if k == due or not left_out:
+                self._publish_samples(self.now_ns())
 
     # Both
 

@@ -8,24 +8,25 @@ holds the last position. What would leave a limit (`limits.*`) is refused before
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionServer, CancelResponse
-from std_srvs.srv import Trigger
 
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control import inverse_of
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.watch import HELD_UP_S
 from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.share import find_experiment
+from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 from dfm_stage.nodes.signal_settings import KINDS, signal_settings, specification
-from dfm_stage.nodes.watch import HELD_UP_S
+from dfm_stage.share import find_experiment
 from dfm_stage.trajectory import (
     LIMIT_PARAMETERS,
     Excitation,
@@ -39,11 +40,10 @@ from dfm_stage.trajectory import (
 
 RECORDER_SILENT_S = 2.5
 _BACKWARDS = 0x80000000
-_STOPPED = "stopped"
 
 
 @dataclass
-class Run:
+class ActiveRun:
     """An experiment under way; `first_seq` is set by the first sample."""
 
     name: str
@@ -68,7 +68,7 @@ class TrajectoryGenerator(LoopNode):
 
     kind = "trajectory_generator"
     settings_table = (
-        Setting("sample_period_s", 0.001, "sample period of the loop", "s", 1e-5, 1.0),
+        SAMPLE_PERIOD,
         Setting("experiment", "", "experiment to run: a name in config/experiments or a YAML "
                 "file; empty runs the reference and excitation given here", live=True),
         Setting("duration_s", 10.0, "how long reference and excitation last", "s", 0.001, 1e6,
@@ -89,31 +89,32 @@ class TrajectoryGenerator(LoopNode):
     )
 
     def __init__(self, **kwargs: Any) -> None:
-        self._given: set[str] = set()
         super().__init__(**kwargs)
-        self._given |= set(self._parameter_overrides)
-        self._run: Run | None = None
+        self._run: ActiveRun | None = None
         self._pending: Any = None
         self._hold = 0.0
         self._asked_s = time.monotonic()
         self._reference = self.link_publisher("reference")
         self._excitation = self.link_publisher("excitation")
         self.link_subscription("measurement", self._on_measurement)
-        self.create_service(Trigger, "~/start", self._on_start)
-        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.trigger_service("~/start", self._start)
+        self.trigger_service("~/stop", self._stop)
         self._action = ActionServer(
             self, RunExperiment, "~/run_experiment", lambda _goal: RunExperiment.Result(),
             handle_accepted_callback=self._on_goal,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT)
         self.create_timer(0.2, self._report, clock=self.steady)
-        self._recorder_heard_s: float | None = None
+        self._recorder_heard_s = math.inf
         if self.settings["wait_for_recorder"] and not self.lockstep:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10,
                                      raw=True)
+        self.begin()
+
+    def start_work(self) -> None:
+        """Refuse an experiment that cannot be run; start it where that is wanted."""
+        self._make_run()
         if self.settings["autostart"] and self._asked_for_something():
             self._autostart = self.create_timer(0.05, self._start_when_open, clock=self.steady)
-        self._make_run()
-        self.publish_config()
 
     def _asked_for_something(self) -> bool:
         values = self.settings.values
@@ -124,11 +125,9 @@ class TrajectoryGenerator(LoopNode):
 
     def check_settings(self, values: dict[str, Any]) -> None:
         """Refuse a signal that cannot be made."""
-        given = self._given | set(self._parameter_overrides)
-        if hasattr(self, "settings"):
-            given |= {name for name, value in values.items() if value != self.settings[name]}
+        given = {name for name, value in values.items() if value != self.settings[name]}
         if not values["experiment"]:
-            self._signals(values, given)
+            self._signals(values, self.settings.given | given)
 
     def _signals(self, values: dict[str, Any], given: set[str],
                  experiment: str = "") -> tuple[str, Reference, Excitation, list[float]]:
@@ -139,14 +138,13 @@ class TrajectoryGenerator(LoopNode):
         DfmError
             If there is no such experiment or signal, or it would leave a limit.
         """
-        period = values["sample_period_s"]
+        period = values[SAMPLE_PERIOD.name]
         name, open_loop, named = "", False, values["limits.model"]
         experiment = experiment or values["experiment"]
         if experiment:
             loaded = load_experiment(find_experiment(experiment))
-            axis = self.get_namespace().rpartition("/")[2]
-            reference = loaded.reference(axis, period)
-            excitation = loaded.excitation(axis, period)
+            reference = loaded.reference(self.axis, period)
+            excitation = loaded.excitation(self.axis, period)
             name, open_loop = loaded.name, loaded.mode == "open_loop"
         else:
             common = {"sample_period_s": period, "duration_s": values["duration_s"],
@@ -171,21 +169,17 @@ class TrajectoryGenerator(LoopNode):
 
     def _model(self, name: str) -> Model:
         model = load_model(name)
-        return model.axis(self.get_namespace().rpartition("/")[2]) if model.axes else model
+        return model.axis(self.axis) if model.axes else model
 
-    def settings_applied(self, names: set[str]) -> None:
-        """Remember what was given; it takes effect at the next start."""
-        self._given |= names
-
-    def _make_run(self, experiment: str = "", goal: Any = None) -> Run:
-        name, reference, excitation, voltage = self._signals(self.settings.values, self._given,
-                                                             experiment)
+    def _make_run(self, experiment: str = "", goal: Any = None) -> ActiveRun:
+        name, reference, excitation, voltage = self._signals(
+            self.settings.values, self.settings.given, experiment)
         name = name or "parameters"
         metadata = {"experiment": name, "reference": reference.metadata(),
                     "excitation": excitation.metadata()}
-        return Run(name, reference.position.tolist(), reference.velocity.tolist(),
-                   reference.acceleration.tolist(), voltage, metadata,
-                   self._files(excitation), goal)
+        return ActiveRun(name, reference.position.tolist(), reference.velocity.tolist(),
+                         reference.acceleration.tolist(), voltage, metadata,
+                         self._files(excitation), goal)
 
     def _files(self, excitation: Excitation) -> dict[str, str]:
         """Return what the recorder is to attach to the bag: a voltage that came from a file."""
@@ -193,29 +187,26 @@ class TrajectoryGenerator(LoopNode):
             return {}
         rows = "".join(f"{k * excitation.sample_period_s:.9g},{volts!r}\n"
                        for k, volts in enumerate(excitation.voltage.tolist()))
-        axis = self.get_namespace().rpartition("/")[2]
-        return {f"{axis}_excitation.csv": f"time_s,excitation_v\n{rows}"}
+        return {f"{self.axis}_excitation.csv": f"time_s,excitation_v\n{rows}"}
 
     def config(self) -> dict[str, Any]:
         """Return what signal is, or was last, running and where in the record it starts."""
-        if self._run is None:
+        run = self._run
+        if run is None:
             return {}
-        run = {**self._run.metadata, "first_seq": self._run.first_seq}
-        return {"run": run, "attachments": self._run.files} if self._run.files else {"run": run}
+        return {"run": {**run.metadata, "first_seq": run.first_seq},
+                **({"attachments": run.files} if run.files else {})}
 
     # Starting and stopping
 
     def _on_goal(self, goal: Any) -> None:
         try:
-            if self._run is not None:
-                raise DfmError(f"{self._run.name} is still running; cancel it first")
-            self._run = self._make_run(goal.request.experiment, goal)
+            self._begin_run(goal.request.experiment, goal)
         except DfmError as error:
             self._conclude(goal, "abort", str(error))
-            return
-        self._begin()
 
-    def _conclude(self, goal: Any, how: str, message: str = "", run: Run | None = None) -> None:
+    def _conclude(self, goal: Any, how: str, message: str = "",
+                  run: ActiveRun | None = None) -> None:
         def execute(handle: Any) -> RunExperiment.Result:
             getattr(handle, how)()
             result = RunExperiment.Result(success=how == "succeed", message=message)
@@ -226,44 +217,40 @@ class TrajectoryGenerator(LoopNode):
 
         goal.execute(execute)
 
-    def _begin(self) -> None:
+    def _begin_run(self, experiment: str = "", goal: Any = None) -> int:
+        """Start a run; return its number of samples."""
+        if self._run is not None:
+            raise DfmError(f"{self._run.name} is still running; cancel it first")
+        self._run = run = self._make_run(experiment, goal)
         self.warnings_active.pop("run", None)
         self.publish_config()
         if self.lockstep and self._pending is not None:
             pending, self._pending = self._pending, None
             self._answer(pending.seq, pending.stamp_ns)
+        return run.count
 
     def _start_when_open(self) -> None:
         if self._run is None and not self._reference.missing(["controller"]):
             self._autostart.cancel()
-            self._run = self._make_run()
-            self._begin()
+            self._begin_run()
 
-    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            if self._run is not None:
-                raise DfmError(f"{self._run.name} is still running")
-            self._run = self._make_run()
-            self._begin()
-            response.success, response.message = True, f"{self._run.count} samples"
-        except DfmError as error:
-            response.success, response.message = False, str(error)
-        return response
+    def _start(self) -> str:
+        return f"{self._begin_run()} samples"
 
-    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._run is not None
-        response.message = "stopped" if self._run else "nothing is running"
-        self._end("abort", _STOPPED)
-        return response
+    def _stop(self) -> str:
+        if self._run is None:
+            raise DfmError("nothing is running")
+        self._end("abort", "stopped", asked_for=True)
+        return "stopped"
 
-    def _end(self, how: str, message: str = "") -> None:
+    def _end(self, how: str, message: str = "", asked_for: bool = False) -> None:
         run, self._run = self._run, None
         if run is None:
             return
         self.count("experiments")
         if how == "abort":
             self.get_logger().warning(f"{run.name} is over: {message}")
-            if message != _STOPPED:
+            if not asked_for:
                 self.warnings_active["run"] = f"{run.name} is over: {message}"
         if run.goal is not None:
             self._conclude(run.goal, how, message, run)
@@ -278,7 +265,7 @@ class TrajectoryGenerator(LoopNode):
                 self.count("runs_held_up")
                 self._end("abort", f"no measurement for {gap:.2f} s in the middle of it")
             self._answer((measurement.seq + 1) & 0xFFFFFFFF,
-                         measurement.stamp_ns + int(self.settings["sample_period_s"] * 1e9))
+                         measurement.stamp_ns + int(self.settings[SAMPLE_PERIOD.name] * 1e9))
         elif self._run is not None:
             self._answer(measurement.seq, measurement.stamp_ns)
         else:
@@ -316,7 +303,7 @@ class TrajectoryGenerator(LoopNode):
     def _report(self) -> None:
         run = self._run
         if run is not None and run.goal is not None:
-            period = self.settings["sample_period_s"]
+            period = self.settings[SAMPLE_PERIOD.name]
             run.goal.publish_feedback(RunExperiment.Feedback(
                 elapsed=run.done * period, duration=run.count * period))
 
@@ -325,12 +312,10 @@ class TrajectoryGenerator(LoopNode):
             self._recorder_heard_s = time.monotonic()
 
     def _every_second(self) -> None:
-        heard = self._recorder_heard_s
-        if heard is not None and (silent := time.monotonic() - heard) > RECORDER_SILENT_S:
-            self.warnings_active["recorder"] = (f"nothing is heard of the recorder for "
-                                                f"{silent:.0f} s: this is not recorded")
-        else:
-            self.warnings_active.pop("recorder", None)
+        silent = time.monotonic() - self._recorder_heard_s
+        self.warnings_active.put("recorder", "" if silent <= RECORDER_SILENT_S else
+                                 f"nothing is heard of the recorder for {silent:.0f} s: this is "
+                                 "not recorded")
         super()._every_second()
 
     def not_ready(self) -> str | None:

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 from pages import ROOT
+from reference_page import FURTHER_TOPICS, SERVICES, reference_page
 
 from dfm_stage.harness import StageGraph
-from dfm_stage.nodes.reference_page import FURTHER_TOPICS, SERVICES, reference_page
 from dfm_stage.nodes.wiring import LINKS
 
 OF_ROS = ("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters",
@@ -19,7 +19,7 @@ LIFE_CYCLE = ("get_available_states", "get_available_transitions", "get_transiti
 
 def test_the_page_is_written_from_the_code() -> None:
     assert (ROOT / "docs/reference.md").read_text(encoding="utf-8") == reference_page(), (
-        "run ./run exec python -m dfm_stage.nodes.reference_page > docs/reference.md")
+        "run ./run exec python tools/reference_page.py > docs/reference.md")
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from benchmarks.zero_current import ZeroCurrentRig, moving_stage
 from dfm_interfaces.msg import Measurement
-from dfm_stage.emulated import EmulatedDevice, EmulatedGraph
 from dfm_stage.harness import HarnessError
+from dfm_stage.harness.emulated import EmulatedDevice, EmulatedGraph
 from dfm_stage.recording import read_bag
 
 pytestmark = pytest.mark.real_time

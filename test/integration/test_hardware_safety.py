@@ -14,8 +14,8 @@ from std_srvs.srv import Trigger
 from dfm_interfaces.msg import AmplifierState, Command, Drive, PositionCounts
 from dfm_stage.errors import DfmError
 from dfm_stage.harness import StageGraph
+from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.encoder_driver import EncoderDriver
-from dfm_stage.nodes.wire import codec
 from dfm_stage.nodes.wiring import LATCHED_QOS
 
 pytestmark = pytest.mark.real_time

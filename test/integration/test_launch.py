@@ -18,5 +18,12 @@ def test_launch_file_describes_the_nodes(name, nodes):
     spec.loader.exec_module(module)
     from launch_ros.actions import Node
 
-    entities = module.generate_launch_description().entities
+    from launch import LaunchContext
+
+    arguments = [each.name for each in module.generate_launch_description().entities
+                 if hasattr(each, "default_value")]
+    assert arguments == ["parameters", "sample_period_s", "record"]
+    context = LaunchContext()
+    context.launch_configurations.update(parameters="", sample_period_s="", record="false")
+    entities = module.nodes(context)
     assert sum(isinstance(entity, Node) for entity in entities) == nodes

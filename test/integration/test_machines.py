@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.hosts import Hosts, NoHostsError
 from benchmarks.machines import HOSTS, STALE_S, TOPICS, missing, run, zero_after_s
-from dfm_stage.nodes.share import config_folder
+from dfm_stage.share import config_folder
 
 LOOK = """
 import sys, time

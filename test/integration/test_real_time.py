@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 
 from dfm_interfaces.msg import AmplifierState, Command, Measurement
 from dfm_stage.harness import StageGraph
-from dfm_stage.nodes.wire import codec
+from dfm_stage.middleware.wire import codec
 from dfm_stage.recording import read_bag
 
 pytestmark = pytest.mark.real_time

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from dfm_stage.harness import StageGraph
-from dfm_stage.nodes import scheduling
-from dfm_stage.nodes.scheduling import RealTime
+from dfm_stage.middleware import scheduling
+from dfm_stage.middleware.scheduling import RealTime
 
 LOOP = {"sim_plant", "encoder_driver", "controller", "amplifier_driver", "trajectory_generator"}
 

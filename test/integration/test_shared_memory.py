@@ -15,17 +15,19 @@ from pathlib import Path
 import pytest
 import rclpy
 
-from dfm_stage.domain import DOMAIN_GAIN, PORT_BASE, claim_domain
 from dfm_stage.harness import HarnessError, StageGraph
-from dfm_stage.nodes import shared_memory
-from dfm_stage.nodes.process import helper_node
-from dfm_stage.nodes.shared_memory import (
+from dfm_stage.harness.domain import claim_domain
+from dfm_stage.middleware import shared_memory
+from dfm_stage.middleware.shared_memory import (
+    DOMAIN_GAIN,
     LEASE_S,
+    PORT_BASE,
     SHARED_MEMORY,
     PortWatch,
     killed_endpoints,
     neighbour_killed,
 )
+from dfm_stage.nodes.process import helper_node
 
 SETTLED_S = 0.5
 CONTROLLER = ("controller", "--ros-args", "-r", "__ns:=/stage/x")

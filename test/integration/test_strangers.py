@@ -105,7 +105,7 @@ def test_the_policy_is_what_the_nodes_really_do_and_no_more(tmp_path):
 @pytest.mark.parametrize("name", ["controller", "recorder"])
 def test_a_graph_asked_to_be_secure_refuses_where_it_cannot(name, tmp_path, monkeypatch, capfd):
     from dfm_stage.__main__ import main
-    from dfm_stage.nodes import security
+    from dfm_stage.middleware import security
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
@@ -143,7 +143,7 @@ for module in sys.argv[2:]:
 
 @pytest.mark.parametrize(("given", "expected"), [("", "LOCALHOST"), ("SUBNET", "SUBNET")])
 def test_what_ros2_run_and_launch_files_start_stays_on_this_machine(given, expected):
-    modules = [*map(module_of, NODES), "dfm_stage.harness", "dfm_stage.nodes.emulator_link"]
+    modules = [*map(module_of, NODES), "dfm_stage.harness", "dfm_stage.harness.emulator_link"]
     done = subprocess.run([sys.executable, "-c", IMPORT_EACH, given, *modules], cwd=ROOT,
                           text=True, check=True, stdout=subprocess.PIPE)
     assert done.stdout.split() == [expected] * len(modules)

@@ -30,7 +30,7 @@ def test_measurements_that_start_anew_end_the_run(make):
     assert node._run is None
     assert (node.counters["source_restarts"], node._hold) == (1, held)
     assert "started anew" in node.warnings_active["run"]  # said until the next run
-    node._on_start(None, SimpleNamespace(success=False, message=""))
+    node._start()
     assert "run" not in node.warnings_active
 
 

@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header, String
 
 from dfm_interfaces.msg import PlantState
-from dfm_stage.nodes.wire import Codec, WireError, codec, encode_clock, header_stamp_ns
+from dfm_stage.middleware.wire import Codec, WireError, codec, encode_clock, header_stamp_ns
 from dfm_stage.nodes.wiring import LINKS
 
 VALUES = {

@@ -9,9 +9,10 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from reference_page import FURTHER_TOPICS, SERVICES
 
 from dfm_stage.commands import NODES, TOOLS
-from dfm_stage.nodes.reference_page import FURTHER_TOPICS, SERVICES, node_class
+from dfm_stage.nodes.base import node_class
 from dfm_stage.nodes.wiring import LINKS
 
 ROOT = Path(__file__).parents[2]

@@ -5,25 +5,29 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
 
+from dfm_stage.commands import module_of
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
-# part: the other parts of ours it may import
-BASE = {"arrays", "decisions", "errors", "files", "machine_code", "quantity"}
-ARROWS: dict[str, set[str]] = {
+# part: the other parts of ours it may import, or start as a command
+BASE = {"arrays", "decisions", "errors", "files", "machine_code", "quantity", "share"}
+RECORDS = BASE | {"model", "recording", "identification"}
+LOOP = BASE | {"model", "trajectory", "control", "recording", "drivers"}
+PURE: dict[str, set[str]] = {
     "arrays": set(),
     "decisions": {"errors"},
     "errors": set(),
     "files": set(),
     "machine_code": set(),
     "quantity": set(),
-    "commands": set(),
-    "domain": BASE,
+    "share": {"errors"},
+    "commands": {"nodes", "cli"},  # their names, as text, for the entry point
     "model": BASE,
     "recording": BASE,
     "compile_all": BASE | {"model", "recording"},
@@ -32,13 +36,22 @@ ARROWS: dict[str, set[str]] = {
     "trajectory": BASE | {"model"},
     "control": BASE | {"model"},
     "identification": BASE | {"model", "recording"},
-    "diagnosis": BASE | {"model", "recording", "identification", "trajectory"},
-    "paper": BASE | {"model", "trajectory", "control", "identification", "recording", "reporting"},
+    "diagnosis": RECORDS | {"trajectory"},
+    "paper": RECORDS | {"trajectory", "control", "reporting"},
 }
-PURE = set(ARROWS)
-WITH_ROS = {"nodes", "harness", "emulated", "live"}
-ANYTHING = {"cli", "nodes", "harness", "emulated", "__main__", "live"}
-MAY_IMPORT_NODES = {"nodes", "harness", "emulated", "live"}
+TOOLS = {*PURE, "harness", "live"} - {"commands"}
+WITH_ROS: dict[str, set[str]] = {
+    "middleware": BASE,
+    "nodes": LOOP | {"middleware"},
+    "harness": LOOP | {"middleware", "nodes", "compile_all"},
+    "live": BASE | {"middleware", "nodes", "reporting"},
+    "__main__": {"commands", "errors"},
+}
+ARROWS = {**PURE, **WITH_ROS, "cli": TOOLS}
+CIRCLES: set[frozenset[str]] = {
+    frozenset({"dfm_stage.model.description", "dfm_stage.model.document"}),
+}
+"""Modules that import each other and should not; to be emptied, not to be added to."""
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "dfm_interfaces", "diagnostic_msgs",
     "geometry_msgs", "launch", "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy",
@@ -55,8 +68,11 @@ def modules(root: Path) -> dict[str, Path]:
     return found
 
 
-def imports(module: str, path: Path) -> Iterator[str]:
-    """Dotted names that a module imports anywhere in it; `from a import b` counts as a and a.b."""
+def imports(module: str, path: Path, alone: Collection[str] = ()) -> Iterator[str]:
+    """Dotted names that a module imports anywhere in it.
+
+    `from a import b` counts as a and a.b; where a.b is among the modules `alone`, as a.b only.
+    """
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text(), str(path))):
         if isinstance(node, ast.Import):
@@ -66,8 +82,35 @@ def imports(module: str, path: Path) -> Iterator[str]:
             if node.level:
                 above = package.split(".")[: len(package.split(".")) - node.level + 1]
                 base = ".".join([*above, *filter(None, [base])])
-            yield base
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+            names = [f"{base}.{alias.name}" for alias in node.names]
+            yield from names
+            if not all(name in alone for name in names):
+                yield base
+
+
+def starts(module: str, path: Path, known: set[str]) -> Iterator[str]:
+    """Modules of ours that a module names in a text or starts as a command.
+
+    In `[..., "-m", "dfm_stage", name]` a name that is not written out is a node's: `NodeSet`
+    starts those. A text that ends in a gap, as f"dfm_stage.nodes.{name}", names the package.
+    """
+    tree = ast.parse(path.read_text(), str(path))
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.List, ast.Tuple)):
+            for flag, door, name in zip(node.elts, node.elts[1:], node.elts[2:]):  # noqa: B905
+                if _text(flag) == "-m" and _text(door) == PACKAGE:
+                    yield module_of(_text(name)) if _text(name) else f"{PACKAGE}.nodes"
+        text = _text(node).rstrip(".")
+        if text.startswith(f"{PACKAGE}.") and text in known and not f"{module}.".startswith(
+            f"{text}."  # its own package: a registry looks for its neighbours
+        ):
+            yield text
+
+
+def _text(node: ast.AST) -> str:
+    if isinstance(node, ast.JoinedStr):
+        node = node.values[0]
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
 
 
 def part_of(module: str) -> str:
@@ -83,24 +126,22 @@ def violations(root: Path) -> list[str]:
         for module, path in known.items()
     }
     ours = {module: {name for name in names if name in known} for module, names in uses.items()}
+    started = {module: set(starts(module, path, set(known))) for module, path in known.items()}
     direct_ros = {
         module for module, names in uses.items() if any(n.split(".")[0] in ROS for n in names)
     }
     out = []
     for module in known:
         part = part_of(module)
-        if part not in ARROWS and part not in ANYTHING and part:
+        if part not in ARROWS and part:
             out.append(f"{module}: no rule for {part}, add it to ARROWS")
-        for name in sorted(ours[module]):
-            other = part_of(name)
-            if other in ("", part):
-                continue
-            if other == "nodes" and part not in MAY_IMPORT_NODES:
-                out.append(f"{module} imports {name}: only the harness imports nodes")
-            elif part in ARROWS and other not in ARROWS[part]:
-                out.append(f"{module} imports {name}: {part} must not know {other}")
+        for verb, names in (("imports", ours[module]), ("starts", started[module])):
+            for name in sorted(names):
+                other = part_of(name)
+                if other not in ("", part) and other not in ARROWS.get(part, ()):
+                    out.append(f"{module} {verb} {name}: {part} must not know {other}")
         if module in direct_ros and part not in WITH_ROS:
-            out.append(f"{module} imports ROS: only nodes and harness do")
+            out.append(f"{module} imports ROS: only {', '.join(WITH_ROS)} do")
         if part in PURE and (reached := reach(module, ours) & direct_ros - {module}):
             out.append(f"{module} reaches ROS through {', '.join(sorted(reached))}")
     return out
@@ -119,8 +160,42 @@ def reach(module: str, ours: dict[str, set[str]]) -> set[str]:
     return seen
 
 
+def circles(root: Path) -> set[frozenset[str]]:
+    """Groups of modules each of which reaches the others, by imports anywhere and by starts.
+
+    `from package import module` is an import of the module alone.
+    """
+    known = modules(root)
+    graph = {
+        module: known.keys()
+        & {*imports(module, path, alone=set(known)), *starts(module, path, set(known))}
+        for module, path in known.items()
+    }
+    below = {module: _below(module, graph) for module in graph}
+    return {
+        frozenset(other for other in below[module] if module in below[other])
+        for module in graph
+        if module in below[module] and below[module] != {module}
+    } - {frozenset({module}) for module in graph}
+
+
+def _below(module: str, graph: dict[str, set[str]]) -> set[str]:
+    seen: set[str] = set()
+    todo = list(graph[module])
+    while todo:
+        name = todo.pop()
+        if name not in seen:
+            seen.add(name)
+            todo += graph[name]
+    return seen
+
+
 def test_the_arrows_point_one_way() -> None:
     assert violations(ROOT) == []
+
+
+def test_no_modules_go_round_in_a_circle() -> None:
+    assert circles(ROOT) == CIRCLES
 
 
 def test_pure_packages_import_where_ros_cannot_be_imported() -> None:
@@ -153,10 +228,26 @@ for name in {names!r}:
             "def main():\n    from std_msgs.msg import Header",
             "cli.demo imports ROS",
         ),
-        ("cli/demo.py", "from dfm_stage.nodes import base", "only the harness imports nodes"),
-        ("cli/demo.py", "from dfm_stage import nodes", "only the harness imports nodes"),
+        ("cli/demo.py", "from dfm_stage.nodes import base", "cli must not know nodes"),
+        ("cli/demo.py", "from dfm_stage import nodes", "cli must not know nodes"),
         ("model/plant.py", "from dfm_stage import errors", "model.plant reaches ROS through"),
         ("plumbing.py", "", "no rule for plumbing"),
+        (
+            "model/plant.py",
+            'run([sys.executable, "-m", "dfm_stage", "diagnose"])',
+            "model.plant starts dfm_stage.cli.diagnose: model must not know cli",
+        ),
+        (
+            "control/pid.py",
+            'run([sys.executable, "-m", "dfm_stage", kind, *rest])',
+            "control must not know nodes",
+        ),
+        (
+            "model/plant.py",
+            'import_module(f"dfm_stage.recording.{name}")',
+            "model.plant starts dfm_stage.recording: model must not know recording",
+        ),
+        ("drivers/port.py", 'MAIN = "dfm_stage.nodes.base"', "drivers must not know nodes"),
     ],
 )
 def test_the_rule_can_fail(tmp_path: Path, file: str, source: str, complaint: str) -> None:
@@ -169,10 +260,30 @@ def test_the_rule_can_fail(tmp_path: Path, file: str, source: str, complaint: st
     (tmp_path / PACKAGE / "errors.py").write_text(errors)
     (tmp_path / PACKAGE / "nodes/base.py").write_text("import rclpy\nfrom .. import model")
     (tmp_path / PACKAGE / "harness.py").write_text(
-        "import rclpy\nfrom dfm_stage.nodes import base"
+        "import rclpy\nfrom dfm_stage.nodes import base\n"
+        'run([sys.executable, "-m", "dfm_stage", kind])'
     )
     if not errors:
         assert violations(tmp_path) == []
     (tmp_path / PACKAGE / file).parent.mkdir(exist_ok=True)
     (tmp_path / PACKAGE / file).write_text(source)
     assert any(complaint in line for line in violations(tmp_path)), violations(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("from dfm_stage.cli import b", "def f():\n    from dfm_stage.cli.a import x"),
+        ("import dfm_stage.cli.b", 'run([python, "-m", "dfm_stage.cli.a"])'),
+        ("from dfm_stage.cli.b import x", 'import_module("dfm_stage.cli.a")'),
+    ],
+)
+def test_a_circle_is_seen(tmp_path: Path, first: str, second: str) -> None:
+    folder = tmp_path / PACKAGE / "cli"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").touch()
+    (folder / "a.py").write_text(first)
+    (folder / "b.py").touch()
+    assert circles(tmp_path) == set()
+    (folder / "b.py").write_text(second)
+    assert circles(tmp_path) == {frozenset({"dfm_stage.cli.a", "dfm_stage.cli.b"})}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dfm_stage.domain import DOMAINS, claim_domain
+from dfm_stage.harness.domain import DOMAINS, claim_domain
 
 CONFTEST = Path(__file__).parents[1] / "conftest.py"
 LEAKING = """
@@ -84,7 +84,7 @@ def test_a_domain_is_held_until_released() -> None:
 
 def test_a_domain_is_freed_when_its_holder_is_killed() -> None:
     code = (
-        "from dfm_stage.domain import claim_domain; import time;"
+        "from dfm_stage.harness.domain import claim_domain; import time;"
         "held = claim_domain(); print(held.number, flush=True); time.sleep(600)"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as holder:

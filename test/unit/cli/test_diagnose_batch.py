@@ -10,9 +10,8 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from dfm_stage.cli import diagnose_batch, example
-from dfm_stage.diagnosis import batch
-from dfm_stage.diagnosis.batch import Job, Outcome, run_batch
+from dfm_stage.cli import batch, diagnose_batch, example
+from dfm_stage.cli.batch import Job, Outcome, run_batch
 from dfm_stage.diagnosis.errors import DiagnosisError
 
 

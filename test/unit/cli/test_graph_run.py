@@ -27,7 +27,7 @@ class Graph:
 
 
 @pytest.mark.parametrize(("first", "starts"), [
-    (harness.NotReachedError("controller: late"), 2),
+    (harness.NotInTimeError("controller: late"), 2),
     (harness.HarnessError("controller ended with code 1; /x/y is not ready"), 1),
 ])
 def test_a_graph_is_started_again_only_where_nodes_did_not_meet(

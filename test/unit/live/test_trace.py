@@ -9,8 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
+from reference_page import SERVICES
+
 from dfm_stage.live.trace import BEHIND, KEPT, MOST_ROWS, Trace
-from dfm_stage.nodes.reference_page import SERVICES
 from dfm_stage.nodes.wiring import LINKS
 
 LAYOUT = Path(__file__).parents[3] / "config/foxglove/stage.json"

@@ -4,7 +4,7 @@
 ...     graph.bring_to_life()
 ...     graph.run({...})
 
-Two processes stand where the counter and the amplifier stand (`./run emulate`), connected to
+Two processes stand where the counter and the amplifier stand (emulator_process), connected to
 sim_plant on one side and to pseudo-terminals on the other.
 """
 
@@ -24,10 +24,11 @@ from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import Trigger
 
 from dfm_stage.drivers.qsb_protocol import TICKS_PER_SECOND
-from dfm_stage.harness import HarnessError, StageGraph
-from dfm_stage.nodes.emulator_link import StageLink
+from dfm_stage.harness.node_set import HarnessError
+from dfm_stage.harness.stage_graph import StageGraph
+from dfm_stage.model import load_model
 
-__all__ = ["EmulatedDevice", "EmulatedGraph", "StageLink", "hardware_parameters"]
+__all__ = ["EmulatedDevice", "EmulatedGraph", "hardware_parameters"]
 
 RESOLUTION_M = 5e-8
 SERVICE_S = 15.0
@@ -56,13 +57,12 @@ class EmulatedDevice:
             environment["ROS_DOMAIN_ID"] = str(domain_id)
         self.link = link
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "dfm_stage", "emulate", device, "--link", str(link),
-             *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
-            env=environment)
-        answer = self._answer()
-        if not answer.startswith(device):
+            [sys.executable, "-m", "dfm_stage.harness.emulator_process", device, "--link",
+             str(link), *arguments],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=environment)
+        if not self._answer():
             self.close()
-            raise HarnessError(f"emulate {device} did not start: {answer or 'it said nothing'}")
+            raise HarnessError(f"emulate {device} did not start: see its words above")
 
     def _answer(self) -> str:
         assert self._process.stdout is not None  # noqa: S101
@@ -80,21 +80,16 @@ class EmulatedDevice:
 
     def close(self) -> None:
         """End it."""
-        if self._process.poll() is None:
+        with self._process:  # closes the pipes and waits
             self._process.terminate()
-        try:
-            self._process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+            try:
+                self._process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
 
 
 def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, Any]]:
-    """Return the node parameters of a loop on both devices, at the rate of the counter."""
-    period_s = 1.0 / TICKS_PER_SECOND
+    """Return the node parameters of a loop on both devices."""
     return {
         # an emulator is a process, which a busy machine may hold up for longer than 20 ms
         "encoder_driver": {"device": "qsb_d", "port": str(encoder), "retry_s": 0.2,
@@ -103,11 +98,10 @@ def hardware_parameters(encoder: Path, amplifier: Path) -> dict[str, dict[str, A
                              "current_limit_a": 2.0, "retry_s": 0.2, "reply_timeout_s": 0.3},
         # soft enough for the delay of the wires and of a busy machine; the feedforward is what
         # the spring, the damper and the mass of current_stage take, per N/A
-        "controller": {"sample_period_s": period_s, "kp": 600.0, "ki": 6000.0, "kd": 30.0,
+        "controller": {"kp": 600.0, "ki": 6000.0, "kd": 30.0,
                        "output_limit_v": 2.0, "derivative_weight": 1.0,
                        "feedforward_position": 600.7, "feedforward_velocity": 1.705,
                        "feedforward_acceleration": 1.0},
-        "trajectory_generator": {"sample_period_s": period_s},
     }
 
 
@@ -133,12 +127,15 @@ class EmulatedGraph(StageGraph):
         for kind, values in (parameters or {}).items():
             merged[kind] = {**merged.get(kind, {}), **values}
         self.devices: dict[str, EmulatedDevice] = {}
-        super().__init__(model=model, parameters=merged, **options)
+        self._plant_period_s = load_model(model).sample_period
+        super().__init__(model=model, parameters=merged,
+                         sample_period_s=1.0 / TICKS_PER_SECOND, **options)
 
     def __enter__(self) -> EmulatedGraph:
         super().__enter__()
         try:
-            stage = ("--stage", f"/stage/{self.axes[0]}")
+            stage = ("--stage", f"/stage/{self.axes[0]}",
+                     "--sample-period", str(self._plant_period_s))
             for name, device, extra in (
                     ("encoder", "qsb_d", ("--resolution", str(RESOLUTION_M))),
                     ("amplifier", "copley_ascii", ("--log", str(self.output_log)))):

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import AbstractContextManager
 from types import TracebackType
 
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.shared_memory import DOMAIN_GAIN, PORT_BASE
 
 DOMAINS = range(1, 102)  # 0 is everybody's default; above 101 DDS ports meet the ephemeral ones
-# DDSI-RTPS 2.5, 9.6.2.4: first port of a domain, and offset and step of a participant's own port
-PORT_BASE, DOMAIN_GAIN, UNICAST_OFFSET, PARTICIPANT_GAIN = 7400, 250, 10, 2
+# DDSI-RTPS 2.5, 9.6.2.4: offset and step of a participant's own port in its domain
+UNICAST_OFFSET, PARTICIPANT_GAIN = 10, 2
 PARTICIPANTS_LOOKED_FOR = 4
 
 
@@ -18,7 +20,7 @@ class NoFreeDomainError(DfmError):
     """Every ROS domain of this machine is taken."""
 
 
-class Domain:
+class Domain(AbstractContextManager["Domain"]):
     """A domain id that this process holds until `release` or its end; a context manager.
 
     Held by an abstract socket's name: the kernel frees it with the process, however that ends, and
@@ -32,9 +34,6 @@ class Domain:
     def release(self) -> None:
         """Let others have the domain; again is harmless."""
         self._claim.close()
-
-    def __enter__(self) -> Domain:
-        return self
 
     def __exit__(
         self,

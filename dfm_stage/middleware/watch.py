@@ -8,6 +8,19 @@ SILENT_S = 1.0
 HELD_UP_S = 0.5
 
 
+class Notices(dict[str, str]):
+    """What there is to say now, by what it is about."""
+
+    def put(self, about: str, words: str) -> bool:
+        """Say it from now on, or where `words` is empty no longer; return whether it is new."""
+        new = bool(words) and about not in self
+        if words:
+            self[about] = words
+        else:
+            self.pop(about, None)
+        return new
+
+
 class Input:
     """What came on one loop topic; `received` is counted by the subscription."""
 
@@ -31,7 +44,7 @@ class Watch:
     `count` and `log` are called when something begins; times are on one steady clock, s.
     """
 
-    def __init__(self, warnings: dict[str, str], count: Callable[[str], None],
+    def __init__(self, warnings: Notices, count: Callable[[str], None],
                  log: Callable[[str], object], now: float) -> None:
         self.inputs: list[Input] = []
         self._warnings = warnings
@@ -43,20 +56,17 @@ class Watch:
     def look(self, now: float) -> None:
         """Look once, a second after the last time."""
         late, self._last_look = now - self._last_look - 1.0, now
-        if late > HELD_UP_S:
+        held_up = late > HELD_UP_S
+        self._warnings.put("held up",
+                           f"this process stood still for {late:.1f} s" if held_up else "")
+        if held_up:
             self._count("held_up")
-            self._warnings["held up"] = f"this process stood still for {late:.1f} s"
-        else:
-            self._warnings.pop("held up", None)
         self.silent = False
         for each in self.inputs:
-            key, silent = f"silent {each.name}", each.silent_s(now)
-            if silent < SILENT_S:
-                self._warnings.pop(key, None)
-                continue
-            self.silent = True
-            if key not in self._warnings:
+            silent, source = each.silent_s(now), f"{each.name} from {each.publisher}"
+            lost = silent >= SILENT_S
+            self.silent |= lost
+            if self._warnings.put(f"silent {each.name}",
+                                  f"nothing on {source} for {silent:.0f} s" if lost else ""):
                 self._count("inputs_lost")
-                self._log(f"nothing more on {each.name} from {each.publisher}")
-            self._warnings[key] = (f"nothing on {each.name} from {each.publisher} for "
-                                   f"{silent:.0f} s")
+                self._log(f"nothing more on {source}")

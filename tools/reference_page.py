@@ -1,4 +1,4 @@
-"""docs/reference.md from the code: `python -m dfm_stage.nodes.reference_page`.
+"""docs/reference.md from the code: `./run exec python tools/reference_page.py`.
 
 Topics of the loop, parameters and messages are read from where they are defined. What is said here
 in words (further topics, services, files) is held against a running graph by a test.
@@ -7,22 +7,21 @@ in words (further topics, services, files) is held against a running graph by a 
 from __future__ import annotations
 
 import array
-import importlib
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from dfm_stage.commands import NODES, TOOLS
-from dfm_stage.nodes.base import COMMON, PRIORITY, LoopNode
+from dfm_stage.nodes.base import COMMON, PRIORITY, node_class
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.wiring import LINKS
 
-INTERFACES = Path(__file__).resolve().parents[2] / "dfm_interfaces"
+INTERFACES = Path(__file__).resolve().parents[1] / "dfm_interfaces"
 HEAD = """\
 # Reference: topics, parameters, messages, files
 
-Written from the code (`./run exec python -m dfm_stage.nodes.reference_page > docs/reference.md`),
+Written from the code (`./run exec python tools/reference_page.py > docs/reference.md`),
 and compared with it and with a running graph by the tests. Units are SI (REP-103). Names are
 relative to the namespace of an axis (`/stage/x`) unless they begin with `/`.
 [How it fits together](nodes.md).
@@ -45,6 +44,8 @@ FURTHER_TOPICS = _rows("""
 joint_states | sensor_msgs/JointState | encoder_driver | position at 20 Hz, for viewers
 encoder_health | diagnostic_msgs/DiagnosticStatus | encoder_driver | latched: why the output must \
 be off, directly to amplifier_driver
+loop_health | diagnostic_msgs/DiagnosticStatus | controller, trajectory_generator | latched: \
+whether measurements come at `sample_period_s`; amplifier_driver does not arm before
 <driver>/transition_event | lifecycle_msgs/TransitionEvent | both drivers | changes of life cycle
 <node>/config | std_msgs/String | every node | latched JSON: parameters, versions, what was loaded
 /diagnostics | diagnostic_msgs/DiagnosticArray | every node | state and counters, 1 Hz
@@ -107,13 +108,6 @@ def _topics() -> str:
 def _services() -> str:
     return "## Services and actions\n\n" + _table(
         ("name", "type", "what"), [(f"`{name}`", *rest) for name, rest in SERVICES.items()])
-
-
-def node_class(name: str) -> type[LoopNode]:
-    """Return the class of a node by its name on the command line."""
-    module = importlib.import_module(f"dfm_stage.nodes.{name}")
-    found: type[LoopNode] = getattr(module, "".join(map(str.capitalize, name.split("_"))))
-    return found
 
 
 def _parameters() -> str:

@@ -11,14 +11,12 @@ import threading
 import time
 from typing import Any
 
-import rclpy
 from rclpy.executors import ExternalShutdownException
-from rclpy.signals import SignalHandlerOptions
 
 from dfm_interfaces.msg import Drive, PositionCounts
 from dfm_stage.drivers.clock_map import ClockMap, Unwrap
-from dfm_stage.nodes.process import helper_node, make_executor
-from dfm_stage.nodes.wire import codec
+from dfm_stage.middleware.wire import codec
+from dfm_stage.nodes.process import Helper
 from dfm_stage.nodes.wiring import PUBLISHER_QOS
 
 _STEADY_GAP_S = 0.5
@@ -41,13 +39,7 @@ class StageLink:
 
     def __init__(self, namespace: str, name: str, sample_period_s: float,
                  resolution_m: float = 0.0) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, args=[],
-                   signal_handler_options=SignalHandlerOptions.NO)
-        self._node = helper_node(name, namespace, self._context)
-        self._executor = make_executor(self._context)
-        self._executor.add_node(self._node)
-        self._period_s = sample_period_s
+        self._ros = Helper(name, namespace)
         self._resolution_m = resolution_m
         self._grid = ClockMap(sample_period_s)
         self._number = Unwrap()
@@ -65,8 +57,8 @@ class StageLink:
 
     def _spin(self) -> None:
         try:
-            while not self._stopping and self._context.ok():
-                self._executor.spin_once(timeout_sec=0.1)
+            while not self._stopping and self._ros.ok():
+                self._ros.executor.spin_once(timeout_sec=0.1)
         except ExternalShutdownException:
             return
 
@@ -75,7 +67,7 @@ class StageLink:
     def read_scale(self) -> None:
         """Listen to the simulated scale."""
         decode = codec(PositionCounts).decode
-        self._node.create_subscription(
+        self._ros.node.create_subscription(
             PositionCounts, "sim/position_counts", lambda data: self._on_counts(decode(data)),
             PUBLISHER_QOS, raw=True)
 
@@ -103,7 +95,7 @@ class StageLink:
 
     def drive_coil(self) -> None:
         """Become the one who drives the simulated coil."""
-        self._drive = self._node.create_publisher(Drive, "sim/drive", PUBLISHER_QOS)
+        self._drive = self._ros.node.create_publisher(Drive, "sim/drive", PUBLISHER_QOS)
 
     def output(self, _now_s: float, current_a: float, enabled: bool) -> None:
         """Put a current into the simulated coil."""
@@ -117,5 +109,4 @@ class StageLink:
         """Leave the graph."""
         self._stopping = True
         self._thread.join(5.0)
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._ros.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from dfm_stage.errors import DfmError
@@ -15,19 +16,14 @@ def config_folder() -> Path:
     DfmError
         If there is neither.
     """
-    tree = Path(__file__).resolve().parents[2] / "config"
-    if tree.is_dir():
-        return tree
-    try:
-        from ament_index_python.packages import get_package_share_directory
-
-        installed = Path(get_package_share_directory("dfm_stage")) / "config"
-    except (ImportError, LookupError):
-        installed = tree
-    if not installed.is_dir():
-        raise DfmError("dfm_stage's config folder is not found; build the package with colcon "
-                       "or run from its source tree")
-    return installed
+    package = Path(__file__).resolve().parent
+    prefixes = map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+    for folder in (package.parent, *(prefix / "share" / "dfm_stage"
+                                     for prefix in (*package.parents, *prefixes))):
+        if (folder / "config" / "experiments").is_dir():
+            return folder / "config"
+    raise DfmError("dfm_stage's config folder is not found; build the package with colcon or run "
+                   "from its source tree")
 
 
 def find_experiment(name: str) -> Path:
