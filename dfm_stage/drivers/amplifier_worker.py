@@ -20,7 +20,7 @@ from dfm_stage.drivers.errors import DeviceLostError, DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
 from dfm_stage.drivers.quantiser import SigmaDelta
 
-_HURRY_S = 0.004
+_MIN_SLACK_S = 0.004    # a question is asked only if no command is due within this time
 _NO_ANSWER = "the drive does not answer"
 
 
@@ -181,7 +181,7 @@ class AmplifierWorker:
         with self._wake:
             now = self._clock()
             left = interlock.time_left(now)
-            pause = left if left <= _HURRY_S else min(next_question - now, left)
+            pause = left if left <= _MIN_SLACK_S else min(next_question - now, left)
             urgent = self._orders or self._target or self._stopping
             if not urgent and pause > 0.0 and (interlock.armed or not self._energised):
                 self._wake.wait(pause)
@@ -196,7 +196,7 @@ class AmplifierWorker:
         if target is not None and interlock.armed:
             self._put_out(*target)
         now = self._clock()
-        if now >= next_question and interlock.time_left(now) > _HURRY_S:
+        if now >= next_question and interlock.time_left(now) > _MIN_SLACK_S:
             self._ask()
             return True
         return False

@@ -135,7 +135,7 @@ class Interlock:
             return 0.0
         value: float = command.voltage
         if not -self.limit <= value <= self.limit:
-            self._refuse(value)
+            self._trip_on_value(value)
             return 0.0
         seq = command.seq
         if seq - self._seq != 1 and self._out_of_turn(seq):
@@ -147,12 +147,12 @@ class Interlock:
         if self._age_ns and (command.measurement_stamp_ns or not self._age_lasts_s):
             age_ns = now_ns - command.measurement_stamp_ns
             if age_ns > self._age_ns:
-                self._answers_the_past(age_ns * 1e-6, now_s)
+                self._on_old_measurement(age_ns * 1e-6, now_s)
                 return 0.0
             self._old_since_s = None
         return value
 
-    def _answers_the_past(self, age_ms: float, now_s: float) -> None:
+    def _on_old_measurement(self, age_ms: float, now_s: float) -> None:
         """Trip if it lasts: a loop that is behind pushes the stage the wrong way."""
         self.too_old += 1
         if self._old_since_s is None:
@@ -160,7 +160,7 @@ class Interlock:
         if now_s - self._old_since_s >= self._age_lasts_s:
             self.trip(Cause.ENCODER, f"a command answers a measurement {age_ms:.1f} ms old")
 
-    def _refuse(self, value: float) -> None:
+    def _trip_on_value(self, value: float) -> None:
         if math.isfinite(value):
             self.trip(Cause.OUT_OF_RANGE,
                       f"a command of {value:g} is beyond the limit of {self.limit:g}")

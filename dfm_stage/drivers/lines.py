@@ -17,7 +17,7 @@ class Line(NamedTuple):
 class LineBuffer:
     """Splits a byte stream at any of `ends`; empty lines are dropped.
 
-    A line longer than LONGEST_LINE is noise: it is thrown away up to its end.
+    A line longer than LONGEST_LINE is noise and is thrown away up to its end.
     """
 
     def __init__(self, ends: bytes = b"\r\n") -> None:

@@ -146,10 +146,9 @@ class _Reader:
         except DamagedError as reason:
             self.lose_chunk(source, chunk, str(reason))
             return
-        found = survey_chunk(data)
-        self.note_rest(source, chunk, len(data) - found.whole_bytes, found.whole_bytes)
-        chunk.counts = found.counts
-        for opcode, body in found.definitions:
+        chunk.counts, definitions, whole = survey_chunk(data)
+        self.note_rest(source, chunk, len(data) - whole, whole)
+        for opcode, body in definitions:
             source.scan.define(parse_record(opcode, body))
 
     def lose_chunk(self, source: _Source, chunk: ChunkPlace, reason: str) -> None:

@@ -76,7 +76,7 @@ def bag_record(bag: Bag, axis: str | None = None, sample_period: float | None = 
                           f"{', '.join(bag) or 'nothing'}", bag.path)
     with in_file(bag.path):
         axes = [_read_axis(bag, name, topic, run, sample_period) for name, topic in found.items()]
-        return _together(bag, run, axes, gaps)
+        return _on_one_time_base(bag, run, axes, gaps)
 
 
 def _measurements(bag: Bag) -> dict[str, str]:
@@ -162,7 +162,7 @@ def _read_axis(bag: Bag, name: str, topic_name: str, run: _Run,
         notes += _amplifier_notes(source, applied)
     else:
         notes.append(f"{prefix}amplifier was not recorded; the command is taken as the input")
-    arrays |= _others(bag, prefix, grid, source)
+    arrays |= _other_arrays(bag, prefix, grid, source)
     return _Axis(name, grid, arrays, run.input_unit(name), notes)
 
 
@@ -177,7 +177,7 @@ def _amplifier_notes(source: Topic, applied: AppliedInput) -> list[str]:
     return notes
 
 
-def _others(bag: Bag, prefix: str, grid: SampleGrid, source: Topic) -> dict[str, FloatArray]:
+def _other_arrays(bag: Bag, prefix: str, grid: SampleGrid, source: Topic) -> dict[str, FloatArray]:
     """Return what else belongs to samples by their number."""
     wanted: dict[str, tuple[str, dict[str, str]]] = {
         "reference": ("seq", {"position": "reference", "velocity": "reference_velocity",
@@ -199,7 +199,7 @@ def _others(bag: Bag, prefix: str, grid: SampleGrid, source: Topic) -> dict[str,
     return arrays
 
 
-def _together(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
+def _on_one_time_base(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
     """Bring the axes onto one time base and cut it to where everything is known."""
     warnings = [*map(str, bag.losses), *run.notes]
     for axis in axes:
@@ -226,9 +226,9 @@ def _together(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
            for shift, axis in zip(shifts, axes, strict=True)]
     valid = np.all([np.isfinite(part["position"]) & np.isfinite(part["input"]) for part in cut],
                    axis=0)
-    keep = _stretch(valid, period, gaps, warnings)
-    result = {axis.name: _finish({name: array[keep] for name, array in part.items()}, axis,
-                                 warnings)
+    keep = _kept(valid, period, gaps, warnings)
+    result = {axis.name: _axis_record({name: array[keep] for name, array in part.items()},
+                                      axis, warnings)
               for axis, part in zip(axes, cut, strict=True)}
     first = start + keep.start - shifts[0]
     record = Record(
@@ -241,7 +241,7 @@ def _together(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
     return record
 
 
-def _stretch(valid: NDArray[np.bool_], period: float, gaps: str, warnings: list[str]) -> slice:
+def _kept(valid: NDArray[np.bool_], period: float, gaps: str, warnings: list[str]) -> slice:
     """Return the samples to keep: what is known at both ends, and without a gap unless masked."""
     known = np.flatnonzero(valid)
     if len(known) < 3:
@@ -270,7 +270,7 @@ def _stretch(valid: NDArray[np.bool_], period: float, gaps: str, warnings: list[
     return slice(first, last)
 
 
-def _finish(part: dict[str, FloatArray], axis: _Axis, warnings: list[str]) -> AxisRecord:
+def _axis_record(part: dict[str, FloatArray], axis: _Axis, warnings: list[str]) -> AxisRecord:
     part = {name: array for name, array in part.items() if not np.isnan(array).all()}
     missing = {name: int(np.isnan(part[name]).sum()) for name in ("current", "reference")
                if name in part}

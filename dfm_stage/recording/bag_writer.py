@@ -19,7 +19,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -45,14 +45,6 @@ _MESSAGE_FIXED_BYTES = 22
 _INDEX_ENTRY = struct.Struct("<QQ")
 
 
-@dataclass
-class _Progress:
-    accepted: int = 0
-    lost: int = 0
-    backlog_bytes: int = 0
-    error: BagWriteError | None = None
-
-
 class BagWriter:
     """A new bag folder: `metadata.yaml` and one MCAP file named after the folder.
 
@@ -69,6 +61,12 @@ class BagWriter:
         caller is never held up.
     custom_data : mapping, optional
         Goes into metadata.yaml.
+
+    Attributes
+    ----------
+    message_count : messages accepted by `write` so far
+    lost : messages accepted that did not reach the file: disk refused, or far too slow
+    error : why nothing is written any more, or None
 
     Raises
     ------
@@ -98,7 +96,10 @@ class BagWriter:
         self._backlog_limit = backlog_bytes
         self._topics: list[TopicEntry] = []
         self._schemas: dict[str, Schema] = {}
-        self._progress = _Progress()
+        self.message_count = 0
+        self.lost = 0
+        self.error: BagWriteError | None = None
+        self._waiting_bytes = 0
         self._chunk = Chunk()
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
@@ -111,21 +112,6 @@ class BagWriter:
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
         self._thread.start()
         atexit.register(self.close)
-
-    @property
-    def message_count(self) -> int:
-        """Messages accepted by `write` so far."""
-        return self._progress.accepted
-
-    @property
-    def lost(self) -> int:
-        """Messages accepted that did not reach the file: disk refused, or far too slow."""
-        return self._progress.lost
-
-    @property
-    def error(self) -> BagWriteError | None:
-        """Why nothing is written any more, or None."""
-        return self._progress.error
 
     def add_topic(self, name: str, type_name: str, qos_profiles: Sequence[QosProfile],
                   type_hash: str, definition_text: str) -> int:
@@ -190,7 +176,7 @@ class BagWriter:
             argument is impossible.
         """
         with self._lock:
-            if self._progress.error is not None or self._closing:
+            if self.error is not None or self._closing:
                 self._refuse()
             chunk = self._chunk
             records = chunk.records
@@ -204,7 +190,7 @@ class BagWriter:
                                     f"{log_time_ns} ns refused: {error}") from error
             records += head
             records += data
-            self._progress.accepted += 1
+            self.message_count += 1
             if len(records) >= self._chunk_bytes:
                 self._hand_over()
 
@@ -233,8 +219,8 @@ class BagWriter:
                 if not self._thread.is_alive():
                     break
                 self._done.wait(FLUSH_PERIOD_S)
-            if self._progress.error is not None:
-                raise self._progress.error
+            if self.error is not None:
+                raise self.error
 
     def close(self) -> None:
         """Write what is left, the index and metadata.yaml. A second call does nothing.
@@ -266,13 +252,13 @@ class BagWriter:
     def _check_open(self) -> None:
         if self._closing:
             raise BagWriteError(f"{self.directory}: the bag is closed")
-        if self._progress.error is not None:
-            raise self._progress.error
+        if self.error is not None:
+            raise self.error
 
     def _refuse(self) -> None:
         if not self._closing:
-            self._progress.accepted += 1
-            self._progress.lost += 1
+            self.message_count += 1
+            self.lost += 1
         self._check_open()
 
     def _start_chunk(self, chunk: Chunk) -> None:
@@ -291,10 +277,10 @@ class BagWriter:
         self._chunk = Chunk()
         self._start_chunk(self._chunk)
         size = len(chunk.records)
-        if self._progress.backlog_bytes + size > self._backlog_limit:
-            self._progress.lost += chunk.message_count
+        if self._waiting_bytes + size > self._backlog_limit:
+            self.lost += chunk.message_count
             return
-        self._progress.backlog_bytes += size
+        self._waiting_bytes += size
         self._jobs.append(lambda: self._write_chunk(chunk))
         self._work.notify()
 
@@ -303,17 +289,17 @@ class BagWriter:
             self._do(lambda: self._sink.write_chunk(chunk))
         finally:
             with self._lock:
-                self._progress.backlog_bytes -= len(chunk.records)
-                if self._progress.error is not None:
-                    self._progress.lost += chunk.message_count
+                self._waiting_bytes -= len(chunk.records)
+                if self.error is not None:
+                    self.lost += chunk.message_count
 
     def _do(self, job: Callable[[], None]) -> None:
         """Run a job of the sink, unless one failed before: no hole is followed by more data."""
-        if self._progress.error is None:
+        if self.error is None:
             try:
                 job()
             except BagWriteError as error:
-                self._progress.error = error
+                self.error = error
 
     def _run(self) -> None:
         while True:
@@ -334,10 +320,10 @@ class BagWriter:
                     return
 
     def _finish(self) -> None:
-        sink, progress = self._sink, self._progress
+        sink = self._sink
         custom = dict(self._information.custom_data)
-        if progress.lost:
-            custom[DROPPED_KEY] = str(progress.lost)
+        if self.lost:
+            custom[DROPPED_KEY] = str(self.lost)
         written = sink.message_count
         self._information = replace(
             self._information, message_count=written, custom_data=custom,
@@ -351,13 +337,13 @@ class BagWriter:
             sink.finish()
             self._write_metadata_yaml()
         except BagWriteError as error:
-            progress.error = progress.error or error
-        if progress.lost:
-            reason = progress.error or f"{self.file_path}: the disk is too slow"
-            raise BagWriteError(f"{reason} ({progress.lost} of {progress.accepted} messages "
+            self.error = self.error or error
+        if self.lost:
+            reason = self.error or f"{self.file_path}: the disk is too slow"
+            raise BagWriteError(f"{reason} ({self.lost} of {self.message_count} messages "
                                 f"were not recorded)")
-        if progress.error is not None:
-            raise progress.error
+        if self.error is not None:
+            raise self.error
 
     def _write_metadata_yaml(self) -> None:
         path = self.directory / "metadata.yaml"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import zlib
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import lz4.frame
@@ -12,6 +11,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from dfm_stage.recording.errors import RecordingError
 from dfm_stage.recording.mcap_scan import ChunkPlace, read_at, records_in
 
 Bytes: TypeAlias = NDArray[np.uint8]
@@ -21,17 +21,8 @@ _MANY_DEFINITIONS = 4096
 _local = threading.local()
 
 
-class DamagedError(Exception):
+class DamagedError(RecordingError):
     """The content of a chunk is not what was written; nothing of it can be trusted."""
-
-
-@dataclass(frozen=True)
-class Survey:
-    """What a chunk holds: messages by channel id, schemas and channels, bytes in whole records."""
-
-    counts: dict[int, int]
-    definitions: list[tuple[int, bytes]]
-    whole_bytes: int
 
 
 def expand(file: int, chunk: ChunkPlace) -> Bytes:
@@ -81,8 +72,13 @@ def _expand_zstd(data: bytes, chunk: ChunkPlace) -> tuple[bytes, bool]:
     return decompressor.decompress(data, max_output_size=size), bool(frame.has_checksum)
 
 
-def survey_chunk(data: Bytes) -> Survey:
-    """Look through the records of a chunk without decoding them."""
+def survey_chunk(data: Bytes) -> tuple[dict[int, int], list[tuple[int, bytes]], int]:
+    """Look through the records of a chunk without decoding them.
+
+    Returns
+    -------
+    (messages by channel id, (opcode, content) of schemas and channels, bytes in whole records)
+    """
     from dfm_stage.recording.record_kernels import survey
 
     counts = np.zeros(1 << 16, np.int64)
@@ -90,8 +86,8 @@ def survey_chunk(data: Bytes) -> Survey:
     whole, found = survey(data, counts, places)
     definitions = [next(records_in(data[at:at + 9 + _length(data, at)].tobytes()))
                    for at in places[:min(found, _MANY_DEFINITIONS)]]
-    return Survey({int(channel): int(counts[channel]) for channel in np.flatnonzero(counts)},
-                  definitions, int(whole))
+    return ({int(channel): int(counts[channel]) for channel in np.flatnonzero(counts)},
+            definitions, int(whole))
 
 
 def _length(data: Bytes, at: int) -> int:

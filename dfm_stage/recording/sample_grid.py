@@ -99,12 +99,12 @@ def sample_grid(measurement: Topic, nominal_s: float | None, given_s: float | No
     steady = _without_clock_steps(index, stamps, name, notes)
     period = _period(index, steady, nominal_s, given_s, name, notes)
     log = measurement.log_time_ns[rows]
-    return SampleGrid(int(seq[0] % _WRAP), place, _everywhere(index, stamps),
-                      _everywhere(index, steady), period,
+    return SampleGrid(int(seq[0] % _WRAP), place, _fill_missing_stamps(index, stamps),
+                      _fill_missing_stamps(index, steady), period,
                       (int(log.min()), int(log.max())), notes)
 
 
-def _everywhere(index: Ints, stamps: Ints) -> Ints:
+def _fill_missing_stamps(index: Ints, stamps: Ints) -> Ints:
     """Put stamps in between where samples are missing."""
     between = np.interp(np.arange(index[-1] + 1), index, stamps - stamps[0])
     return np.asarray(np.round(between).astype(np.int64) + stamps[0], np.int64)

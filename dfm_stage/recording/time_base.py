@@ -130,7 +130,7 @@ def _without_repeats(time: FloatArray, rows: NDArray[np.int64],
         k = int(back[0])
         raise RecordError(
             f"{where(int(rows[k + 1]))}: time goes back from {time[k]:.9g} to {time[k + 1]:.9g} s"
-            f"{_others(len(back))}; sort the rows, or cut the file where a new run starts")
+            f"{_and_more(len(back))}; sort the rows, or cut the file where a new run starts")
     same = np.flatnonzero(steps == 0)
     if not len(same):
         return time, rows, []
@@ -140,11 +140,11 @@ def _without_repeats(time: FloatArray, rows: NDArray[np.int64],
             f"time with more digits, or give the sample period instead")
     keep = np.concatenate(([True], steps != 0))
     note = (f"{where(int(rows[same[0] + 1]))}: repeats the time {time[same[0]]:.9g} s"
-            f"{_others(len(same))}; repeated rows were left out")
+            f"{_and_more(len(same))}; repeated rows were left out")
     return time[keep], rows[keep], [note]
 
 
-def _others(count: int) -> str:
+def _and_more(count: int) -> str:
     return f" (and {count - 1} more)" if count > 1 else ""
 
 
@@ -179,7 +179,7 @@ def _fit(time: FloatArray, rows: NDArray[np.int64], index: NDArray[np.int64],
 
 
 def round_off(value: float, scale: float) -> float:
-    """Drop the digits of `value` that are below 1e-9 of `scale`: the dust of floating point."""
+    """Drop the digits of `value` that are below 1e-9 of `scale`: rounding errors."""
     digits = int(np.ceil(9 - np.log10(abs(scale)))) if scale else 12
     return round(value, digits)
 

@@ -74,7 +74,6 @@ class CopleyAsciiEmulator:
         self.ram[Parameter.BAUD] = POWER_UP_BAUD
         self.baud = POWER_UP_BAUD
         self.faults = Faults(0)
-        self._since_reset = Status.RESET
         self._begin_line()
         self._from_a, self._from_s = 0.0, now
         self._over_since: float | None = None
@@ -242,22 +241,13 @@ class CopleyAsciiEmulator:
 
     def status(self, now: float) -> Status:
         """Return parameter 0xa0."""
-        out = self._since_reset
-        if not self.enable_input:
-            out |= Status.ENABLE_INPUT_INACTIVE
-        if self.ram[Parameter.STATE] == STATE_OFF:
-            out |= Status.DISABLED_BY_SOFTWARE
-        if not self.enabled:
-            out |= Status.PWM_DISABLED
-        if self.faults:
-            out |= Status.LATCHED_FAULT
-        if self.faults & Faults.SHORT:
-            out |= Status.SHORT
-        wanted = self.ram[Parameter.PROGRAMMED_CURRENT] * AMPERE_PER_COUNT
-        if self.enabled and abs(self.current(now)) < abs(wanted) and self._limit(now) < abs(
-                wanted):
-            out |= Status.CURRENT_LIMITED
-        return out
+        wanted = abs(self.ram[Parameter.PROGRAMMED_CURRENT] * AMPERE_PER_COUNT)
+        limited = (self.enabled and abs(self.current(now)) < wanted and self._limit(now) < wanted)
+        bits = {Status.RESET: True, Status.ENABLE_INPUT_INACTIVE: not self.enable_input,
+                Status.DISABLED_BY_SOFTWARE: self.ram[Parameter.STATE] == STATE_OFF,
+                Status.PWM_DISABLED: not self.enabled, Status.LATCHED_FAULT: bool(self.faults),
+                Status.SHORT: bool(self.faults & Faults.SHORT), Status.CURRENT_LIMITED: limited}
+        return Status(sum(bit for bit, on in bits.items() if on))
 
     def _limit(self, now: float) -> float:
         continuous = self.ram[Parameter.CONTINUOUS_CURRENT] * AMPERE_PER_COUNT

@@ -93,6 +93,10 @@ class PtyPort:
             os.close(self._master)
             self._master = None
         self.link.unlink(missing_ok=True)
+        self._hang_up(now)
+
+    def _hang_up(self, now: float) -> None:
+        """Forget what is on the wire; tell the device if a client was there."""
         self._arriving.clear()
         self._leaving.clear()
         if self._present:
@@ -150,10 +154,7 @@ class PtyPort:
         elif self._hung_up():
             wait = min(wait, _POLL_S)
             if self._present:
-                self._present = False
-                self._emulator.disconnected(now)
-                self._arriving.clear()
-                self._leaving.clear()
+                self._hang_up(now)
         else:
             if not self._present:
                 self._present = True

@@ -68,7 +68,7 @@ class QsbDEmulator:
         self._clock_zero = now
         self._status = Status.COUNT_ENABLED | Status.POWER_LOSS | Status.UP
         self._before = self._scale(now)
-        self._offset = self._turned(self._before)
+        self._offset = self._scaled(self._before)
         self._stream: int | None = None
         self._next_tick = 0
         self._reported: int | None = None
@@ -149,15 +149,15 @@ class QsbDEmulator:
             self._registers[register] = value
         match register:
             case Register.COUNTER_COMMAND if value & _ZERO:
-                self._offset = self._turned(self._before)
+                self._offset = self._scaled(self._before)
             case Register.LOAD_PRESET:
-                self._offset = self._turned(self._before) - self._registers[Register.PRESET]
+                self._offset = self._scaled(self._before) - self._registers[Register.PRESET]
             case Register.TIMESTAMP if value:
                 self._clock_zero, self._next_tick = now, 0
             case Register.STOP_STREAMS:
                 self._stream = None
             case Register.QUADRATURE | Register.DIRECTION:
-                self._offset = self._turned(self._before) - count
+                self._offset = self._scaled(self._before) - count
         self._say("w", register, value, now)
 
     def _read(self, number: int, now: float) -> int:
@@ -192,10 +192,10 @@ class QsbDEmulator:
     def _tick(self, now: float) -> int:
         return int((now - self._clock_zero) / self._tick_s + 1e-6)
 
-    def _turned(self, scale: int) -> int:
+    def _scaled(self, scale: int) -> int:
         """The scale's count in this resolution and direction."""
-        turned = scale // _DIVIDER[self._registers[Register.QUADRATURE] & 3]
-        return -turned if self._registers[Register.DIRECTION] & _REVERSED else turned
+        scaled = scale // _DIVIDER[self._registers[Register.QUADRATURE] & 3]
+        return -scaled if self._registers[Register.DIRECTION] & _REVERSED else scaled
 
     def _track(self, now: float) -> None:
         """Follow the scale to now, past its index mark where that is to set the count."""
@@ -206,11 +206,11 @@ class QsbDEmulator:
             return
         self._status |= Status.INDEX
         if self._registers[Register.QUADRATURE] >> 4 & 3 == _RESET_ON_INDEX:
-            self._offset = self._turned(mark)
+            self._offset = self._scaled(mark)
 
     def _count(self, now: float) -> int:
         self._track(now)
-        count = self._turned(self._before) - self._offset
+        count = self._scaled(self._before) - self._offset
         if self._registers[Register.QUADRATURE] >> 2 & 3 == _MODULO:
             return count % (self._registers[Register.PRESET] + 1)
         return (count + 2**31) % 2**32 - 2**31
