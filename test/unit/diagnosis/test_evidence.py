@@ -14,7 +14,6 @@ import pytest
 from dfm_stage.cli.diagnose_report import write_report
 from dfm_stage.diagnosis import fit as fitting
 from dfm_stage.diagnosis import gather as gathering
-from dfm_stage.diagnosis import system
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.gather import gather
 from dfm_stage.diagnosis.hypothesis import Trial
@@ -22,6 +21,7 @@ from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.result import told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import verdict
+from dfm_stage.identification.system import System
 from dfm_stage.model import Simulator
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -56,8 +56,8 @@ def test_nothing_fits_or_simulates_once_the_evidence_is_there(cubic, monkeypatch
     def forbidden(*_, **__):
         raise AssertionError("the evidence was complete")
 
-    for place, name in ((Simulator, "run"), (Simulator, "__init__"), (system.System, "__init__"),
-                        (system.System, "simulate"), (fitting, "fit"), (fitting, "minimise"),
+    for place, name in ((Simulator, "run"), (Simulator, "__init__"), (System, "__init__"),
+                        (System, "simulated"), (fitting, "fit"), (fitting, "search"),
                         (gathering, "predict"), (gathering, "joint"), (gathering, "propose"),
                         (Search, "fitted"), (Search, "_fit")):
         monkeypatch.setattr(place, name, forbidden)

@@ -13,7 +13,6 @@ from scipy.signal import chirp, cont2discrete, dlsim
 from dfm_stage.diagnosis import diagnose
 from dfm_stage.diagnosis.candidates import late_splits
 from dfm_stage.diagnosis.decisions import MARGIN
-from dfm_stage.diagnosis.effect_fits import SAME_LOOP
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
@@ -130,8 +129,8 @@ def test_one_loop_can_be_both_of_two_effects():
     model = truth.believed()
     friction = model.with_effect("presliding_friction", start)
     loop = model.with_effect("hysteresis",
-                             SAME_LOOP["presliding_friction", "hysteresis"](start))
-    assert SAME_LOOP["hysteresis", "presliding_friction"](
+                             EFFECTS["presliding_friction"].twins["hysteresis"](start))
+    assert EFFECTS["hysteresis"].twins["presliding_friction"](
         loop.effects[0].parameters) == pytest.approx(start)
     moved = looped(feed, lambda w, v: v / 2e-5 - abs(v) / 2e-5 * w, 3e-3)  # Dahl 1968
     first, second = (Simulator(m).run(feed).position for m in (friction, loop))
