@@ -189,15 +189,17 @@ LEAST_TRAVEL = _search("LEAST_TRAVEL", 10.0, "1", "Motion over noise below which
                        "scale are not screened.")
 UNSEEN_PART = _search("UNSEEN_PART", 1e-6, "1", "Part of a response that the free parameters do "
                       "not follow, below which it is rounding.")
+SCREEN_RANK = _search("SCREEN_RANK", 1e-7, "1", "Singular value over the largest, above which a "
+                      "direction is taken out of screened responses.")
 AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from which a "
                  "parameter is at it.")
 MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that one parameter "
                       "gets when it is shared out anew.")
-STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 72e6, "steps", "Integration steps after which no "
+STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 60e6, "steps", "Integration steps after which no "
                             "further candidate that is slow to simulate is tried.", BOUND)
-STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 144e6, "steps", "The same for any with a "
+STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 120e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
-MOST_STEPS = _search("MOST_STEPS", 216e6, "steps", "Integration steps after which every fit ends "
+MOST_STEPS = _search("MOST_STEPS", 180e6, "steps", "Integration steps after which every fit ends "
                      "where it is.", BOUND)
 STEPS_A_FIT = _search("STEPS_A_FIT", 24e6, "steps", "Integration steps of one fit at most.", BOUND)
 

@@ -46,7 +46,8 @@ class Fits:
     noise: float = 0.0
     """RMS of the output's noise, over which a quantised reading is averaged."""
     steps: float = 0.0
-    cut_short: bool = False
+    not_compared: dict[str, None] = field(default_factory=dict)
+    """Effects whose fits were not begun, or not finished, for want of work, in that order."""
 
     def conditions(self, model: Model) -> Conditions:
         """Sizes that occur in the fitted runs."""
@@ -153,7 +154,7 @@ class Fits:
         slow = bool(later) or (self.steps > STEPS_BEFORE_LINEAR
                                and any(is_nonlinear(use.name) for use in model.effects))
         if hits and slow and self.steps > limit:
-            self.cut_short = True
+            self.not_compared.update(dict.fromkeys(h.name for h in hits))
             return replace(start, chi2=math.inf)
         if others_first:
             new = {hit.name for hit in hits}
@@ -180,7 +181,8 @@ class Fits:
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
                     allowance=min(max(MOST_STEPS - self.steps, 0.0), STEPS_A_FIT))
         self.steps += found.system.work
-        self.cut_short |= self.steps > MOST_STEPS
+        if self.steps > MOST_STEPS:
+            self.not_compared.update(dict.fromkeys(found.system.nonlinear))
         return found
 
     def _with_noise(self, found: Fit, free: Names) -> Fit:

@@ -176,7 +176,7 @@ class Evidence:
     were free. `joint` is the RMS over fitted and held-out records of one fit to both, where that
     was needed. `limits` are the sizes that effects would have needed to be named. `warnings` are
     of the records themselves; `split` says that no record was held out and a part of each was
-    instead, `cut_short` that the work grew beyond its limit.
+    instead, `not_compared` are effects whose fits were not begun or finished for want of work.
 
     Carried, not used yet: `witness`, what the force domain says by itself (effects with shares),
     and the `conventions` of the input, one for each record, as diagnosis.json is to hold them.
@@ -199,6 +199,6 @@ class Evidence:
     next_experiment: Proposal | None = None
     warnings: tuple[str, ...] = ()
     split: bool = False
-    cut_short: bool = False
+    not_compared: tuple[str, ...] = ()
     witness: Mapping[str, float] | None = None
     conventions: tuple[Mapping[str, Any], ...] | None = None

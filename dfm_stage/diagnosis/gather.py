@@ -69,7 +69,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
         offset=_offset(h.bare, search.library),
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
-        split=split, cut_short=search.cut_short)
+        split=split, not_compared=tuple(search.not_compared))
     if needs_joint_fit(evidence):
         evidence = replace(evidence, joint=joint(
             h.fit.model, search.parameters(h.fit.model), runs, trial.held, search.weights,

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.diagnosis.candidates import starts
-from dfm_stage.diagnosis.decisions import COARSER, LEAST_TRAVEL, STEP_GRID, UNSEEN_PART
+from dfm_stage.diagnosis.decisions import (
+    COARSER,
+    LEAST_TRAVEL,
+    SCREEN_RANK,
+    STEP_GRID,
+    UNSEEN_PART,
+)
 from dfm_stage.diagnosis.fit import Fit, system_of
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.spectra import frequency_peaks, position_peaks, read_off
@@ -64,9 +70,9 @@ class Screen:
             i, x, exact, light))
         jacobian = criterion.jacobian(base.x)
         norms = np.linalg.norm(jacobian, axis=0)
-        seen = norms > 1e-12 * max(float(norms.max()), 1e-300)
+        seen = norms > UNSEEN_PART**2 * max(float(norms.max()), 1e-300)
         left, values, _ = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
-        self.basis = np.asarray(left[:, values > 1e-7 * values[0]])
+        self.basis = np.asarray(left[:, values > SCREEN_RANK * values[0]])
         white = base.white
         self.residual = white - self.basis @ (self.basis.T @ white)
         self.edges = self._edges()

@@ -22,8 +22,8 @@ PARTED = ("on a linear spring a constant force and an encoder zero are the same;
           "encoder_zero in the model if it is known")
 SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHARE)} % of each "
          "record are held out; a record of another kind would be a harder test")
-CUT_SHORT = ("candidates that are slow to simulate were not all tried: the work grew beyond its "
-             "limit; diagnose shorter records or fewer effects (--without)")
+CUT_SHORT = ("not compared to the end for want of work: {names}; diagnose shorter records or "
+             "fewer effects (--without)")
 DOUBTS = {
     Reason.NOT_EXERCISED: "the held-out records do not exercise {names}: what is said of it "
     "rests on the fitted records",
@@ -77,7 +77,8 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
 
 def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
     """What a reader must know beside the verdict."""
-    return (*e.warnings, *([SPLIT] if e.split else []), *([CUT_SHORT] if e.cut_short else []),
+    short = [CUT_SHORT.format(names=", ".join(e.not_compared))] if e.not_compared else []
+    return (*e.warnings, *([SPLIT] if e.split else []), *short,
             *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
               for d in v.doubts))
 

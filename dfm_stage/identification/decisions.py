@@ -6,6 +6,7 @@ from dfm_stage.decisions import decision
 
 FIRST_FORM = ("not documented; kept from \"diagnose: screen, fit and verify which effect a model "
               "lacks\" (2026-11-21)")
+ESTIMATOR = "not documented; kept from the output-error estimator of 2026-11-21"
 NEIGHBOUR_FORM = ("not documented; kept from \"a vibration must stand out from its neighbours\" "
                   "(2026-11-21)")
 
@@ -21,3 +22,118 @@ NOISE_SAMPLES = decision(
 LEAK = decision(
     "LEAK", 0.98, "1", meaning="Pole of the filter that turns position into velocity: above 3 Hz "
     "at 1 kHz.", set_on=NEIGHBOUR_FORM)
+FORETOLD = decision(
+    "FORETOLD", 0.3, "1", meaning=
+    "Part of a residual's change that a Jacobian may miss and still be used "
+    "again.",
+    set_on=ESTIMATOR)
+IN_A_ROW = decision(
+    "IN_A_ROW", 3, "1", meaning=
+    "Times that a Jacobian is used again before it is taken anew.",
+    set_on=ESTIMATOR)
+NEAR = decision(
+    "NEAR", 0.03, "1", meaning=
+    "Relative change of a nonlinear effect's parameters up to which its "
+    "sensitivities are kept.",
+    set_on=ESTIMATOR)
+LINEAR_SHARE = decision(
+    "LINEAR_SHARE", 0.05, "1", meaning=
+    "Share of the output up to which nonlinear effects are left out of the "
+    "sensitivities of the base.",
+    set_on=ESTIMATOR)
+SHARP = decision(
+    "SHARP", 0.06, "1", meaning=
+    "Noise over the step of a rounded reading, where nothing else is known "
+    "of it.",
+    set_on=ESTIMATOR)
+WEIGHINGS = decision(
+    "WEIGHINGS", 3, "1", meaning=
+    "Times that records are weighed by what a fit leaves of them.",
+    set_on=ESTIMATOR)
+LIKE = decision(
+    "LIKE", 0.02, "1", meaning=
+    "Relative change of a record's noise that leaves its weight as it is.",
+    set_on=ESTIMATOR)
+FAINTEST = decision(
+    "FAINTEST", 1e-9, "1", meaning=
+    "Least noise over the motion: an exact fit has a weight, too.",
+    set_on=ESTIMATOR)
+SAMPLES_EACH = decision(
+    "SAMPLES_EACH", 4, "samples", meaning=
+    "Least samples for each unknown.",
+    set_on=ESTIMATOR)
+FIRST_LOOK = decision(
+    "FIRST_LOOK", 8, "1", meaning=
+    "Iterations after which the best of several starting points is chosen.",
+    set_on=ESTIMATOR)
+WEAK = decision(
+    "WEAK", 0.5, "1", meaning=
+    "Standard deviation along a direction, over the parameters, from which "
+    "it is told as weak.",
+    set_on=ESTIMATOR)
+RANK_TOLERANCE = decision(
+    "RANK_TOLERANCE", 1e-6, "1", meaning=
+    "Singular value over the largest, below which a direction is not seen "
+    "by the data.",
+    set_on=ESTIMATOR)
+CREEP = decision(
+    "CREEP", 8, "1", meaning=
+    "Steps over which a search that creeps is judged.",
+    set_on=ESTIMATOR)
+CREPT = decision(
+    "CREPT", 500.0, "1", meaning=
+    "Fall of the cost over these steps, in tolerances, below which the "
+    "search ends.",
+    set_on=ESTIMATOR)
+ACCEPTED = decision(
+    "ACCEPTED", 1e-4, "1", meaning=
+    "Fall of the cost over the expected one, from which a step is taken.",
+    set_on=ESTIMATOR)
+NEARLY = decision(
+    "NEARLY", 1e-3, "1", meaning=
+    "Expected fall of the cost, in variances, below which a search that "
+    "finds no step has converged.",
+    set_on=ESTIMATOR)
+SEEN = decision(
+    "SEEN", 1e-14, "1", meaning=
+    "Norm of a column over the strongest, above which the data see its "
+    "unknown.",
+    set_on=ESTIMATOR)
+SHARE_OF_LOST = decision(
+    "SHARE_OF_LOST", 1e-3, "1", meaning=
+    "Share of a direction that is not seen, from which an unknown has no "
+    "interval.",
+    set_on=ESTIMATOR)
+ORDER_ROOM = decision(
+    "ORDER_ROOM", 5, "1", meaning=
+    "Coefficients by which twice a noise order may fall short of the last "
+    "before it is taken anew.",
+    set_on=ESTIMATOR)
+UNCHANGED = decision(
+    "UNCHANGED", 1e-6, "1", meaning=
+    "Relative change of a figure along a direction that is not seen, up to "
+    "which it keeps its interval.",
+    set_on=ESTIMATOR)
+MOVES = decision(
+    "MOVES", 3.0, "1", meaning=
+    "RMS of a record over its noise floor, above which a figure of fit is "
+    "told.",
+    set_on=ESTIMATOR)
+FEWEST_HELD_OUT = decision(
+    "FEWEST_HELD_OUT", 100, "samples", meaning=
+    "Least samples of a last quarter that is predicted.",
+    set_on=ESTIMATOR)
+MEMBER = decision(
+    "MEMBER", 0.2, "1", meaning=
+    "Share of the largest relative change from which a parameter is a "
+    "member of a direction.",
+    set_on=ESTIMATOR)
+MOVES_OUTPUT = decision(
+    "MOVES_OUTPUT", 0.1, "1", meaning=
+    "Share of the largest effect on the output from which it is one as "
+    "well.",
+    set_on=ESTIMATOR)
+EQUAL = decision(
+    "EQUAL", 0.15, "1", meaning=
+    "Spread over the largest, up to which changes are equal in words.",
+    set_on=ESTIMATOR)

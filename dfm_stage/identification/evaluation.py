@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dfm_stage.identification.decisions import FEWEST_HELD_OUT, MOVES
 from dfm_stage.identification.frequency_response import FrequencyResponse
 from dfm_stage.identification.model_fit import ModelFit, evaluate, fit_model
 from dfm_stage.identification.residuals import (
@@ -45,7 +46,7 @@ class Evaluation:
     @property
     def fit_percent(self) -> float | None:
         """The figure of fit, None where the stage rests and there is nothing but noise to fit."""
-        moving = float(np.std(self.fit.measured)) > 3.0 * self.floor.rms
+        moving = float(np.std(self.fit.measured)) > MOVES * self.floor.rms
         return self.fit.fit_percent if moving else None
 
     def to_dict(self, unit: str) -> dict[str, Any]:
@@ -83,7 +84,7 @@ def hold_out(sources: Sequence[Source], holdout: Sequence[Source], fit: ModelFit
                      for s in holdout)
     whole = sources[0].run()
     cut = 3 * whole.input.size // 4
-    if whole.input.size - cut < 100:
+    if whole.input.size - cut < FEWEST_HELD_OUT:
         return ()
     early = replace(whole, input=whole.input[:cut], output=whole.output[:cut])
     before = min(cut, LEAD_IN)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import Criterion
+from dfm_stage.identification.decisions import FORETOLD, IN_A_ROW, NEAR
 from dfm_stage.identification.inference import assemble
 from dfm_stage.identification.least_squares import Solution, minimise
 from dfm_stage.identification.problem import Signals
@@ -21,12 +22,6 @@ from dfm_stage.model import Model
 
 Array = NDArray[np.float64]
 
-FORETOLD = 0.3
-"""Part of a residual's change that a Jacobian may miss and still be used again."""
-IN_A_ROW = 3
-"""How often it may be used before it is taken anew."""
-NEAR = 0.03
-"""Relative change of a nonlinear effect's parameters up to which its sensitivities are kept."""
 
 
 @dataclass(frozen=True)

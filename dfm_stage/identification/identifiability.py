@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.identification.least_squares import RANK_TOLERANCE, column_norms
+from dfm_stage.identification.decisions import EQUAL, MEMBER, MOVES_OUTPUT, RANK_TOLERANCE, WEAK
+from dfm_stage.identification.least_squares import column_norms
 
 Array = NDArray[np.float64]
 
-WEAK = 0.5
-"""A direction is weak when one standard deviation along it is half of the parameter itself."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class _Words:
     def direction(self, vector: Array, std: float) -> BlindDirection:
         change, moved = np.abs(vector), np.abs(vector) * self.effect
         chosen = [int(i) for i in np.flatnonzero(
-            (change >= 0.2 * np.max(change)) | (moved > 0.1 * np.max(moved)))]
+            (change >= MEMBER * np.max(change)) | (moved > MOVES_OUTPUT * np.max(moved)))]
         members = tuple(self.names[i] for i in chosen)
         change = vector[chosen] * np.sign(vector[chosen[0]])
         same_unit = len({self.units[i] for i in chosen}) == 1
@@ -134,7 +133,7 @@ def _how(change: Array, raw: Array, same_unit: bool) -> str:
 
 
 def _equal(values: Array) -> bool:
-    return bool(np.ptp(values) <= 0.15 * np.max(np.abs(values)))
+    return bool(np.ptp(values) <= EQUAL * np.max(np.abs(values)))
 
 
 def _join(names: Sequence[str]) -> str:

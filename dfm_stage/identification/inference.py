@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.identification.criterion import Criterion
+from dfm_stage.identification.decisions import RANK_TOLERANCE, SHARE_OF_LOST
 from dfm_stage.identification.identifiability import Identifiability, judge
 from dfm_stage.identification.least_squares import (
-    RANK_TOLERANCE,
     Solution,
     column_norms,
     spectral,
@@ -129,7 +129,7 @@ def _inverse(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_], A
     kept = singular > RANK_TOLERANCE * singular[0]
     inverse = (right[kept].T / singular[kept] ** 2) @ right[kept]
     unseen = ~np.isfinite(norms)
-    lost = np.any(np.abs(right[~kept]) > 1e-3, axis=0) | unseen
+    lost = np.any(np.abs(right[~kept]) > SHARE_OF_LOST, axis=0) | unseen
     blind = np.vstack([right[~kept] / norms, np.eye(norms.size)[unseen]])
     blind[:, unseen] = np.where(blind[:, unseen] == 1.0, 1.0, 0.0)
     return np.asarray(inverse / np.outer(norms, norms)), lost, blind

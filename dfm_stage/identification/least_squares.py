@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.identification.decisions import ACCEPTED, CREEP, CREPT, NEARLY, RANK_TOLERANCE, SEEN
+
 Array = NDArray[np.float64]
 
-RANK_TOLERANCE = 1e-6
-CREEP = 8
 STUCK = "no step lowers the cost"
 
 
@@ -73,12 +73,12 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
             new = residual(trial)
             new_cost = _cost(new)
             ratio = (cost - new_cost) / expected
-            if ratio > 1e-4:
+            if ratio > ACCEPTED:
                 break
             damping *= growth
             growth *= 2.0
         else:
-            small = expected <= 1e-3 * variance
+            small = expected <= NEARLY * variance
             return Solution(x, r, j, cost, iteration, small, held,
                             "converged" if small else STUCK)
         damping *= max(1.0 / 9.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
@@ -86,7 +86,7 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
         x, r, cost = trial, new, new_cost
         j = jacobian(x, r)
         history.append(cost)
-        if len(history) > CREEP and history[-1 - CREEP] - cost < 500.0 * tolerance * variance:
+        if len(history) > CREEP and history[-1 - CREEP] - cost < CREPT * tolerance * variance:
             return Solution(x, r, j, cost, iteration, True, held, "converged slowly")
     return Solution(x, r, j, cost, max_iterations, False,
                     _pushed_out(x, j.T @ r, low, high, scale), "iterations used up")
@@ -108,7 +108,7 @@ def column_norms(jacobian: Array, scale: Array) -> Array:
     """Return the norms by which columns are divided; a column of nothing gets infinity."""
     norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
     strongest = float(np.max(norms * scale, initial=0.0))
-    return np.where(norms * scale > 1e-14 * strongest, norms, math.inf)
+    return np.where(norms * scale > SEEN * strongest, norms, math.inf)
 
 
 def spectral(gram: Array) -> tuple[Array, Array]:

@@ -18,6 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.identification.criterion import ACCURATE, ROUGH, Criterion
+from dfm_stage.identification.decisions import (
+    FAINTEST,
+    FIRST_LOOK,
+    LIKE,
+    ORDER_ROOM,
+    SAMPLES_EACH,
+    WEIGHINGS,
+)
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.inference import assemble, failed
 from dfm_stage.identification.least_squares import Solution
@@ -69,12 +77,6 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
     return assemble(criterion, solution, held or {}, sum(r.iterations for r in rounds))
 
 
-WEIGHINGS = 3
-"""Times that records are weighed by what a fit leaves of them."""
-LIKE = 0.02
-"""Relative change of a record's noise that leaves its weight as it is."""
-FAINTEST = 1e-9
-"""Least noise over the motion: an exact fit has a weight, too."""
 
 
 def _spreads(problem: Problem, x: Array) -> Weights:
@@ -98,7 +100,7 @@ def _noise_weights(problem: Problem, x: Array, max_order: int | None) -> Weights
 def _outdated(old: Weights, new: Weights) -> bool:
     """Whether new weights call for another joint search: where an order has become too small or
     far too large, or where records weigh each other by noise that has changed."""
-    return any(b[0].order > a[0].order or 2 * b[0].order + 5 < a[0].order
+    return any(b[0].order > a[0].order or 2 * b[0].order + ORDER_ROOM < a[0].order
                or (len(old) > 1 and abs(b[0].sigma / a[0].sigma - 1.0) > LIKE)
                for a, b in zip(old, new, strict=True))
 
@@ -139,10 +141,6 @@ def _check(problem: Problem, noise: str) -> None:
                                       "finite: cut or interpolate them first")
 
 
-SAMPLES_EACH = 4
-"""Least samples for each unknown."""
-FIRST_LOOK = 8
-"""Iterations after which the best of several starting points is chosen."""
 
 
 def _best_start(criterion: Criterion, starts: Sequence[Array], max_iterations: int,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.identification.decisions import UNCHANGED
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.identifiability import Identifiability
 from dfm_stage.identification.noise import NoiseModel
@@ -144,7 +145,7 @@ class Estimate:
             share = np.max(np.abs(direction[sizes > 0.0]) / sizes[sizes > 0.0], initial=0.0)
             step = direction * (1e-3 / share) if share > 0.0 else direction
             change = function(self.values + step) - function(self.values - step)
-            if not abs(change) <= 1e-6 * value:
+            if not abs(change) <= UNCHANGED * value:
                 return False
         return True
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.identification.coordinates import group, late_parameters
+from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.scales import typical_size
@@ -27,10 +28,6 @@ Array = NDArray[np.float64]
 BASE_STEP, EFFECT_STEP, CURVED_STEP = 1e-5, 1e-4, 1e-3
 """Steps of differences over the size: by a base parameter, by one of a linear effect, by one of a
 nonlinear force."""
-LINEAR_SHARE = 0.05
-"""Nonlinear effects that move the output by less than this leave the base's sensitivities."""
-SHARP = 0.06
-"""Noise over the step of a reading that counts in steps, where nothing else is known of it."""
 PARALLEL = 1_000_000
 """Samples (rows times length) up to which one thread simulates: more cost more than they save."""
 SHORTEST_LAG = 1e-6

@@ -43,19 +43,6 @@ def test_every_decision_is_the_constant_of_its_name():
 ROOT = Path(__file__).parents[2]
 PLAIN = {0, 1, 2, 0.5, 1e-300}
 """Numbers that decide nothing: none, one, both, a half, and what keeps a division from zero."""
-NOT_DONE = {
-    "diagnosis/alike.py", "diagnosis/candidates.py", "diagnosis/effect_fits.py",
-    "diagnosis/fit.py", "diagnosis/screen.py", "diagnosis/search.py",
-    "identification/constrained_fit.py", "identification/criterion.py",
-    "identification/evaluation.py", "identification/free_motion.py",
-    "identification/frequency_response.py", "identification/identifiability.py",
-    "identification/inference.py", "identification/least_squares.py",
-    "identification/local_polynomial.py", "identification/model_fit.py",
-    "identification/output_error.py", "identification/periods.py", "identification/residuals.py",
-    "identification/result.py", "identification/ring_down.py", "identification/static.py",
-    "identification/step_response.py", "identification/stepped_sine.py",
-    "identification/transfer_function.py", "identification/workflow.py"}
-"""Files whose numbers have no place in the table yet; one that has must leave this list."""
 
 
 def bare_numbers(source: str) -> list[tuple[int, float]]:
@@ -83,9 +70,7 @@ def test_no_bare_number_decides():
              for part in ("diagnosis", "identification")
              for path in sorted((ROOT / "dfm_stage" / part).glob("*.py"))}
     bare = {name: numbers for name, numbers in files.items() if numbers}
-    assert {n: bare[n] for n in sorted(set(bare) - NOT_DONE)} == {}, (
-        "give each a name, a meaning and a reason in decisions.py")
-    assert sorted(NOT_DONE - set(bare)) == [], "done: take these files off the list"
+    assert bare == {}, "give each a name, a meaning and a reason in decisions.py"
 
 
 def test_the_page_holds_the_table():
