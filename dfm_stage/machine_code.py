@@ -61,7 +61,8 @@ def callback(name: str, function: Callable[..., Any], signature: Any, made_of: o
     found: Any = numba.core.ccallback.CFunc(function, (signature.args, signature.return_type),
                                             {}, options)
     digest = content_hash((numba.__version__, sys.version_info[:2], repr(signature), made_of))
-    found._cache = _cache_in(_folder(f"{name}-{digest[:16]}"))(function)
+    if function.__module__ in sys.modules:  # kept code is tied to the module it came from
+        found._cache = _cache_in(_folder(f"{name}-{digest[:16]}"))(function)
     found.compile()
     return found
 

@@ -146,7 +146,8 @@ def excited_lines(input_spectrum: Array, noise: Array | None = None) -> Lines:
     widest = int(np.argmax(gaps))
     border = (float(ladder[widest] + 0.5 * gaps[widest]) if gaps[widest] > SMALLEST_GAP
               else -DECADES)
-    chosen = amplitude > float(np.power(10.0, border)) * largest
+    limit = largest * 10.0**border
+    chosen = amplitude > limit
     if noise is not None:
         chosen &= amplitude > STANDS_OUT * noise
     return np.flatnonzero(chosen).astype(np.int64)

@@ -10,6 +10,7 @@ import importlib
 import importlib.util
 import os
 import pkgutil
+import sys
 from pathlib import Path
 
 from dfm_stage.model import effects
@@ -36,7 +37,7 @@ def load_effect(path: str | os.PathLike[str]) -> Effect:
     spec = importlib.util.spec_from_file_location(f"effect_{Path(path).stem}", path)
     if spec is None or spec.loader is None:
         raise ModelError(f"{path}: an effect is a Python file; name one that ends in .py")
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
