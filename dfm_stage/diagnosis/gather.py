@@ -21,7 +21,6 @@ from dfm_stage.diagnosis.evidence import (
     Motion,
     Noise,
     Offset,
-    Proposal,
     RivalEvidence,
     Which,
 )
@@ -32,7 +31,6 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import Finding, describe, findings
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
-from dfm_stage.diagnosis.verdict import needs_joint_fit, verdict
 from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
@@ -44,7 +42,7 @@ Array = NDArray[np.float64]
 
 def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
            split: bool = False) -> Evidence:
-    """Do all that the verdict needs; nothing is fitted or simulated after it.
+    """Do all that every verdict needs.
 
     `warnings` are those of the records; `split` says that parts of these are held out.
     """
@@ -57,7 +55,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
                           description=retuned.description or extended.description)
-    evidence = Evidence(
+    return Evidence(
         tuple(r.name for r in runs), runs[0].unit,
         Noise(weight.rms, weight.source, noise_floor_from_periods(
             h.fit.residuals[0][0], repeats.period) if repeats is not None else None),
@@ -70,11 +68,26 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
         split=split, not_compared=tuple(search.not_compared))
-    if needs_joint_fit(evidence):
-        evidence = replace(evidence, joint=joint(
-            h.fit.model, search.parameters(h.fit.model), runs, trial.held, search.weights,
-            trial.held_weights, h.fit, search.noise))
-    return replace(evidence, next_experiment=_next(trial, h, evidence))
+
+
+def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
+    """Add what one fit to fitted and held-out records leaves of each."""
+    search = trial.search
+    return replace(evidence, joint=joint(
+        h.fit.model, search.parameters(h.fit.model), search.runs, trial.held, search.weights,
+        trial.held_weights, h.fit, search.noise))
+
+
+def with_next_experiment(trial: Trial, h: Hypothesis, evidence: Evidence,
+                         undecided: Sequence[str]) -> Evidence:
+    """Add an experiment that would part the names that are `undecided`; without any, one that
+    shows more of what the given model lacks."""
+    search = trial.search
+    best = h.fit.model if undecided else search.model
+    rivals = [r.fit for each in h.rivals.values() for r in each if r.name in undecided]
+    return replace(evidence, next_experiment=propose(
+        undecided, best, rivals, search.runs, search.weights[0][0],
+        [search.parameters(rival.model) for rival in rivals], search.noise))
 
 
 def _errors(seen: Prediction) -> Errors:
@@ -213,16 +226,3 @@ def _comparisons(trial: Trial, h: Hypothesis, fitted: Prediction,
             left = {w: each[i][0] for w, each in zip(which, residuals, strict=True) if each}
             yield Comparison(run.name, is_held, run.sample_period, run.time[run.skip:],
                              run.output[run.skip:], left)
-
-
-def _next(trial: Trial, h: Hypothesis, evidence: Evidence) -> Proposal | None:
-    """An experiment for what the verdict leaves open."""
-    found = verdict(evidence)
-    if found.kind in ("none", "retune", "named"):
-        return None
-    search = trial.search
-    best = h.fit.model if found.kind == "ambiguous" else search.model
-    rivals = [r.fit for each in h.rivals.values() for r in each
-              if r.name in found.undecided]
-    return propose(found.undecided, best, rivals, trial.search.runs, search.weights[0][0],
-                   [search.parameters(rival.model) for rival in rivals], search.noise)

@@ -190,6 +190,11 @@ def needs_joint_fit(e: Evidence) -> bool:
     return e.joint is None and judge_hypothesis(e).reason is Reason.ABOVE_FLOOR
 
 
+def leaves_open(v: Verdict) -> bool:
+    """Whether another experiment would tell more."""
+    return v.kind not in ("none", "retune", "named")
+
+
 def _takes_most_of_a_gross_gap(e: Evidence) -> bool:
     """In position; without a spring in velocity, since whatever small force there is drifts, and
     only against the retuned model."""

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from dfm_stage.diagnosis.errors import DiagnosisError
-from dfm_stage.diagnosis.gather import gather
+from dfm_stage.diagnosis.gather import gather, with_joint_fit, with_next_experiment
 from dfm_stage.diagnosis.hypothesis import Trial
 from dfm_stage.diagnosis.observation import Observation, observe, split_by_time
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.verdict import verdict
+from dfm_stage.diagnosis.verdict import leaves_open, needs_joint_fit, verdict
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
@@ -81,6 +81,11 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
     trial = Trial(search, held, seed)
     hypothesis = trial.run(names, found)
     evidence = gather(trial, hypothesis, warnings, split)
+    if needs_joint_fit(evidence):
+        evidence = with_joint_fit(trial, hypothesis, evidence)
+    first = verdict(evidence)
+    if leaves_open(first):
+        evidence = with_next_experiment(trial, hypothesis, evidence, first.undecided)
     search.step("judging")
     models = {"given": search.model, "retuned": hypothesis.bare.model,
               "extended": hypothesis.fit.model}

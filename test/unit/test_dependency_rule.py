@@ -287,3 +287,18 @@ def test_a_circle_is_seen(tmp_path: Path, first: str, second: str) -> None:
     assert circles(tmp_path) == set()
     (folder / "b.py").write_text(second)
     assert circles(tmp_path) == {frozenset({"dfm_stage.cli.a", "dfm_stage.cli.b"})}
+
+
+def walked() -> list[str]:
+    """The steps of a record from file to report, as docs/architecture.md draws them."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    line = next(block for block in page.split("```") if "recording/record ->" in block)
+    return [f"{PACKAGE}." + step.strip().replace("/", ".") for step in line.split("->")]
+
+
+def test_the_path_of_a_record_is_one_line() -> None:
+    steps, files = walked(), modules(ROOT)
+    assert set(steps) <= set(files)
+    back = {(name, other) for place, name in enumerate(steps)
+            for other in imports(name, files[name]) if other in steps[place + 1:]}
+    assert back == set()

@@ -35,7 +35,7 @@ def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
 EFFECT = Effect(
     name="absorber",
     meaning="a small mass rides on the stage",
-    equation="F = stiffness ((z - x) + 2 zeta/w (z' - x'));  z'' = -w^2 (z - x) - 2 zeta w (z' - x')",
+    equation="z'' = -w^2 (z - x) - 2 zeta w (z' - x');  F = -(stiffness / w^2) z''",
     source="Den Hartog, Mechanical Vibrations (1956), ch. 3",
     parameters=(Parameter("stiffness", 0.0, "N/m", "of its spring", 0.0, 1e9),
                 Parameter("frequency", 20.0, "Hz", "of the mass on its spring", 0.1, 1e4),

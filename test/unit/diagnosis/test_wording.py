@@ -162,7 +162,8 @@ def test_a_diagnosis_is_put_together_as_schema_1():
 
 
 def test_an_offset_is_told_as_a_force_with_its_interval():
-    e = replace(NONE, retuned=CLOSED, given=CLOSED, offset=Offset("force_offset", 1e-6, 1e-8, 650.0))
+    e = replace(NONE, retuned=CLOSED, given=CLOSED,
+                offset=Offset("force_offset", 1e-6, 1e-8, 650.0))
     (effect,) = told(e, verdict(e), MODEL).effects
     force = effect.parameters["force"]
     assert force.value == pytest.approx(6.5e-4)
