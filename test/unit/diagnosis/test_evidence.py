@@ -78,9 +78,9 @@ def values_in(thing: object) -> Iterator[object]:
 
 
 def test_evidence_is_made_of_plain_values(cubic):
+    from dfm_stage import quantity
     from dfm_stage.diagnosis import evidence as module
     from dfm_stage.diagnosis import remainder
-    from dfm_stage.identification import quantity
 
     plain = (int, float, str, bool, type(None), enum.Enum, np.ndarray, tuple, list, dict)
     ours = {module.__name__, remainder.__name__, quantity.__name__}

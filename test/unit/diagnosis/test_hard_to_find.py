@@ -232,7 +232,7 @@ def test_a_model_that_cannot_be_simulated_without_an_effect_has_no_rivals_and_no
     assert not failed.ok
     wrong = search.fitted(("quadratic_stiffness",), linear_fit)
     search.keep((), failed)
-    assert search.reseated(("quadratic_stiffness",), wrong) is None
+    assert search.restarted(("quadratic_stiffness",), wrong) is None
     assert search._rivals("quadratic_stiffness", (), wrong) == []
 
 

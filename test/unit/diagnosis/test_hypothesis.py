@@ -19,19 +19,26 @@ PASSED, FAILED = SurrogateTest(1e4, 100.0, 1e4, 5e3), SurrogateTest(1e4, 5e3, 1e
 IDLE = SurrogateTest(1.0, 100.0, 100.0, np.inf)
 
 
+INTERVALS = {("creep", "second_mode"): {
+    "creep.gain": Quantity(1.0, "", (0.1, 0.2)), "stiffness": Quantity(1.0, "", None),
+    "second_mode.damping_ratio": Quantity(1.0, "", (-np.inf, np.inf))}}
+
+
 class OneFit:
     """A search whose fits are the names that were fitted."""
 
     def __init__(self, barred=()):
-        self.barred, self.dither, self.runs, self.said = set(barred), 0.0, [], []
+        self.barred, self.noise, self.runs, self.said = set(barred), 0.0, [], []
+        self.steps = 0.0
         self.step = self.said.append
 
     def fitted(self, names, _):
-        return SimpleNamespace(model=None, names=names)
+        return SimpleNamespace(model=None, names=names,
+                               quantities=lambda: INTERVALS.get(names, {}))
 
 
 def start(*names, **more) -> Hypothesis:
-    fit = SimpleNamespace(model=None, names=names)
+    fit = OneFit().fitted(names, None)
     return Hypothesis(names, fit, SimpleNamespace(model=None), **more)
 
 
@@ -65,12 +72,7 @@ def test_an_effect_not_exercised_stays_in_the_first_look_only(monkeypatch, barre
     assert trial.dropped == ({} if kept else {"creep": DropReason.NOT_EXERCISED})
 
 
-def test_an_effect_at_its_bound_is_dropped(monkeypatch):
-    intervals = {("creep", "second_mode"): {"creep.gain": (0.1, 0.2), "stiffness": None,
-                                            "second_mode.damping_ratio": (-np.inf, np.inf)},
-                 ("creep",): {"creep.gain": (0.1, 0.3)}}
-    monkeypatch.setattr(hypothesis, "quantities", lambda fit: {
-        name: Quantity(1.0, "", ci95) for name, ci95 in intervals[fit.names].items()})
+def test_an_effect_at_its_bound_is_dropped():
     trial = Trial(OneFit(), [])
     assert trial.at_bound(start("creep", "second_mode")).names == ("creep",)
     assert trial.dropped == {"second_mode": DropReason.AT_BOUND}
@@ -104,7 +106,7 @@ def _fit(chi2: float, held: float) -> SimpleNamespace:
 def test_a_rival_takes_an_effects_place_where_it_is_better_by_the_margin(monkeypatch, held,
                                                                         chosen):
     monkeypatch.setattr(hypothesis, "predict",
-                        lambda model, *_: SimpleNamespace(chi2=model))
+                        lambda model, *_: SimpleNamespace(chi2=model, steps=0.0))
     own, other = _fit(1000.0, 100.0), _fit(1002.0, held)
     rivals = {"creep": [Rival("hysteresis", 2.0, other)]}
     h = Trial(OneFit(), []).exchange_rival(Hypothesis(("creep",), own, own, rivals))
