@@ -24,7 +24,7 @@ from dfm_stage.diagnosis.decisions import (
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.screen import Hit
-from dfm_stage.identification.system import is_nonlinear, rounding_step
+from dfm_stage.identification.system import is_nonlinear, rounding_step, steps_taken
 from dfm_stage.identification.weights import Weight, Weights, velocity_weights, white_weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
@@ -45,9 +45,14 @@ class Fits:
     weighing: int = 0
     noise: float = 0.0
     """RMS of the output's noise, over which a quantised reading is averaged."""
-    steps: float = 0.0
+    begun: float = field(default_factory=steps_taken)
     not_compared: dict[str, None] = field(default_factory=dict)
     """Effects whose fits were not begun, or not finished, for want of work, in that order."""
+
+    @property
+    def steps(self) -> float:
+        """Integration steps taken since this search was made: its work."""
+        return steps_taken() - self.begun
 
     def conditions(self, model: Model) -> Conditions:
         """Sizes that occur in the fitted runs."""
@@ -180,7 +185,6 @@ class Fits:
         found = fit(model, self.runs, free, self.weights, earlier=start.locals,
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
                     allowance=min(max(MOST_STEPS - self.steps, 0.0), STEPS_A_FIT))
-        self.steps += found.system.work
         if self.steps > MOST_STEPS:
             self.not_compared.update(dict.fromkeys(found.system.nonlinear))
         return found

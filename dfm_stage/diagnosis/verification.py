@@ -26,14 +26,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model leaves of held-out runs: RMS of the output, and chi-square; and the integration
-    steps that it took."""
+    """What a model leaves of held-out runs: RMS of the output, and chi-square."""
 
     rms: float
     chi2: float
     count: int
     residuals: list[list[Array]]
-    steps: float = 0.0
 
 
 def predict(model: Model, runs: Sequence[Observation], weights: Weights,
@@ -41,9 +39,9 @@ def predict(model: Model, runs: Sequence[Observation], weights: Weights,
     """Simulate `model` on runs it has not seen; only initial states and offsets are free."""
     found = fit(model, runs, (), weights, noise=noise, iterations=15)
     if not found.ok:
-        return Prediction(math.inf, math.inf, 0, [], found.system.work)
+        return Prediction(math.inf, math.inf, 0, [])
     return Prediction(rms([parts[0] for parts in found.residuals]), found.chi2,
-                      found.white.size, found.residuals, found.system.work)
+                      found.white.size, found.residuals)
 
 
 def weights_like(runs: Sequence[Observation], known: Weights) -> Weights:

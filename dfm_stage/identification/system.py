@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +33,14 @@ PARALLEL = 1_000_000
 """Samples (rows times length) up to which one thread simulates: more cost more than they save."""
 SHORTEST_LAG = 1e-6
 """Least lag, in samples, for which a periodic motion is looked for."""
+
+
+_TAKEN: ContextVar[float] = ContextVar("steps", default=0.0)
+
+
+def steps_taken() -> float:
+    """Integration steps that all systems of this thread have taken with nonlinear forces."""
+    return _TAKEN.get()
 
 
 def is_nonlinear(name: str) -> bool:
@@ -244,6 +253,7 @@ class System(Problem):
             return np.full((len(table), run.input.size), np.nan)
         if self.nonlinear and not light:
             self.work += float(steps.sum())
+            _TAKEN.set(_TAKEN.get() + float(steps.sum()))
         return np.tile(found, (1, run.input.size // driven.size)) if periodic else found
 
     def _table(self, index: int, rows: Array) -> tuple[list[str], Array, NDArray[np.bool_]]:

@@ -29,7 +29,6 @@ class OneFit:
 
     def __init__(self, barred=()):
         self.barred, self.noise, self.runs, self.said = set(barred), 0.0, [], []
-        self.steps = 0.0
         self.step = self.said.append
 
     def fitted(self, names, _):
@@ -106,7 +105,7 @@ def _fit(chi2: float, held: float) -> SimpleNamespace:
 def test_a_rival_takes_an_effects_place_where_it_is_better_by_the_margin(monkeypatch, held,
                                                                         chosen):
     monkeypatch.setattr(hypothesis, "predict",
-                        lambda model, *_: SimpleNamespace(chi2=model, steps=0.0))
+                        lambda model, *_: SimpleNamespace(chi2=model))
     own, other = _fit(1000.0, 100.0), _fit(1002.0, held)
     rivals = {"creep": [Rival("hysteresis", 2.0, other)]}
     h = Trial(OneFit(), []).exchange_rival(Hypothesis(("creep",), own, own, rivals))
