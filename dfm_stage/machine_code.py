@@ -124,6 +124,13 @@ def _cache_in(folder: Path) -> type:
     class Implementation(_caching.CompileResultCacheImpl):  # type: ignore[misc]
         _locator_classes = (Locator,)
 
+        def reduce(self, cres: Any) -> Any:
+            """Leave out what would be imported again to load the code: a later process may not
+            find the module of a hook. Only code that handles Python objects has use for it."""
+            *parts, environments = super().reduce(cres)
+            return *parts, tuple(found for found in environments if found.globals["__name__"]
+                                 .partition(".")[0] in {__package__, numba.__name__})
+
     class Cache(_caching.FunctionCache):  # type: ignore[misc]
         _impl_class = Implementation
 
