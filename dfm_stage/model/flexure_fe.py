@@ -14,16 +14,16 @@ import importlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import eigsh, spsolve
 
+from dfm_stage.arrays import Array
 from dfm_stage.model.flexure import Blade, DoubleParallelogram, FlexureError, Parallelogram
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 GROUND = "ground"
 _PLANE = (0, 1, 5)          # u, v, rotation about z among the six of a node
@@ -160,20 +160,18 @@ class _Assembly:
         self._size = 6 * len(nodes)
         coordinates = np.array([(x, y, 0.0) for x, y in nodes]).ravel()
         data, probe = fe.BeamCData(), fe.BeamCProbe()
+        self._sizes = {name: getattr(data, f"{name}_SPARSE_SIZE")
+                       for name in ("KC0", "KCNL", "KG", "M")}
         self._beams = []
         for k, (n1, n2, prop) in enumerate(self._pairs):
             beam = fe.BeamC(probe)
             beam.c1, beam.c2 = 6 * n1, 6 * n2
-            beam.init_k_KC0 = k * data.KC0_SPARSE_SIZE
-            beam.init_k_KCNL = k * data.KCNL_SPARSE_SIZE
-            beam.init_k_KG = k * data.KG_SPARSE_SIZE
-            beam.init_k_M = k * data.M_SPARSE_SIZE
+            for name, size in self._sizes.items():
+                setattr(beam, f"init_k_{name}", k * size)
             along = coordinates[3 * n2:3 * n2 + 2] - coordinates[3 * n1:3 * n1 + 2]
             beam.update_rotation_matrix(-along[1], along[0], 0.0, coordinates)
             beam.update_probe_xe(coordinates)
             self._beams.append((beam, prop))
-        self._sizes = {"KC0": data.KC0_SPARSE_SIZE, "KCNL": data.KCNL_SPARSE_SIZE,
-                       "KG": data.KG_SPARSE_SIZE, "M": data.M_SPARSE_SIZE}
         self._coordinates = coordinates
         self._linear: Any = None
 
@@ -228,11 +226,8 @@ def _library() -> Any:
     except ImportError:
         raise FlexureError("the finite-element check needs pyfe3d; install it with "
                            "pip install pyfe3d") from None
-
-    class Library:
-        BeamC, BeamCData, BeamCProbe = (parts[0].BeamC, parts[0].BeamCData, parts[0].BeamCProbe)
-        BeamProp = parts[1].BeamProp
-    return Library
+    return SimpleNamespace(**{name: value for part in parts for name, value in vars(part).items()
+                              if name.startswith("Beam")})
 
 
 def parallelogram_frame(single: Parallelogram, elements: int = 96) -> Frame:

@@ -18,10 +18,9 @@ Everything lives in the flat array `work`; arguments called node, state, z, ... 
 from __future__ import annotations
 
 from dfm_stage.model.kernel.algebra import cubic_at, row_value
-from dfm_stage.model.kernel.compiled import inlined, lean
+from dfm_stage.model.kernel.compiled import at, inlined, lean, pointer
 from dfm_stage.model.kernel.events import bristle_force, cell, pushed
 from dfm_stage.model.kernel.hooks import THREE, call_bristle, call_force, point_force
-from dfm_stage.model.kernel.memory import at, pointer
 from dfm_stage.model.kernel.slots import (
     AT_BRISTLE,
     AT_END,
