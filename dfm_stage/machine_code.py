@@ -101,7 +101,7 @@ def _content(value: Any, seen: set[int]) -> Iterator[bytes]:
 
 
 def _cache_in(folder: Path) -> type:
-    class Locator:
+    class Locator(_caching._CacheLocator):  # type: ignore[misc]
         def __init__(self, function: Any, file: str) -> None:
             self._line, self._py_file = function.__code__.co_firstlineno, file
 
@@ -111,9 +111,6 @@ def _cache_in(folder: Path) -> type:
 
         def get_cache_path(self) -> str:
             return str(folder)
-
-        def ensure_cache_path(self) -> None:
-            folder.mkdir(parents=True, exist_ok=True)
 
         def get_source_stamp(self) -> str:
             return folder.name

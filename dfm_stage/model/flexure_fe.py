@@ -99,19 +99,17 @@ class _Assembly:
         self._names = list(frame._stages)
         nodes: list[Point] = []
         self._pairs: list[tuple[int, int, Any]] = []
-        rows: list[tuple[int, Point | None, str]] = []
+        ends: list[str | None] = []     # of each node the stage that it is an end at
         for member in frame._members:
             first = len(nodes)
             for i in range(frame.elements + 1):
                 part = i / frame.elements
-                point = (member.start[0] + part * (member.end[0] - member.start[0]),
-                         member.start[1] + part * (member.end[1] - member.start[1]))
-                end = {0: member.from_stage, frame.elements: member.to_stage}.get(i)
-                rows.append((len(nodes), point if end else None, end or ""))
-                nodes.append(point)
+                nodes.append((member.start[0] + part * (member.end[0] - member.start[0]),
+                              member.start[1] + part * (member.end[1] - member.start[1])))
+                ends.append({0: member.from_stage, frame.elements: member.to_stage}.get(i))
             prop = self._property(member.blade)
             self._pairs += [(first + i, first + i + 1, prop) for i in range(frame.elements)]
-        self._transform(frame, nodes, rows)
+        self._transform(frame, nodes, ends)
         self._prepare(nodes)
 
     def slots(self, name: str) -> slice:
@@ -122,27 +120,21 @@ class _Assembly:
         return slice(first, first + 3)
 
     def _transform(self, frame: Frame, nodes: list[Point],
-                   rows: list[tuple[int, Point | None, str]]) -> None:
-        inside = sum(1 for _, point, _ in rows if point is None)
-        self.free = 3 * (len(self._names) + inside)
-        keep: list[int] = []
-        columns: list[int] = []
-        values: list[float] = []
-        column = 3 * len(self._names)
-        for node, point, stage in rows:
-            here = [6 * node + axis for axis in _PLANE]
-            if point is None:
-                keep += here
-                columns += range(column, column + 3)
-                values += (1.0, 1.0, 1.0)
-                column += 3
+                   ends: list[str | None]) -> None:
+        self.free = 3 * (len(self._names) + ends.count(None))
+        entries: list[tuple[float, int, int]] = []      # value, row, column
+        first = 3 * len(self._names)
+        for node, (point, stage) in enumerate(zip(nodes, ends, strict=True)):
+            x, y, turn = (6 * node + axis for axis in _PLANE)
+            if stage is None:
+                entries += [(1.0, x, first), (1.0, y, first + 1), (1.0, turn, first + 2)]
+                first += 3
             elif stage != GROUND:
-                cx, cy = frame._stages[stage]
-                first = self.slots(stage).start
-                keep += (here[0], here[0], here[1], here[1], here[2])
-                columns += (first, first + 2, first + 1, first + 2, first + 2)
-                values += (1.0, cy - point[1], 1.0, point[0] - cx, 1.0)
-        self._t = csc_matrix((values, (keep, columns)), shape=(6 * len(nodes), self.free))
+                (cx, cy), own = frame._stages[stage], self.slots(stage).start
+                entries += [(1.0, x, own), (cy - point[1], x, own + 2), (1.0, y, own + 1),
+                            (point[0] - cx, y, own + 2), (1.0, turn, own + 2)]
+        values, rows, columns = zip(*entries, strict=True)
+        self._t = csc_matrix((values, (rows, columns)), shape=(6 * len(nodes), self.free))
 
     def _property(self, blade: Blade) -> Any:
         prop = self._fe.BeamProp()

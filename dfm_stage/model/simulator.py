@@ -347,12 +347,8 @@ def hermite(values: Array, periodic: bool = False) -> Array:
     if periodic:
         padded = values[np.arange(-2, count + 3) % count]
     elif count >= 4:
-        before = [4 * values[0] - 6 * values[1] + 4 * values[2] - values[3]]
-        after = [4 * values[-1] - 6 * values[-2] + 4 * values[-3] - values[-4]]
-        padded = np.concatenate((before, values, after))
-        before = [4 * padded[0] - 6 * padded[1] + 4 * padded[2] - padded[3]]
-        after = [4 * padded[-1] - 6 * padded[-2] + 4 * padded[-3] - padded[-4]]
-        padded = np.concatenate((before, padded, after, after))
+        padded = _extended(_extended(values))
+        padded = np.append(padded, padded[-1])
     else:
         padded = np.pad(values, (2, 3), mode="edge")
     slope = (8.0 * (padded[3:-1] - padded[1:-3]) - (padded[4:] - padded[:-4])) / 12.0
@@ -363,6 +359,12 @@ def hermite(values: Array, periodic: bool = False) -> Array:
     rise = there - here
     return np.ascontiguousarray(np.column_stack(
         (here, first, 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise)))
+
+
+def _extended(values: Array) -> Array:
+    """One value more at either end, on the cubic through the four next to it."""
+    ends = [4 * v[0] - 6 * v[1] + 4 * v[2] - v[3] for v in (values, values[::-1])]
+    return np.concatenate((ends[:1], values, ends[1:]))
 
 
 def _record(values: ArrayLike, name: str, length: int | None = None) -> Array:

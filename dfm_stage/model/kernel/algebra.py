@@ -24,6 +24,12 @@ def cubic_at(coefficients: Array, r: float) -> float:
                  + r * (coefficients[1] + r * (coefficients[2] + r * coefficients[3])))
 
 
+@inlined
+def outside(force: Array, r: float) -> float:
+    """The force from outside at r, of which `force` are the coefficients, or empty, N."""
+    return cubic_at(force, r) if force.shape[0] > 0 else 0.0
+
+
 @lean
 def fill(a: Array, value: float) -> None:
     """a[:] = value; numba takes a third of a second to compile a slice assignment."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba.core.cgutils
 from llvmlite import ir
@@ -34,27 +34,23 @@ _AROUND_HOOKS = tuple((_PACKAGE / "kernel" / name).read_bytes() for name in
 
 def compiled(function: F) -> F:
     """`function` as machine code that runs without the interpreter lock, for other such code."""
-    result: F = _njit(**_INSIDE)(function)
-    return result
+    return cast("F", _njit(**_INSIDE)(function))
 
 
 def lean(function: F) -> F:
     """As `compiled`, for functions that allocate nothing: without reference counts, which cost
     more than the arithmetic in short functions of arrays."""
-    result: F = _njit(**_INSIDE, _nrt=False)(function)
-    return result
+    return cast("F", _njit(**_INSIDE, _nrt=False)(function))
 
 
 def inlined(function: F) -> F:
     """As `lean`, and part of the code of whoever calls it."""
-    result: F = _njit(**_INSIDE, _nrt=False, forceinline=True)(function)
-    return result
+    return cast("F", _njit(**_INSIDE, _nrt=False, forceinline=True)(function))
 
 
 def entry(function: F) -> F:
     """As `compiled`, callable from Python, its machine code kept on disk."""
-    result: F = _njit(nogil=True, error_model="numpy")(function)
-    return _keep(result)
+    return _keep(cast("F", _njit(nogil=True, error_model="numpy")(function)))
 
 
 def callback(function: F, signature: Any, made_of: object) -> Any:
@@ -103,8 +99,7 @@ def caller(signature: Any) -> Callable[..., Any]:
 
         return signature.return_type(types.int64, arguments), build
 
-    call: Callable[..., Any] = intrinsic(typed)
-    return call
+    return cast("Callable[..., Any]", intrinsic(typed))
 
 
 def values_at(first: int, count: int) -> Callable[..., Any]:
@@ -120,5 +115,4 @@ def values_at(first: int, count: int) -> Callable[..., Any]:
 
         return result(p), build
 
-    found: Callable[..., Any] = intrinsic(load)
-    return found
+    return cast("Callable[..., Any]", intrinsic(load))

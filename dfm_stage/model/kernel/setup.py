@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from dfm_stage.model.kernel.algebra import exponential, fill, put_scaled
+from dfm_stage.model.kernel.algebra import exponential, fill, put_scaled, row_value
 from dfm_stage.model.kernel.compiled import compiled, entry, lean
 from dfm_stage.model.kernel.hooks import stamp, start_states
 from dfm_stage.model.kernel.slots import (
@@ -239,10 +239,7 @@ def restart(layout: Layout, work: Array) -> None:
     """Make step control forget the motion before, after the state has been set from outside."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
-    rows = block(work, layout, AT_ROWS, ROWS, n + 1)
-    speed = 0.0
-    for j in range(n):
-        speed += rows[ROW_VELOCITY, j] * work[layout[AT_STATE] + j]
-    head[MODE] = np.sign(speed)
+    speed_row = layout[AT_ROWS] + ROW_VELOCITY * (n + 1)
+    head[MODE] = np.sign(row_value(work, speed_row, layout[AT_STATE], n, 0.0))
     head[LEVEL] = head[SCALE] = head[SLOPE] = head[CURVATURE] = head[STEP] = 0.0
     head[TRIED] = 0.0
