@@ -64,11 +64,12 @@ class EffectUse:
         effect = EFFECTS.get(self.name)
         if effect is None:
             raise ModelError(unknown_name("effect", self.name, EFFECTS))
+        known = effect.defaults
         for name in self.parameters:
-            if name not in effect.defaults:
-                raise ModelError(unknown_name(f"{self.name}: parameter", name, effect.defaults))
+            if name not in known:
+                raise ModelError(unknown_name(f"{self.name}: parameter", name, known))
         for parameter in effect.parameters:
-            if parameter.name not in {*self.parameters, *effect.optional}:
+            if parameter.name not in self.parameters and parameter.name not in effect.optional:
                 raise ModelError(f"{self.name}: parameter {parameter.name} ({parameter.unit or 1})"
                                  " is missing; give it a number")
         _set(self, origin=_frozen(self.origin), parameters=Frozen({
@@ -353,7 +354,8 @@ def _values(axis: AxisModel | Model) -> dict[str, float]:
 def _with_values(axis: One, new: Mapping[str, float]) -> One:
     """A copy of one axis with the values of `new`, which has them all."""
     return replace(axis, base={k: v for k, v in new.items() if k in BASE_BY_NAME}, effects=tuple(
-        replace(use, parameters=_below(use.name, new)) for use in axis.effects))
+        replace(use, parameters={k: new[f"{use.name}.{k}"] for k in use.parameters})
+        for use in axis.effects))
 
 
 def _below(head: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -210,13 +210,12 @@ class Simulator:
                     steps[row] = work[plan.layout[slots.AT_HEAD] + slots.STEPS]
 
         workers = max(1, min(threads or _cores(), len(table)))
-        bounds = np.linspace(0, len(table), workers + 1).astype(int)
-        parts = [range(a, b) for a, b in pairwise(bounds)]
         if workers == 1:
-            part(parts[0])
+            part(range(len(table)))
         else:
+            bounds = np.linspace(0, len(table), workers + 1).astype(int)
             with ThreadPoolExecutor(workers) as pool:
-                list(pool.map(part, parts))
+                list(pool.map(part, (range(a, b) for a, b in pairwise(bounds))))
         if partial:
             out[status != 0] = np.nan
         else:
