@@ -18,27 +18,20 @@ def compile_all() -> None:
     effects and the bag reader.
     """
     _simulator()
-    _effects()
     _reader()
 
 
 def _simulator() -> None:
-    from dfm_stage.model import CoupledPlant, Model, Simulator
+    from dfm_stage.model import EFFECTS, CoupledPlant, Model, Simulator
 
     model = Model("compiled", 1e-3, base={"mass": 1.0, "damping": 1.0, "stiffness": 100.0})
     plant = CoupledPlant(model)
     plant.sample()
     plant.advance([0.0])
     Simulator(model).sensitivities(np.zeros(8), ("mass",))
-
-
-def _effects() -> None:
-    from dfm_stage.model import EFFECTS, Model
-    from dfm_stage.model.plan import Plan
-
-    base = {"mass": 1.0, "damping": 1.0, "coil_resistance": 1.0}
+    bare = Model("compiled", 1e-3, base={"mass": 1.0, "damping": 1.0, "coil_resistance": 1.0})
     for effect in EFFECTS.values():
-        Plan.of(Model("compiled", 1e-3, base=base).with_effect(effect.name, effect.defaults))
+        Simulator(bare.with_effect(effect.name, effect.defaults))
 
 
 def _reader() -> None:

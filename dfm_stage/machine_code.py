@@ -102,7 +102,7 @@ def _content(value: Any, seen: set[int]) -> Iterator[bytes]:
 
 
 def _cache_in(folder: Path) -> type:
-    class Locator:
+    class Locator(_caching._CacheLocator):  # type: ignore[misc]
         def __init__(self, function: Any, file: str) -> None:
             self._line, self._py_file = function.__code__.co_firstlineno, file
 
@@ -113,9 +113,6 @@ def _cache_in(folder: Path) -> type:
         def get_cache_path(self) -> str:
             return str(folder)
 
-        def ensure_cache_path(self) -> None:
-            folder.mkdir(parents=True, exist_ok=True)
-
         def get_source_stamp(self) -> str:
             return folder.name
 
@@ -124,6 +121,13 @@ def _cache_in(folder: Path) -> type:
 
     class Implementation(_caching.CompileResultCacheImpl):  # type: ignore[misc]
         _locator_classes = (Locator,)
+
+        def reduce(self, cres: Any) -> Any:
+            """Leave out what would be imported again to load the code: a later process may not
+            find the module of a hook. Only code that handles Python objects has use for it."""
+            *parts, environments = super().reduce(cres)
+            return *parts, tuple(found for found in environments if found.globals["__name__"]
+                                 .partition(".")[0] in {__package__, numba.__name__})
 
     class Cache(_caching.FunctionCache):  # type: ignore[misc]
         _impl_class = Implementation

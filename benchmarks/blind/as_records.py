@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.corpus.case import Case
-from dfm_stage.model import Model
+from dfm_stage.model import Model, model_from_dict
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
 
 def model_of(case: Case) -> Model:
     """The model the user believes in."""
-    return Model.from_dict(case.model)
+    return model_from_dict(case.model)
 
 
 def records_of(case: Case, kind: str) -> list[Record]:

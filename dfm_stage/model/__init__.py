@@ -7,12 +7,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.model.base import BASE_PARAMETERS
 from dfm_stage.model.description import AxisModel, EffectUse, Model
-from dfm_stage.model.document import load_model, model_text, parse_model, save_model
+from dfm_stage.model.document import (
+    load_model,
+    model_from_dict,
+    model_text,
+    parse_model,
+    save_model,
+)
 from dfm_stage.model.effect import Effect, Equivalence, Prior, Reparametrisation
-from dfm_stage.model.errors import ModelError, SimulationError
-from dfm_stage.model.parameter import Parameter, ParameterError
+from dfm_stage.model.parameter import (
+    BASE_PARAMETERS,
+    ModelError,
+    Parameter,
+    ParameterError,
+    SimulationError,
+)
 from dfm_stage.model.registry import EFFECTS
 
 if TYPE_CHECKING:
@@ -23,7 +33,7 @@ __all__ = [
     "BASE_PARAMETERS", "EFFECTS", "AxisModel", "CoupledPlant", "Effect", "EffectUse",
     "Equivalence", "Model", "ModelError", "Parameter", "ParameterError", "Plant", "Prior",
     "Reparametrisation", "Sample", "SimulationError", "SimulationResult", "Simulator",
-    "load_model", "model_text", "parse_model", "save_model",
+    "load_model", "model_from_dict", "model_text", "parse_model", "save_model",
 ]
 
 _LAZY = {"CoupledPlant": "plant", "Plant": "plant", "Sample": "plant", "Simulator": "simulator",

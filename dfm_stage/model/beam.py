@@ -18,12 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.model.flexure import Blade, DoubleParallelogram, FlexureError
 
-Array = NDArray[np.float64]
 _SERIES = 0.3
 
 
@@ -40,7 +39,7 @@ class Span:
         blade = self.blade
         return math.sqrt(blade.bending_stiffness / blade.mass_per_length) / blade.length_m**2
 
-    def dynamic_stiffness(self, omega: complex) -> NDArray[np.complex128]:
+    def dynamic_stiffness(self, omega: complex) -> Complex:
         """Return D between the deflections of the two ends, complex (2, 2), N/m."""
         blade = self.blade
         unit = self.count * blade.bending_stiffness / blade.length_m**3
@@ -85,7 +84,7 @@ class BladeChain:
         if any(not mass >= 0.0 for mass in self.masses_kg):
             raise FlexureError("a stage's mass must not be negative")
 
-    def dynamic_stiffness(self, omega: complex) -> NDArray[np.complex128]:
+    def dynamic_stiffness(self, omega: complex) -> Complex:
         """Return forces per deflections of the stages at a frequency, complex (n, n), N/m."""
         n = len(self.spans)
         full = np.zeros((n, n), dtype=complex)
@@ -97,7 +96,7 @@ class BladeChain:
         return full
 
     def compliance(self, frequency_hz: Array, loss_factor: float = 0.0,
-                   damping_n_s_m: float = 0.0) -> NDArray[np.complex128]:
+                   damping_n_s_m: float = 0.0) -> Complex:
         """Return the last stage's deflection per force on it at frequencies (F,), m/N, (F,).
 
         The answer to a sinusoidal force. `loss_factor` makes the modulus complex, E (1 + i eta);

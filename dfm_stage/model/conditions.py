@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dfm_stage.arrays import Array
 
 SMOOTHED = 5
 """Samples over which a reading is averaged before it is differentiated for its speed."""
@@ -19,22 +18,27 @@ SLOWEST = 1e-3
 
 
 class Recorded(Protocol):
-    """What a run must offer: input (N,) V or A, output (N,) m, the neighbour's position (N,)."""
+    """What a run must offer."""
 
     @property
-    def input(self) -> Array: ...
+    def input(self) -> Array:
+        """V or A, (N,)"""
 
     @property
-    def output(self) -> Array: ...
+    def output(self) -> Array:
+        """m, (N,)"""
 
     @property
-    def other(self) -> Array | None: ...
+    def other(self) -> Array | None:
+        """The neighbour's position, m, (N,)"""
 
     @property
-    def current(self) -> Array | None: ...
+    def current(self) -> Array | None:
+        """A, (N,)"""
 
     @property
-    def sample_period(self) -> float: ...
+    def sample_period(self) -> float:
+        """s"""
 
 
 @dataclass(frozen=True)

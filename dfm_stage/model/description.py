@@ -7,14 +7,14 @@ A parameter is addressed as `mass` or `cubic_stiffness.k3`; in a model of severa
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NoReturn
+from numbers import Integral, Real
+from typing import Any, Literal, NoReturn, TypeVar
 
-from dfm_stage.model.base import BASE_BY_NAME
-from dfm_stage.model.errors import ModelError
 from dfm_stage.model.kernel.slots import ABSENT
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import EFFECTS, coupling_effect
 
 SCHEMA_VERSION = 1
@@ -32,6 +32,16 @@ class Frozen(dict[str, Any]):
 
     def __reduce__(self) -> tuple[type[Frozen], tuple[dict[str, Any]]]:
         return Frozen, (dict(self),)
+
+
+def _set(instance: object, **values: Any) -> None:
+    """Give a frozen dataclass the checked form of its fields."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
+
+
+def _frozen(origin: Mapping[str, Any] | None) -> Frozen | None:
+    return None if origin is None else Frozen(origin)
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
@@ -58,19 +68,13 @@ class EffectUse:
         for name in self.parameters:
             if name not in known:
                 raise ModelError(unknown_name(f"{self.name}: parameter", name, known))
-        values = {}
         for parameter in effect.parameters:
-            if parameter.name in self.parameters:
-                values[parameter.name] = parameter.checked(self.parameters[parameter.name],
-                                                           self.name)
-            elif parameter.name in effect.optional:
-                values[parameter.name] = parameter.default
-            else:
+            if parameter.name not in self.parameters and parameter.name not in effect.optional:
                 raise ModelError(f"{self.name}: parameter {parameter.name} ({parameter.unit or 1})"
                                  " is missing; give it a number")
-        object.__setattr__(self, "parameters", Frozen(values))
-        if self.origin is not None:
-            object.__setattr__(self, "origin", Frozen(self.origin))
+        _set(self, origin=_frozen(self.origin), parameters=Frozen({
+            p.name: p.checked(self.parameters.get(p.name, p.default), self.name)
+            for p in effect.parameters}))
 
 
 def _checked_base(base: Mapping[str, float]) -> Frozen:
@@ -94,8 +98,7 @@ class AxisModel:
     drive: Drive = "voltage"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "base", _checked_base(self.base))
-        object.__setattr__(self, "effects", tuple(self.effects))
+        _set(self, base=_checked_base(self.base), effects=tuple(self.effects))
         _check_axis(self)
 
 
@@ -150,18 +153,11 @@ class Model:
 
     def __post_init__(self) -> None:
         period = Parameter("sample_period", 1e-3, "s", "time between samples", 1e-7, 1e3)
-        object.__setattr__(self, "sample_period", period.checked(self.sample_period))
-        object.__setattr__(self, "effects", tuple(self.effects))
-        if self.axes:
-            if self.base or self.effects:
-                raise ModelError("give either base and effects or axes, not both")
-            object.__setattr__(self, "base", Frozen({}))
-        else:
-            object.__setattr__(self, "base", _checked_base(self.base))
-        object.__setattr__(self, "axes", Frozen(self.axes))
-        object.__setattr__(self, "coupling", Frozen(self._checked_coupling()))
-        if self.origin is not None:
-            object.__setattr__(self, "origin", Frozen(self.origin))
+        if self.axes and (self.base or self.effects):
+            raise ModelError("give either base and effects or axes, not both")
+        _set(self, sample_period=period.checked(self.sample_period), effects=tuple(self.effects),
+             base=Frozen() if self.axes else _checked_base(self.base), axes=Frozen(self.axes),
+             coupling=Frozen(self._checked_coupling()), origin=_frozen(self.origin))
         _check_axis(self)
 
     def _checked_coupling(self) -> dict[str, Frozen]:
@@ -238,10 +234,7 @@ class Model:
 
     def effect(self, name: str) -> EffectUse | None:
         """The effect called `name` of a one-axis model, or None where it is off."""
-        for use in self.effects:
-            if use.name == name:
-                return use
-        return None
+        return next((use for use in self.effects if use.name == name), None)
 
     def effective_base(self) -> dict[str, float]:
         """The base parameters of a one-axis model with all effects that add to one.
@@ -260,14 +253,9 @@ class Model:
     def parameters(self) -> dict[str, float]:
         """Address -> value of every parameter the model gives."""
         if not self.axes:
-            values = dict(self.base)
-            for use in self.effects:
-                values.update({f"{use.name}.{k}": v for k, v in use.parameters.items()})
-            return values
-        values = {}
-        for name, axis in self.axes.items():
-            own = Model(name, self.sample_period, axis.base, axis.effects, drive=axis.drive)
-            values.update({f"{name}.{k}": v for k, v in own.parameters().items()})
+            return _values(self)
+        values = {f"{name}.{k}": v for name, axis in self.axes.items()
+                  for k, v in _values(axis).items()}
         for target, sources in self.coupling.items():
             for source, given in sources.items():
                 values.update({f"coupling.{target}.{source}.{k}": v for k, v in given.items()})
@@ -300,9 +288,8 @@ class Model:
         unit = unit.replace("V or A", "V")
         if self.position_unit == "m":
             return unit
-        unit = unit.replace("kg", "N s^2/m")
-        return "".join(self.position_unit if part == "m" else part
-                       for part in _split_symbols(unit))
+        return re.sub("(?<![A-Za-z])m(?![A-Za-z])", self.position_unit,
+                      unit.replace("kg", "N s^2/m"))
 
     def with_parameters(self, values: Mapping[str, float]) -> Model:
         """A copy with other values; an absent base parameter is added.
@@ -312,44 +299,26 @@ class Model:
         ModelError, ParameterError
             If an address is unknown or a value is out of range.
         """
-        if not self.axes:
-            base, effects = dict(self.base), {use.name: dict(use.parameters)
-                                              for use in self.effects}
-            for address, value in values.items():
-                head, _, rest = address.partition(".")
-                if not rest and address in BASE_BY_NAME:
-                    base[address] = value
-                elif rest and head in effects and rest in effects[head]:
-                    effects[head][rest] = value
-                else:
-                    raise ModelError(unknown_name("parameter", address, self.parameters()))
-            return replace(self, base=base, effects=tuple(
-                replace(use, parameters=effects[use.name]) for use in self.effects))
-        axes = dict(self.axes)
-        coupling = {t: {s: dict(v) for s, v in sources.items()}
-                    for t, sources in self.coupling.items()}
+        new = self.parameters()
         for address, value in values.items():
-            head, _, rest = address.partition(".")
-            parts = rest.split(".")
-            if head in axes and rest:
-                own = Model(head, self.sample_period, axes[head].base, axes[head].effects,
-                            drive=axes[head].drive).with_parameters({rest: value})
-                axes[head] = AxisModel(own.base, own.effects, own.drive)
-            elif head == "coupling" and len(parts) == 3 \
-                    and parts[2] in coupling.get(parts[0], {}).get(parts[1], {}):
-                coupling[parts[0]][parts[1]][parts[2]] = value
-            else:
+            axis, _, own = address.rpartition(".")
+            if address not in new and not (
+                    own in BASE_BY_NAME and (axis in self.axes if self.axes else not axis)):
                 raise ModelError(unknown_name("parameter", address, self.parameters()))
-        return replace(self, axes=axes, coupling=coupling)
+            new[address] = value
+        if not self.axes:
+            return _with_values(self, new)
+        axes = {name: _with_values(axis, _below(name, new)) for name, axis in self.axes.items()}
+        return replace(self, axes=axes, coupling={
+            target: {source: _below(f"coupling.{target}.{source}", new) for source in sources}
+            for target, sources in self.coupling.items()})
 
     def with_effect(self, name: str, parameters: Mapping[str, float],
                     origin: Mapping[str, Any] | None = None) -> Model:
         """A copy of a one-axis model with an effect added, or replaced where it was on."""
-        use = EffectUse(name, parameters, origin)
-        kept = [u for u in self.effects if u.name != name]
-        at = [u.name for u in self.effects].index(name) if len(kept) < len(self.effects) \
-            else len(kept)
-        return replace(self, effects=(*kept[:at], use, *kept[at:]))
+        uses = {use.name: use for use in self.effects}
+        uses[name] = EffectUse(name, parameters, origin)
+        return replace(self, effects=tuple(uses.values()))
 
     def without_effect(self, name: str) -> Model:
         """A copy of a one-axis model with the effect `name` off."""
@@ -369,30 +338,30 @@ class Model:
         else:
             data.update(_axis_dict(self))
         if self.origin is not None:
-            data["origin"] = _plain(self.origin)
+            data["origin"] = plain(self.origin)
         return data
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Model:
-        """The inverse of `to_dict`.
 
-        Raises
-        ------
-        ModelError, ParameterError
-            With a message that names the place inside `data`.
-        """
-        from dfm_stage.model.document import model_from_mapping
-        return model_from_mapping(data, "model")
+One = TypeVar("One", AxisModel, Model)
 
 
-def _split_symbols(unit: str) -> list[str]:
-    parts = [""]
-    for character in unit:
-        if character.isalpha() == (parts[-1][-1:].isalpha()):
-            parts[-1] += character
-        else:
-            parts.append(character)
-    return parts
+def _values(axis: AxisModel | Model) -> dict[str, float]:
+    """Address -> value of what one axis gives."""
+    return {**axis.base, **{f"{use.name}.{name}": value for use in axis.effects
+                            for name, value in use.parameters.items()}}
+
+
+def _with_values(axis: One, new: Mapping[str, float]) -> One:
+    """A copy of one axis with the values of `new`, which has them all."""
+    return replace(axis, base={k: v for k, v in new.items() if k in BASE_BY_NAME}, effects=tuple(
+        replace(use, parameters={k: new[f"{use.name}.{k}"] for k in use.parameters})
+        for use in axis.effects))
+
+
+def _below(head: str, values: Mapping[str, float]) -> dict[str, float]:
+    """The values whose address begins with `head` and a dot, by the rest of it."""
+    return {address.removeprefix(f"{head}."): value for address, value in values.items()
+            if address.startswith(f"{head}.")}
 
 
 def _axis_dict(axis: AxisModel | Model) -> dict[str, Any]:
@@ -400,18 +369,21 @@ def _axis_dict(axis: AxisModel | Model) -> dict[str, Any]:
     if axis.drive != "voltage":
         data["base"]["drive"] = axis.drive
     if axis.effects:
-        data["effects"] = []
-        for use in axis.effects:
-            item: dict[str, Any] = {"name": use.name, "parameters": dict(use.parameters)}
-            if use.origin is not None:
-                item["origin"] = _plain(use.origin)
-            data["effects"].append(item)
+        data["effects"] = [
+            {"name": use.name, "parameters": dict(use.parameters),
+             **({} if use.origin is None else {"origin": plain(use.origin)})}
+            for use in axis.effects]
     return data
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """`value` as dictionaries, lists, numbers and texts of Python's own types."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return value
+        return [plain(v) for v in value]
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, Real):
+        return int(value) if isinstance(value, Integral) else float(value)
+    return str(value)

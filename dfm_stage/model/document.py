@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -15,17 +15,15 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
-from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.description import (
     SCHEMA_VERSION,
     AxisModel,
-    Drive,
     EffectUse,
     Model,
+    plain,
     unknown_name,
 )
-from dfm_stage.model.errors import ModelError
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import EFFECTS, coupling_effect
 
 T = TypeVar("T")
@@ -69,7 +67,7 @@ def parse_model(text: str, where: str) -> Model:
                          f"{' '.join(str(error.problem or error.context).split())}") from error
     except (YAMLError, ValueError) as error:
         raise ModelError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from error
-    return model_from_mapping(data, where, text)
+    return model_from_dict(data, where, text)
 
 
 def save_model(model: Model, path: str | os.PathLike[str]) -> None:
@@ -99,8 +97,8 @@ def model_text(model: Model) -> str:
     return stream.getvalue()
 
 
-def model_from_mapping(data: Any, where: str, text: str | None = None) -> Model:
-    """The model described by nested mappings, such as ruamel.yaml returns them.
+def model_from_dict(data: Any, where: str = "model", text: str | None = None) -> Model:
+    """The model that `Model.to_dict` gave, or that ruamel.yaml found in a `text`.
 
     Raises
     ------
@@ -109,40 +107,38 @@ def model_from_mapping(data: Any, where: str, text: str | None = None) -> Model:
     """
     top = _Node(data, where, (), data)
     top.keys(_TOP_KEYS)
-    version = top.get("dfm_model")
+    version = top.data.get("dfm_model")
     if version is None:
         top.fail(f"the schema version is missing; begin with dfm_model: {SCHEMA_VERSION}")
     if isinstance(version, bool) or version != SCHEMA_VERSION:
         top.fail(f"dfm_model: {version!r} is not a schema version this program reads; "
                  f"it reads {SCHEMA_VERSION}", "dfm_model")
-    name = top.get("name")
+    name = top.data.get("name")
     if not isinstance(name, str) or not name:
         top.fail(f"name must be a text, not {name!r}", "name")
     period = top.number(Parameter("sample_period", 1e-3, "s", "", 1e-7, 1e3), "sample_period")
-    unit = top.get("position_unit", "m")
+    unit = top.data.get("position_unit", "m")
     if not isinstance(unit, str):
         top.fail(f"position_unit must be a text, not {unit!r}", "position_unit")
     origin = _origin(top)
     common: dict[str, Any] = {"origin": origin, "position_unit": str(unit), "document": text}
-    if "axes" not in top:
-        if "coupling" in top:
+    if "axes" not in top.data:
+        if "coupling" in top.data:
             top.fail("coupling needs axes", "coupling")
-        axis = _axis(top, top.get("drive"))
+        axis = _axis(top, top.data.get("drive"))
         return top.build(lambda: Model(str(name), period, axis.base, axis.effects,
                                        drive=axis.drive, **common))
     for key in _AXIS_KEYS:
-        if key in top:
+        if key in top.data:
             top.fail(f"{key} belongs below each of the axes", key)
-    axes = {str(key): _axis(child, top.get("drive")) for key, child in top.child("axes").items()}
+    axes = {key: _axis(child, top.data.get("drive")) for key, child in top.child("axes").items()}
     if not axes:
         top.fail("axes is empty; give at least one axis", "axes")
-    coupling: dict[str, dict[str, dict[str, float]]] = {}
-    if "coupling" in top:
-        for target, sources in top.child("coupling").items():
-            coupling[target] = {source: _values(node, coupling_effect().name)
-                                for source, node in sources.items()}
+    coupled = top.child("coupling").items() if "coupling" in top.data else []
+    coupling = {target: {source: _values(node, coupling_effect().name)
+                         for source, node in sources.items()} for target, sources in coupled}
     return top.build(lambda: Model(str(name), period, axes=axes, coupling=coupling, **common),
-                     "coupling" if "coupling" in top else "axes")
+                     "coupling" if "coupling" in top.data else "axes")
 
 
 def _axis(node: _Node, default_drive: object) -> AxisModel:
@@ -150,65 +146,53 @@ def _axis(node: _Node, default_drive: object) -> AxisModel:
         node.keys(_AXIS_KEYS)
     base_node = node.child("base")
     base_node.keys((*BASE_BY_NAME, "drive"), "base: parameter")
-    drive: Any = base_node.get("drive", default_drive or "voltage")
+    drive: Any = base_node.data.get("drive", default_drive or "voltage")
     if drive not in ("voltage", "current"):
         base_node.fail(f"drive must be voltage or current, not {drive!r}", "drive")
-    base = {key: base_node.number(BASE_BY_NAME[key], key) for key in base_node if key != "drive"}
+    base = {key: base_node.number(BASE_BY_NAME[key], key)
+            for key in base_node.data if key != "drive"}
     effects: list[EffectUse] = []
-    if "effects" in node:
-        listed = node.get("effects")
-        if listed is not None and not _is_list(listed):
-            node.fail("effects must be a list of items with name and parameters", "effects")
-        for index in range(len(listed or ())):
-            item = node.child("effects", index)
-            effect = _effect(item)
-            if effect.name in [other.name for other in effects]:
-                item.fail(f"effect {effect.name} is there already; merge the two", "name")
-            effects.append(effect)
-    checked_drive: Drive = drive
-    return base_node.build(lambda: AxisModel(base, tuple(effects), checked_drive))
+    listed = node.data.get("effects")
+    if listed is not None and not isinstance(listed, (list, tuple)):
+        node.fail("effects must be a list of items with name and parameters", "effects")
+    for index in range(len(listed or ())):
+        item = node.child("effects", index)
+        effect = _effect(item)
+        if effect.name in [other.name for other in effects]:
+            item.fail(f"effect {effect.name} is there already; merge the two", "name")
+        effects.append(effect)
+    return base_node.build(lambda: AxisModel(base, tuple(effects), drive))
 
 
 def _effect(node: _Node) -> EffectUse:
     node.keys(_EFFECT_KEYS)
-    name = node.get("name")
+    name = node.data.get("name")
     if name not in EFFECTS:
         node.fail(unknown_name("effect", name, EFFECTS), "name")
-    values = _values(node.child("parameters"), str(name)) if "parameters" in node else {}
+    values = _values(node.child("parameters"), str(name)) if "parameters" in node.data else {}
     return node.build(lambda: EffectUse(str(name), values, _origin(node)))
 
 
 def _values(node: _Node, effect: str) -> dict[str, float]:
     known = EFFECTS[effect]
     node.keys(tuple(known.defaults), f"{effect}: parameter")
-    return {key: node.number(known.parameter(key), key) for key in node}
+    return {key: node.number(known.parameter(key), key) for key in node.data}
 
 
 def _origin(node: _Node) -> Mapping[str, Any] | None:
-    if node.get("origin") is None:
+    if node.data.get("origin") is None:
         return None
-    return {str(k): _to_plain(v) for k, v in node.child("origin").data.items()}
+    return dict(plain(node.child("origin").data))
 
 
 class _Node:
     """A mapping inside the document that knows its path, so that messages can name the line."""
 
     def __init__(self, data: Any, where: str, path: tuple[Any, ...], root: Any) -> None:
-        self.where, self.path, self.root = where, path, root
+        self.data, self.where, self.path, self.root = data, where, path, root
         if not isinstance(data, Mapping):
-            self.data: Mapping[Any, Any] = {}
             name = next((p for p in reversed(path) if isinstance(p, str)), "the document")
             self.fail(f"{name} must be a mapping of names to values, not {_short(data)}")
-        self.data = data
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.data)
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.data
-
-    def get(self, key: str, default: Any = None) -> Any:
-        return self.data.get(key, default)
 
     def items(self) -> list[tuple[str, _Node]]:
         return [(str(key), self.child(key)) for key in self.data]
@@ -227,7 +211,7 @@ class _Node:
                 self.fail(unknown_name(kind, key, known), key)
 
     def number(self, parameter: Parameter, key: str) -> float:
-        value = self.get(key)
+        value = self.data.get(key)
         if isinstance(value, str):
             with contextlib.suppress(ValueError):
                 value = float(value)
@@ -267,9 +251,9 @@ def _merge(old: Any, new: Mapping[str, Any]) -> None:
         current = old.get(key)
         if isinstance(value, Mapping) and isinstance(current, Mapping):
             _merge(current, value)
-        elif key == "effects" and _is_list(current):
+        elif key == "effects" and isinstance(current, list):
             _merge_effects(current, value)
-        elif key not in old or _to_plain(current) != _to_plain(value):
+        elif key not in old or plain(current) != plain(value):
             old[key] = value
 
 
@@ -336,24 +320,6 @@ def _styled(value: Any, inside: str = "") -> Any:
             listed.fa.set_flow_style()
         return listed
     return value
-
-
-def _to_plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _to_plain(v) for k, v in value.items()}
-    if _is_list(value):
-        return [_to_plain(v) for v in value]
-    if isinstance(value, bool) or value is None:
-        return value
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, float):
-        return float(value)
-    return str(value)
-
-
-def _is_list(value: Any) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, (str, bytes))
 
 
 def _short(value: Any) -> str:

@@ -14,7 +14,7 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
     A force with memory: the state `z` after the point moved by `dx` without reversing, while its
     velocity went from `v0` to `v1`; and the force that goes with it.
 `stamp(a, rows, first, p)` with `states`
-    A linear part whose states begin at index `first`, see `dfm_stage.model.kernel.assemble`;
+    A linear part whose states begin at index `first`, see `dfm_stage.model.kernel.setup`;
     `start(state, first, p)` gives them initial values.
 `sense(x, t, other, p) -> m`
     What is added to the encoder's reading at time `t` (s); `other` (m) is the position of the
@@ -43,13 +43,16 @@ from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.model.base import BASE_BY_NAME
+from dfm_stage.arrays import Array
 from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.parameter import BASE_BY_NAME, Parameter
 
-Array = NDArray[np.float64]
+__all__ = [
+    "PHASOR", "SMALL", "Array", "Conditions", "Effect", "Equivalence", "Parameter", "Parameters",
+    "Parity", "Prior", "Reparametrisation", "Side", "Values", "Wave", "reads",
+]
+
 Parameters = dict[str, float]
 
 Values = tuple[float, ...]
@@ -68,8 +71,8 @@ class Prior:
 
     @property
     def typical(self) -> float:
-        """The middle of its range; the end where it may be zero or negative."""
-        return math.sqrt(self.low * self.high) if self.log else self.high
+        """The middle of its range; the larger end where it may be zero or negative."""
+        return math.sqrt(self.low * self.high) if self.log else max(abs(self.low), abs(self.high))
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,21 @@ class Reparametrisation:
     fitted: tuple[str, ...]
     forward: Callable[[Any], Any]
     backward: Callable[[Any], Any]
+
+
+def _to_phasor(values: Array) -> Array:
+    amplitude, phase = values
+    return np.array([amplitude * np.cos(phase), amplitude * np.sin(phase)])
+
+
+def _from_phasor(fitted: Array) -> Array:
+    in_phase, quadrature = fitted
+    return np.array([np.hypot(in_phase, quadrature), np.arctan2(quadrature, in_phase)])
+
+
+PHASOR = Reparametrisation((".amplitude", ".phase"), (".in_phase", ".quadrature"), _to_phasor,
+                           _from_phasor)
+"""The coordinates of a sine: its phase means nothing while the amplitude is near zero."""
 
 
 @cache
@@ -155,6 +173,9 @@ class Effect:
     other_force: Callable[..., float] | None = field(default=None, repr=False)
     size: tuple[str, ...] = ()
     """Parameters that grow with the size of the effect; by default the first one."""
+    begins: Mapping[str, tuple[str, tuple[float, ...]]] = field(default_factory=dict)
+    """Parameter -> where a search begins: a quantity of `Conditions`, and factors of it. Where
+    the quantity has several values, each counts."""
     wave: Wave | None = None
     searched: bool = False
     """The response is linear in no parameter: the screen tries the starting values as they are."""
@@ -163,6 +184,9 @@ class Effect:
     freed_last: Mapping[str, float | None] = field(default_factory=dict)
     """Parameters that are freed once the others have been fitted, and the value at which they
     begin then; None for where they are."""
+    distance: str = ""
+    """The fitted coordinate that is the distance (m) after a reversal within which the force
+    changes. Far below the noise it cannot be told from dry friction, and is slow to simulate."""
     late: Literal["lag", "delay", "coil"] | None = None
     """How the first parameter makes the force late: a first-order lag or a dead time in s, or an
     inductance in H. All act alike to first order."""
@@ -200,10 +224,7 @@ class Effect:
 
     def parameter(self, name: str) -> Parameter:
         """The parameter called `name`; KeyError if there is none."""
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise KeyError(name)
+        return {parameter.name: parameter for parameter in self.parameters}[name]
 
     # -- what fitting, screening and naming need to know ----------------------------------------
 
@@ -244,9 +265,14 @@ class Effect:
     def starts(self, at: Conditions) -> list[Parameters]:
         """Parameters at which a search may begin, at a size small enough to be linear in.
 
-        By default a force of SMALL times the actuator's for the sizes, and a grid over the usual
-        range of what shapes the response.
+        By default those of `begins`; without it a force of SMALL times the actuator's for the
+        sizes, and a grid over the usual range of what shapes the response.
         """
+        if self.begins:
+            grids = [[float(value) * factor for value in np.atleast_1d(getattr(at, quantity))
+                      for factor in factors] for quantity, factors in self.begins.values()]
+            return [{**self.defaults, **dict(zip(self.begins, values, strict=True))}
+                    for values in itertools.product(*grids)]
         shaping = [p.name for p in self.parameters
                    if p.name not in (*self.sizes, *self.optional) and p.name in self.priors]
         shared = {**self.defaults, **{n: self.priors[n].typical for n in self.sizes
@@ -289,7 +315,7 @@ class Effect:
     def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
         """Where a parameter or fitted coordinate is searched, inside its limits; at the upper end
         the effect has become another one."""
-        return -math.inf, math.inf
+        return (INVISIBLE * at.noise if parameter == self.distance else -math.inf), math.inf
 
     def difference_step(self, parameter: str, value: float, at: Conditions) -> float | None:
         """The relative step of a difference by a parameter; None for the usual one."""
@@ -300,9 +326,11 @@ class Effect:
         return TURNED * min(1.0, abs(value) / (at.travel or 1.0))
 
     def yields_within(self, parameters: Mapping[str, float]) -> float:
-        """The distance (m) after a reversal within which the force changes; infinite where there
-        is none. Far below the noise it cannot be told from dry friction."""
-        return math.inf
+        """The value of `distance`; infinite where there is none."""
+        if not self.distance or self.fit is None:
+            return math.inf
+        fitted = self.fit.forward([parameters[name.lstrip(".")] for name in self.fit.names])
+        return float(fitted[self.fit.fitted.index(f".{self.distance}")])
 
     def is_rounding(self, parameters: Mapping[str, float], step: float) -> bool:
         """Whether it is but a harmonic of a reading that counts in `step`."""
@@ -316,6 +344,8 @@ SMALL = 1e-3
 """Size of a nonlinear force in units of the actuator's, for sensitivities."""
 TURNED = 1e-3
 """Turns of a wave over the record or the travel that a difference may take."""
+INVISIBLE = 0.1
+"""Distance over the noise below which a force that yields over it is dry friction."""
 HARMONIC = 0.02
 """Relative distance from a whole number of periods within which a pattern is a harmonic."""
 STARTS = 4

@@ -14,16 +14,16 @@ import importlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import eigsh, spsolve
 
+from dfm_stage.arrays import Array
 from dfm_stage.model.flexure import Blade, DoubleParallelogram, FlexureError, Parallelogram
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 GROUND = "ground"
 _PLANE = (0, 1, 5)          # u, v, rotation about z among the six of a node
@@ -99,19 +99,17 @@ class _Assembly:
         self._names = list(frame._stages)
         nodes: list[Point] = []
         self._pairs: list[tuple[int, int, Any]] = []
-        rows: list[tuple[int, Point | None, str]] = []
+        ends: list[str | None] = []     # of each node the stage that it is an end at
         for member in frame._members:
             first = len(nodes)
             for i in range(frame.elements + 1):
                 part = i / frame.elements
-                point = (member.start[0] + part * (member.end[0] - member.start[0]),
-                         member.start[1] + part * (member.end[1] - member.start[1]))
-                end = {0: member.from_stage, frame.elements: member.to_stage}.get(i)
-                rows.append((len(nodes), point if end else None, end or ""))
-                nodes.append(point)
+                nodes.append((member.start[0] + part * (member.end[0] - member.start[0]),
+                              member.start[1] + part * (member.end[1] - member.start[1])))
+                ends.append({0: member.from_stage, frame.elements: member.to_stage}.get(i))
             prop = self._property(member.blade)
             self._pairs += [(first + i, first + i + 1, prop) for i in range(frame.elements)]
-        self._transform(frame, nodes, rows)
+        self._transform(frame, nodes, ends)
         self._prepare(nodes)
 
     def slots(self, name: str) -> slice:
@@ -122,27 +120,21 @@ class _Assembly:
         return slice(first, first + 3)
 
     def _transform(self, frame: Frame, nodes: list[Point],
-                   rows: list[tuple[int, Point | None, str]]) -> None:
-        inside = sum(1 for _, point, _ in rows if point is None)
-        self.free = 3 * (len(self._names) + inside)
-        keep: list[int] = []
-        columns: list[int] = []
-        values: list[float] = []
-        column = 3 * len(self._names)
-        for node, point, stage in rows:
-            here = [6 * node + axis for axis in _PLANE]
-            if point is None:
-                keep += here
-                columns += range(column, column + 3)
-                values += (1.0, 1.0, 1.0)
-                column += 3
+                   ends: list[str | None]) -> None:
+        self.free = 3 * (len(self._names) + ends.count(None))
+        entries: list[tuple[float, int, int]] = []      # value, row, column
+        first = 3 * len(self._names)
+        for node, (point, stage) in enumerate(zip(nodes, ends, strict=True)):
+            x, y, turn = (6 * node + axis for axis in _PLANE)
+            if stage is None:
+                entries += [(1.0, x, first), (1.0, y, first + 1), (1.0, turn, first + 2)]
+                first += 3
             elif stage != GROUND:
-                cx, cy = frame._stages[stage]
-                first = self.slots(stage).start
-                keep += (here[0], here[0], here[1], here[1], here[2])
-                columns += (first, first + 2, first + 1, first + 2, first + 2)
-                values += (1.0, cy - point[1], 1.0, point[0] - cx, 1.0)
-        self._t = csc_matrix((values, (keep, columns)), shape=(6 * len(nodes), self.free))
+                (cx, cy), own = frame._stages[stage], self.slots(stage).start
+                entries += [(1.0, x, own), (cy - point[1], x, own + 2), (1.0, y, own + 1),
+                            (point[0] - cx, y, own + 2), (1.0, turn, own + 2)]
+        values, rows, columns = zip(*entries, strict=True)
+        self._t = csc_matrix((values, (rows, columns)), shape=(6 * len(nodes), self.free))
 
     def _property(self, blade: Blade) -> Any:
         prop = self._fe.BeamProp()
@@ -160,20 +152,18 @@ class _Assembly:
         self._size = 6 * len(nodes)
         coordinates = np.array([(x, y, 0.0) for x, y in nodes]).ravel()
         data, probe = fe.BeamCData(), fe.BeamCProbe()
+        self._sizes = {name: getattr(data, f"{name}_SPARSE_SIZE")
+                       for name in ("KC0", "KCNL", "KG", "M")}
         self._beams = []
         for k, (n1, n2, prop) in enumerate(self._pairs):
             beam = fe.BeamC(probe)
             beam.c1, beam.c2 = 6 * n1, 6 * n2
-            beam.init_k_KC0 = k * data.KC0_SPARSE_SIZE
-            beam.init_k_KCNL = k * data.KCNL_SPARSE_SIZE
-            beam.init_k_KG = k * data.KG_SPARSE_SIZE
-            beam.init_k_M = k * data.M_SPARSE_SIZE
+            for name, size in self._sizes.items():
+                setattr(beam, f"init_k_{name}", k * size)
             along = coordinates[3 * n2:3 * n2 + 2] - coordinates[3 * n1:3 * n1 + 2]
             beam.update_rotation_matrix(-along[1], along[0], 0.0, coordinates)
             beam.update_probe_xe(coordinates)
             self._beams.append((beam, prop))
-        self._sizes = {"KC0": data.KC0_SPARSE_SIZE, "KCNL": data.KCNL_SPARSE_SIZE,
-                       "KG": data.KG_SPARSE_SIZE, "M": data.M_SPARSE_SIZE}
         self._coordinates = coordinates
         self._linear: Any = None
 
@@ -228,11 +218,8 @@ def _library() -> Any:
     except ImportError:
         raise FlexureError("the finite-element check needs pyfe3d; install it with "
                            "pip install pyfe3d") from None
-
-    class Library:
-        BeamC, BeamCData, BeamCProbe = (parts[0].BeamC, parts[0].BeamCData, parts[0].BeamCProbe)
-        BeamProp = parts[1].BeamProp
-    return Library
+    return SimpleNamespace(**{name: value for part in parts for name, value in vars(part).items()
+                              if name.startswith("Beam")})
 
 
 def parallelogram_frame(single: Parallelogram, elements: int = 96) -> Frame:

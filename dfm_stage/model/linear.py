@@ -3,7 +3,7 @@
     s' = a s + b u(t - delay) + g f,    y = c s
 
 with command u (V or A), a force f (N) on the driven point and its position y (m). It is what the
-simulator assembles (`kernel.assemble`), so whatever an effect stamps into it is in it.
+simulator assembles (`kernel.setup`), so whatever an effect stamps into it is in it.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.model.description import Model
 from dfm_stage.model.registry import EFFECTS
 
-Array = NDArray[np.float64]
 LARGEST_CONDITION = 1e12
 """Of the scaled matrix of a stage that comes to rest; rounding alone leaves more than 1e15."""
 
@@ -44,7 +43,7 @@ class Sampled:
     velocity: Array = field(default_factory=_none)
     motion: int = 0
 
-    def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
+    def response(self, frequency_hz: Array) -> Complex:
         """Return y/u at frequencies of shape (F,), m/V, complex (F,)."""
         z = np.exp(2j * math.pi * np.asarray(frequency_hz) * self.sample_period_s)
         n = self.b.size - self.delayed
@@ -93,7 +92,7 @@ class LinearPart:
         late = np.linalg.solve(chain, self.b[m:])
         return float(row @ np.linalg.solve(chain, late) / (self.drive[-1] - row @ late))
 
-    def response(self, omega: Array) -> NDArray[np.complex128]:
+    def response(self, omega: Array) -> Complex:
         """Return y/u (F,) at omega (F,) in rad/s, without hold and sampling."""
         s = 1j * np.asarray(omega, dtype=float)
         solved = np.linalg.solve(s[:, None, None] * np.eye(self.b.size) - self.a,

@@ -10,14 +10,13 @@ from itertools import accumulate
 
 import numpy as np
 
-from dfm_stage.model.base import BASE_BY_NAME
 from dfm_stage.model.description import Model, unknown_name
 from dfm_stage.model.effect import Effect, reads
-from dfm_stage.model.errors import ModelError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.events import TERMS
 from dfm_stage.model.kernel.hooks import address
 from dfm_stage.model.kernel.slots import Array, Layout
+from dfm_stage.model.parameter import BASE_BY_NAME, ModelError
 from dfm_stage.model.registry import EFFECTS
 
 DIRECTED_LEVELS, SMOOTH_LEVELS = 19, 9
@@ -52,7 +51,8 @@ class Plan:
         """The plan of `model`, with room for parameters `changing` from zero."""
         changed = _slots_touched(model, changing)
         effects = [EFFECTS[use.name] for use in model.effects]
-        theta = theta_of(model)
+        theta = np.array([*_slot_values(model.effective_base()), *(
+            value for use in model.effects for value in use.parameters.values())])
         dry = any(effect.adds_to == "dry_friction" for effect in effects)
         memory = [effect for effect in effects if effect.advance is not None]
         forces = [effect.force for effect in effects if effect.force is not None]
@@ -90,13 +90,11 @@ class Plan:
     @cached_property
     def addresses(self) -> dict[str, int]:
         """Address of a free parameter -> its place in theta."""
-        names = [*BASE_BY_NAME]
-        places = [slots.SLOT_NAMES.index(name) for name in names]
-        names += [f"{use.name}.{parameter}" for use in self.model.effects
-                  for parameter in EFFECTS[use.name].defaults]
-        names += [f"initial.{name}" for name in self.states]
-        places += range(len(slots.SLOT_NAMES), len(self.theta))
-        return dict(zip(names, places, strict=True))
+        names = [*slots.SLOT_NAMES, *(f"{use.name}.{name}" for use in self.model.effects
+                                      for name in use.parameters),
+                 *(f"initial.{name}" for name in self.states)]
+        return {name: place for place, name in enumerate(names)
+                if name in BASE_BY_NAME or place >= len(slots.SLOT_NAMES)}
 
     def place(self, address: str) -> int:
         """The place of one free parameter in theta.
@@ -122,10 +120,8 @@ def _place_blocks(head: list[int]) -> None:
              slots.AT_END: 2 * levels * n * (n + 5), slots.AT_STICK_NODE: 12 * sticks * (n + 1),
              slots.AT_STICK_END: 2 * sticks * n * (n + 1),
              slots.AT_SCRATCH: n + bristles + (n + 1) * TERMS, slots.WORK_SIZE: 0}
-    first = 0
-    for at, size in sizes.items():
+    for at, first in zip(sizes, accumulate(sizes.values(), initial=0), strict=False):
         head[at] = first
-        first += size
 
 
 def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: list[int]) -> list[int]:
@@ -135,20 +131,16 @@ def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: list[in
     entries: list[int] = []
     for table, (hook, belongs) in _TABLES.items():
         head[table] = slots.LAYOUT_FIXED + len(entries)
-        for effect, first in zip(effects, own, strict=False):
-            if getattr(effect, hook) is not None and belongs(effect):
-                state = states.index(effect.state_names[0]) if effect.state_names else 0
-                if effect.advance is not None:
-                    state -= head[slots.ORDER]
-                entries += [address(effect, hook), first, state]
+        uses = [(effect, first) for effect, first in zip(effects, own, strict=False)
+                if getattr(effect, hook) is not None and belongs(effect)]
+        for entry in [uses] if hook == "force" and uses else [[use] for use in uses]:
+            effect, first = entry[0]
+            state = states.index(effect.state_names[0]) if effect.state_names else 0
+            if effect.advance is not None:
+                state -= head[slots.ORDER]
+            entries += [address(hook, entry), first, state]
     head[slots.TABLES_END] = slots.LAYOUT_FIXED + len(entries)
     return entries
-
-
-def theta_of(model: Model) -> Array:
-    """All parameters of a one-axis model at their places, without initial states."""
-    own = [value for use in model.effects for value in use.parameters.values()]
-    return np.array([*_slot_values(model.effective_base()), *own])
 
 
 def _slot_values(given: Mapping[str, float]) -> list[float]:
@@ -162,12 +154,9 @@ def _history(model: Model, delay: float) -> int:
 
 def _slots_touched(model: Model, names: Sequence[str]) -> list[str]:
     """The slot that each free parameter is a term of, or its own name."""
-    terms = {}
-    for use in model.effects:
-        effect = EFFECTS[use.name]
-        if effect.adds_to is not None:
-            terms[f"{use.name}.{effect.parameters[0].name}"] = effect.adds_to
-    return [terms.get(name, name) for name in names]
+    terms = {f"{use.name}.{effect.parameters[0].name}": effect.adds_to for use in model.effects
+             for effect in [EFFECTS[use.name]]}
+    return [terms.get(name) or name for name in names]
 
 
 def apply_slots(model: Model, theta: Array) -> None:

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dfm_stage.arrays import Array
 from dfm_stage.model.description import Model
-from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import DIVERGED, peek, run
 from dfm_stage.model.kernel.setup import prepare, reset
+from dfm_stage.model.parameter import SimulationError
 from dfm_stage.model.plan import Plan
 from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.simulator import rounding_of
@@ -130,9 +131,13 @@ class Plant:
         run(self._plan.layout, self._theta, self._work, self._held, force,
             self._other, _NOWHERE, self._out)
 
-    def _look(self) -> Sample:
+    def _peek(self) -> Array:
+        """All signals at the present sample, without noise and rounding, (6,)."""
         peek(self._plan.layout, self._theta, self._work, self._other, self._out)
-        position, velocity, current, force, reading, _ = self._out[:, 0].tolist()
+        return self._out[:, 0]
+
+    def _look(self) -> Sample:
+        position, velocity, current, force, reading, _ = self._peek().tolist()
         if not abs(position) < DIVERGED:
             raise SimulationError("the motion of the plant has escaped to infinity: the loop is "
                                   "unstable, or the model's forces do not hold the stage or are "
@@ -166,14 +171,14 @@ class CoupledPlant:
         self.plants = tuple(Plant(model, name, seed + _SEED_STEP * index)
                             for index, name in enumerate(names))
         neighbours = [model.neighbour(name) for name in names]
-        self._sources = [None if name is None else names.index(name) for name in neighbours]
-        self._twice = False
-        for plant, source in zip(self.plants, self._sources, strict=True):
-            if source is not None:
-                plant._other = np.zeros((1, 4))
-                self._twice |= any(
-                    hook(tuple(use.parameters.values())) != 0.0 for use in plant.model.effects
-                    if (hook := EFFECTS[use.name].other_force) is not None)
+        self._coupled = [(plant, names.index(name)) for plant, name in
+                         zip(self.plants, neighbours, strict=True) if name is not None]
+        for plant, _ in self._coupled:
+            plant._other = np.zeros((1, 4))
+        self._twice = any(
+            hook(tuple(use.parameters.values())) != 0.0
+            for plant, _ in self._coupled for use in plant.model.effects
+            if (hook := EFFECTS[use.name].other_force) is not None)
 
     def reset(self) -> None:
         """Go back to k = 0 and rest; use the `reset` of single `plants` for another state."""
@@ -183,17 +188,9 @@ class CoupledPlant:
     def sample(self) -> tuple[Sample, ...]:
         """All axes at the present sample."""
         if all(plant._sample is None for plant in self.plants):
-            self._meet()
+            for plant, source in self._coupled:         # where the neighbour is now
+                plant._other[0] = self.plants[source]._peek()[slots.POSITION], 0.0, 0.0, 0.0
         return tuple(plant.sample() for plant in self.plants)
-
-    def _meet(self) -> None:
-        """Tell each axis where its neighbour is now."""
-        for plant, source in zip(self.plants, self._sources, strict=True):
-            if source is not None:
-                there = self.plants[source]
-                peek(there._plan.layout, there._theta, there._work, there._other,
-                     there._out)
-                plant._other[0] = there._out[slots.POSITION, 0], 0.0, 0.0, 0.0
 
     def advance(self, inputs: Sequence[float],
                 external_forces_n: Sequence[float] | None = None) -> None:
@@ -212,23 +209,18 @@ class CoupledPlant:
         if self._twice:
             period = self.model.sample_period
             saved = [plant._work[:plant._plan.layout[slots.AT_A]].copy() for plant in self.plants]
-            for plant, source in zip(self.plants, self._sources, strict=True):
-                if source is not None:
-                    plant._other[0, 1] = before[source].velocity * period
+            for plant, source in self._coupled:
+                plant._other[0, 1] = before[source].velocity * period
             for plant, value, force in zip(self.plants, inputs, forces, strict=True):
                 plant._step(value, force)
-            after = []
+            after = [plant._peek().copy() for plant in self.plants]
             for plant, kept in zip(self.plants, saved, strict=True):
-                peek(plant._plan.layout, plant._theta, plant._work, plant._other,
-                     plant._out)
-                after.append(plant._out[:, 0].copy())
                 plant._work[:len(kept)] = kept
-            for plant, source in zip(self.plants, self._sources, strict=True):
-                if source is not None:
-                    first, last = before[source], after[source]
-                    rise = last[slots.POSITION] - first.position_m
-                    v0, v1 = first.velocity * period, last[slots.VELOCITY] * period
-                    plant._other[0] = (first.position_m, v0, 3.0 * rise - 2.0 * v0 - v1,
-                                       v0 + v1 - 2.0 * rise)
+            for plant, source in self._coupled:
+                first, last = before[source], after[source]
+                rise = last[slots.POSITION] - first.position_m
+                v0, v1 = first.velocity * period, last[slots.VELOCITY] * period
+                plant._other[0] = (first.position_m, v0, 3.0 * rise - 2.0 * v0 - v1,
+                                   v0 + v1 - 2.0 * rise)
         for plant, value, force in zip(self.plants, inputs, forces, strict=True):
             plant.advance(value, force)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from dfm_stage.model import effects
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.errors import ModelError
+from dfm_stage.model.parameter import ModelError
 
 EFFECTS: dict[str, Effect] = {}
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dfm_stage.model.description import EffectUse, Model, unknown_name
-from dfm_stage.model.errors import SimulationError
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.record import run
 from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.kernel.slots import Array, Layout
+from dfm_stage.model.parameter import Parameter, SimulationError
 from dfm_stage.model.plan import Plan, parameter_table
 from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
@@ -118,9 +118,11 @@ class Simulator:
         """
         inputs, force, neighbour = self._arguments(input, external_force, other, steady_state)
         plan, work = self._plan, self._plan.work()
-        theta = self._theta(initial, dither)
-        _check(_begin(plan, theta, work, float(past_input), inputs, force, neighbour,
-                      steady_state))
+        theta: Array = plan.theta.copy()
+        for name, value in (initial or {}).items():
+            theta[plan.place(f"initial.{name}")] = value
+        if dither is not None:
+            theta[slots.NOISE] = dither
         rows = np.arange(len(slots.SIGNALS))
         effects = [EFFECTS[use.name] for use in self.model.effects]
         encoded = any(effect.encode for effect in effects)
@@ -129,7 +131,8 @@ class Simulator:
         if not (encoded or theta[slots.ZERO] or any(effect.sense for effect in effects)):
             rows[slots.READING] = -1
         out = np.empty((int(rows.max()) + 1, len(inputs)))
-        run(plan.layout, theta, work, inputs, force, neighbour, rows, out)
+        _check(_simulate(plan, theta, work, float(past_input), inputs, force, neighbour,
+                         steady_state, rows, out))
         if not np.isfinite(out[slots.POSITION, -1]):
             when = int(np.argmin(np.isfinite(out[slots.POSITION]))) * self.model.sample_period
             raise SimulationError("the motion escapes to infinity, or a force is too stiff to "
@@ -155,12 +158,11 @@ class Simulator:
         ModelError, SimulationError
             As `run`.
         """
-        inputs, force, neighbour = self._arguments(input, external_force, other, steady_state)
-        out = np.empty((1, len(inputs)))
-        theta = self._theta(initial, dither)
-        _check(_one_signal(self._plan, theta, self._plan.work(), float(past_input), inputs, force,
-                           neighbour, slots.OUTPUT, steady_state, out))
-        return np.asarray(out[0])
+        states = initial or {}
+        return np.asarray(self.run_many(
+            input, [f"initial.{name}" for name in states], [[*states.values()]],
+            past_input=past_input, external_force=external_force, other=other, dither=dither,
+            steady_state=steady_state, threads=1)[0])
 
     def run_many(self, input: ArrayLike, parameter_names: Sequence[str],  # noqa: A002
                  parameter_matrix: ArrayLike, *, signal: str = "output",
@@ -195,29 +197,25 @@ class Simulator:
         plan, table = parameter_table(self._plan, parameter_names, matrix)
         if dither is not None:
             table[:, slots.NOISE] = dither
-        out = np.empty((len(table), len(inputs)))
+        out, chosen = np.empty((len(table), len(inputs))), np.full(len(slots.SIGNALS), -1)
+        chosen[slots.SIGNALS.index(signal)] = 0
         status = np.zeros(len(table), dtype=np.int64)
 
         def part(rows: range) -> None:
             work = plan.work()
             for row in rows:
-                status[row] = _one_signal(plan, table[row], work, float(past_input), inputs,
-                                          force, neighbour, slots.SIGNALS.index(signal),
-                                          steady_state, out[row:row + 1])
+                status[row] = _simulate(plan, table[row], work, float(past_input), inputs, force,
+                                        neighbour, steady_state, chosen, out[row:row + 1])
                 if steps is not None:
                     steps[row] = work[plan.layout[slots.AT_HEAD] + slots.STEPS]
 
-        if steps is not None:
-            slow = any(EFFECTS[u.name].advance is not None for u in self.model.effects)
-            steps[:] = len(inputs) * (4 if slow else 1)
         workers = max(1, min(threads or _cores(), len(table)))
-        bounds = np.linspace(0, len(table), workers + 1).astype(int)
-        parts = [range(a, b) for a, b in pairwise(bounds)]
         if workers == 1:
-            part(parts[0])
+            part(range(len(table)))
         else:
+            bounds = np.linspace(0, len(table), workers + 1).astype(int)
             with ThreadPoolExecutor(workers) as pool:
-                list(pool.map(part, parts))
+                list(pool.map(part, (range(a, b) for a, b in pairwise(bounds))))
         if partial:
             out[status != 0] = np.nan
         else:
@@ -265,25 +263,14 @@ class Simulator:
 
     def _differences(self, name: str, value: float) -> tuple[tuple[float, ...], Array]:
         """Offsets of a parameter, and the weights of [centre, *offsets] in its derivative."""
-        low, high = -np.inf, np.inf
-        if not name.startswith("initial."):
-            limits = self.model.parameter(name)
-            low, high = limits.low, limits.high
-        typical = _typical(name, self.model)
-        step = RELATIVE_STEP * (abs(value) or typical)
-        if low <= value - step and value + step <= high:
+        limits = Parameter(name, 0.0, "", "") if name.startswith("initial.") \
+            else self.model.parameter(name)
+        step = RELATIVE_STEP * (abs(value) or _typical(name, self.model))
+        if limits.low <= value - step and value + step <= limits.high:
             return (-step, step), np.array([0.0, -0.5, 0.5]) / step
-        if value + 2.0 * step > high:
+        if value + 2.0 * step > limits.high:
             step = -step
         return (step, 2.0 * step), np.array([-1.5, 2.0, -0.5]) / step
-
-    def _theta(self, initial: Mapping[str, float] | None, dither: float | None) -> Array:
-        theta: Array = self._plan.theta.copy()
-        for name, value in (initial or {}).items():
-            theta[self._plan.place(f"initial.{name}")] = value
-        if dither is not None:
-            theta[slots.NOISE] = dither
-        return theta
 
     def _arguments(self, input: ArrayLike, force: ArrayLike | None,  # noqa: A002
                    other: ArrayLike | None, steady_state: bool) -> tuple[Array, Array, Array]:
@@ -333,25 +320,18 @@ def _typical(name: str, model: Model) -> float:
         return 1e-4 * rate if name.endswith("velocity") else 1e-4
     effect, _, own = name.partition(".")
     if effect in EFFECTS and own in EFFECTS[effect].priors:
-        prior = EFFECTS[effect].priors[own]
-        return max(abs(prior.low), abs(prior.high)) if not prior.log else \
-            float(np.sqrt(prior.low * prior.high))
+        return EFFECTS[effect].priors[own].typical
     return float(natural.get(name, 1.0))
 
 
-def _begin(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,
-           force: Array, other: Array, steady_state: bool) -> int:
+def _simulate(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,
+              force: Array, other: Array, steady_state: bool, rows: Layout, out: Array) -> int:
+    """Fill `out` as `kernel.record.run` does, from the initial or the periodic state; return
+    whether there was one."""
     prepare(plan.layout, theta, work)
     reset(plan.layout, theta, past_input, work)
-    return settle(plan, theta, work, inputs, force, other) if steady_state else SETTLED
-
-
-def _one_signal(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,
-                force: Array, other: Array, signal: int, steady_state: bool, out: Array) -> int:
-    status = _begin(plan, theta, work, past_input, inputs, force, other, steady_state)
+    status = settle(plan, theta, work, inputs, force, other) if steady_state else SETTLED
     if status == SETTLED:
-        rows = np.full(len(slots.SIGNALS), -1)
-        rows[signal] = 0
         run(plan.layout, theta, work, inputs, force, other, rows, out)
     return status
 
@@ -366,12 +346,8 @@ def hermite(values: Array, periodic: bool = False) -> Array:
     if periodic:
         padded = values[np.arange(-2, count + 3) % count]
     elif count >= 4:
-        before = [4 * values[0] - 6 * values[1] + 4 * values[2] - values[3]]
-        after = [4 * values[-1] - 6 * values[-2] + 4 * values[-3] - values[-4]]
-        padded = np.concatenate((before, values, after))
-        before = [4 * padded[0] - 6 * padded[1] + 4 * padded[2] - padded[3]]
-        after = [4 * padded[-1] - 6 * padded[-2] + 4 * padded[-3] - padded[-4]]
-        padded = np.concatenate((before, padded, after, after))
+        padded = _extended(_extended(values))
+        padded = np.append(padded, padded[-1])
     else:
         padded = np.pad(values, (2, 3), mode="edge")
     slope = (8.0 * (padded[3:-1] - padded[1:-3]) - (padded[4:] - padded[:-4])) / 12.0
@@ -382,6 +358,12 @@ def hermite(values: Array, periodic: bool = False) -> Array:
     rise = there - here
     return np.ascontiguousarray(np.column_stack(
         (here, first, 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise)))
+
+
+def _extended(values: Array) -> Array:
+    """One value more at either end, on the cubic through the four next to it."""
+    ends = [4 * v[0] - 6 * v[1] + 4 * v[2] - v[3] for v in (values, values[::-1])]
+    return np.concatenate((ends[:1], values, ends[1:]))
 
 
 def _record(values: ArrayLike, name: str, length: int | None = None) -> Array:
@@ -417,6 +399,5 @@ def _check(status: int) -> None:
 
 
 def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity")
+            else os.cpu_count() or 1)

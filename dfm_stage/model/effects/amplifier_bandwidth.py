@@ -9,14 +9,7 @@ Schmidt, Schitter and Rankers, The Design of High Performance Mechatronics (2014
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Equivalence, Parameters, Prior, Values
-from dfm_stage.model.parameter import Parameter
-
-Array = NDArray[np.float64]
+from dfm_stage.model.effect import Array, Effect, Equivalence, Parameter, Prior, Values
 
 
 def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
@@ -28,15 +21,7 @@ def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
     rows[2, first] = 1.0
 
 
-class AmplifierBandwidth(Effect):
-    """Begins at shares of the sample period."""
-
-    def starts(self, at: Conditions) -> list[Parameters]:
-        """From a tenth to ten sample periods."""
-        return [{"time_constant": at.sample_period * f} for f in (0.1, 0.3, 1.0, 3.0, 10.0)]
-
-
-EFFECT = AmplifierBandwidth(
+EFFECT = Effect(
     name="amplifier_bandwidth",
     meaning="the amplifier follows its command with a first-order lag",
     equation="time_constant a' = s - a",
@@ -57,6 +42,7 @@ EFFECT = AmplifierBandwidth(
     states=(".",),
     stage="amplifier",
     stamp=stamp,
+    begins={"time_constant": ("sample_period", (0.1, 0.3, 1.0, 3.0, 10.0))},
     late="lag",
     retuned_by="amplifier_time_constant",
 )

@@ -9,9 +9,15 @@ Source: Schmidt, Schitter and Rankers, The Design of High Performance Mechatroni
 
 from __future__ import annotations
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import SMALL, Effect, Equivalence, Parameters, Prior
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import (
+    SMALL,
+    Conditions,
+    Effect,
+    Equivalence,
+    Parameter,
+    Parameters,
+    Prior,
+)
 
 
 class BackEmf(Effect):

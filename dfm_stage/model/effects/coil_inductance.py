@@ -8,9 +8,7 @@ Source: Schmidt, Schitter and Rankers, The Design of High Performance Mechatroni
 
 from __future__ import annotations
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Equivalence, Parameters, Prior
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Conditions, Effect, Equivalence, Parameter, Parameters, Prior
 
 
 class CoilInductance(Effect):

@@ -11,8 +11,7 @@ Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (2008), ch. 1.
 
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Effect, Equivalence, Parameter, Prior
 
 EFFECT = Effect(
     name="coulomb_friction",

@@ -11,21 +11,19 @@ Instrum. 71 (2000) 1896 for creep in positioning stages.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import (
     SMALL,
+    Array,
+    Conditions,
     Effect,
     Equivalence,
+    Parameter,
     Parameters,
     Prior,
     Reparametrisation,
     Values,
 )
-from dfm_stage.model.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 
 def stamp(a: Array, rows: Array, first: int, p: Values) -> None:

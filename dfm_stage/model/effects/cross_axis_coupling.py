@@ -14,9 +14,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import SMALL, Array, Effect, Equivalence, Parameters, Prior, Values
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import (
+    SMALL,
+    Array,
+    Conditions,
+    Effect,
+    Equivalence,
+    Parameter,
+    Parameters,
+    Prior,
+    Values,
+)
 
 
 def sense(x: float, t: float, other: float, p: Values) -> float:

@@ -9,9 +9,16 @@ Source: Wouterse, IEE Proc. B 138 (1991) 153; Smythe, Trans. AIEE 61 (1942) 681.
 
 from __future__ import annotations
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import SMALL, Effect, Equivalence, Parameters, Prior, Values
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import (
+    SMALL,
+    Conditions,
+    Effect,
+    Equivalence,
+    Parameter,
+    Parameters,
+    Prior,
+    Values,
+)
 
 
 def force(x: float, v: float, actuator: float, p: Values) -> float:

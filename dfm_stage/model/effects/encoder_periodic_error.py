@@ -11,22 +11,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import (
-    Effect,
-    Equivalence,
-    Parameters,
-    Prior,
-    Reparametrisation,
-    Values,
-    Wave,
-)
-from dfm_stage.model.parameter import Parameter
-
-Array = NDArray[np.float64]
+from dfm_stage.model.effect import PHASOR, Effect, Equivalence, Parameter, Prior, Values, Wave
 
 
 def sense(x: float, t: float, other: float, p: Values) -> float:
@@ -34,26 +19,7 @@ def sense(x: float, t: float, other: float, p: Values) -> float:
     return p[0] * math.sin(2.0 * math.pi * x / p[1] + p[2])
 
 
-def _forward(values: Array) -> Array:
-    amplitude, phase = values
-    return np.array([amplitude * np.cos(phase), amplitude * np.sin(phase)])
-
-
-def _backward(fitted: Array) -> Array:
-    in_phase, quadrature = fitted
-    return np.array([np.hypot(in_phase, quadrature), np.arctan2(quadrature, in_phase)])
-
-
-class EncoderPeriodicError(Effect):
-    """Looked for at the patterns of the residual over position."""
-
-    def starts(self, at: Conditions) -> list[Parameters]:
-        """A part of the noise at each period that stands out."""
-        return [{"amplitude": 0.1 * at.noise, "period": p, "phase": 0.0}
-                for p in at.periods]
-
-
-EFFECT = EncoderPeriodicError(
+EFFECT = Effect(
     name="encoder_periodic_error",
     meaning="the reading errs periodically along the scale",
     equation="y = x + amplitude sin(2 pi x / period + phase)",
@@ -73,9 +39,8 @@ EFFECT = EncoderPeriodicError(
     classes=(Equivalence(("encoder_periodic_error", "force_constant"),
                          "motion much smaller than the period",
                          "motion across several periods"),),
-    fit=Reparametrisation(
-        (".amplitude", ".phase"), (".in_phase", ".quadrature"),
-        _forward, _backward),
+    fit=PHASOR,
     sense=sense,
+    begins={"amplitude": ("noise", (0.1,)), "period": ("periods", (1.0,))},
     wave=Wave("period", "position"),
 )

@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import math
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Equivalence, Parameters, Prior, Values
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Effect, Equivalence, Parameter, Prior, Values
 
 
 def encode(reading: float, dither: float, p: Values) -> float:
@@ -32,15 +30,7 @@ def encode(reading: float, dither: float, p: Values) -> float:
     return step * mean
 
 
-class EncoderQuantization(Effect):
-    """Its step is read off the values that occur, or looked for in the residual."""
-
-    def starts(self, at: Conditions) -> list[Parameters]:
-        """The steps that stand out, where they are coarser than noise and resolution."""
-        return [{"step": s} for s in at.steps]
-
-
-EFFECT = EncoderQuantization(
+EFFECT = Effect(
     name="encoder_quantization",
     meaning="the encoder counts in steps that are seen",
     equation="y = step round(x/step)",
@@ -55,5 +45,6 @@ EFFECT = EncoderQuantization(
                          "fast motion or noise above half a step",
                          "slow motion, less noise, or the set of values that occur"),),
     encode=encode,
+    begins={"step": ("steps", (1.0,))},
     searched=True,
 )

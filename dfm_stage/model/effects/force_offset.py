@@ -10,9 +10,7 @@ Source: Slocum, Precision Machine Design (1992).
 
 from __future__ import annotations
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Equivalence, Prior
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Conditions, Effect, Equivalence, Parameter, Prior
 
 
 class ForceOffset(Effect):

@@ -15,21 +15,19 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import (
     SMALL,
+    Array,
+    Conditions,
     Effect,
     Equivalence,
+    Parameter,
     Parameters,
     Prior,
     Reparametrisation,
     Values,
 )
-from dfm_stage.model.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 LONGEST = 0.05
 """Step along the path, in yield displacements; where the path is steep, in yields gained."""
@@ -129,19 +127,6 @@ class Hysteresis(Effect):
                  "yield_displacement": share * at.motion, "shape": 0.6, "exponent": 1.0}
                 for share in (0.05, 0.15, 0.5, 1.5)]
 
-    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
-        """A distance far below the noise is that of dry friction, and slow to simulate."""
-        low = INVISIBLE * at.noise if parameter == "yield_displacement" else -math.inf
-        return low, math.inf
-
-    def yields_within(self, parameters: Mapping[str, float]) -> float:
-        """The yield displacement."""
-        return parameters["yield_displacement"]
-
-
-INVISIBLE = 0.1
-"""Yield displacement over the noise below which the loop is dry friction."""
-
 
 EFFECT = Hysteresis(
     name="hysteresis",
@@ -174,6 +159,7 @@ EFFECT = Hysteresis(
                           _forward, _backward),
     advance=advance,
     bristle_force=bristle_force,
+    distance="yield_displacement",
     freed_last={"exponent": 1.2},
     twins={"presliding_friction": _as_friction},
 )

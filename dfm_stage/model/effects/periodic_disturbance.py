@@ -10,22 +10,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import (
-    SMALL,
-    Effect,
-    Parameters,
-    Prior,
-    Reparametrisation,
-    Values,
-    Wave,
-)
-from dfm_stage.model.parameter import Parameter
-
-Array = NDArray[np.float64]
+from dfm_stage.model.effect import PHASOR, SMALL, Array, Effect, Parameter, Prior, Values, Wave
 
 
 def stamp(a: Array, rows: Array, first: int, p: Values) -> None:
@@ -43,26 +28,7 @@ def start(state: Array, first: int, p: Values) -> None:
     state[first + 1] = p[0] * math.cos(p[2])
 
 
-def _forward(values: Array) -> Array:
-    amplitude, phase = values
-    return np.array([amplitude * np.cos(phase), amplitude * np.sin(phase)])
-
-
-def _backward(fitted: Array) -> Array:
-    in_phase, quadrature = fitted
-    return np.array([np.hypot(in_phase, quadrature), np.arctan2(quadrature, in_phase)])
-
-
-class PeriodicDisturbance(Effect):
-    """Looked for at the lines of the residual."""
-
-    def starts(self, at: Conditions) -> list[Parameters]:
-        """A small force at each frequency that stands out."""
-        return [{"amplitude": SMALL * at.force, "frequency": f, "phase": 0.0}
-                for f in at.frequencies]
-
-
-EFFECT = PeriodicDisturbance(
+EFFECT = Effect(
     name="periodic_disturbance",
     meaning="a vibration from outside shakes the stage",
     equation="F = amplitude sin(2 pi frequency t + phase)",
@@ -79,12 +45,11 @@ EFFECT = PeriodicDisturbance(
     memory=False,
     shown_by="any record, at rest too, at a frequency that is not excited",
     optional=("phase",),
-    fit=Reparametrisation(
-        (".amplitude", ".phase"), (".in_phase", ".quadrature"),
-        _forward, _backward),
+    fit=PHASOR,
     states=(".force", ".quadrature"),
     stamp=stamp,
     start=start,
+    begins={"amplitude": ("force", (SMALL,)), "frequency": ("frequencies", (1.0,))},
     wave=Wave("frequency", "time"),
     per_run=(".in_phase", ".quadrature"),
 )

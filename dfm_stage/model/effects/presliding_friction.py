@@ -17,21 +17,19 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import (
     SMALL,
+    Array,
+    Conditions,
     Effect,
     Equivalence,
+    Parameter,
     Parameters,
     Prior,
     Reparametrisation,
     Values,
 )
-from dfm_stage.model.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 
 def advance(z: float, dx: float, v0: float, v1: float, p: Values) -> float:
@@ -88,19 +86,6 @@ class PreslidingFriction(Effect):
                  "breakaway_ratio": 1.0, "stribeck_velocity": 0.2 * at.speed, "damping": 0.0}
                 for share in (0.01, 0.03, 0.1, 0.3, 1.0)]
 
-    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
-        """A distance far below the noise is that of dry friction, and slow to simulate."""
-        low = INVISIBLE * at.noise if parameter == "distance" else -math.inf
-        return low, math.inf
-
-    def yields_within(self, parameters: Mapping[str, float]) -> float:
-        """How far the bristles bend."""
-        return parameters["force"] / parameters["stiffness"]
-
-
-INVISIBLE = 0.1
-"""Pre-sliding distance over the noise below which the bristles are dry friction."""
-
 
 EFFECT = PreslidingFriction(
     name="presliding_friction",
@@ -138,6 +123,7 @@ EFFECT = PreslidingFriction(
     advance=advance,
     bristle_force=bristle_force,
     size=("force", "stiffness", "damping"),
+    distance="distance",
     freed_last={"breakaway_ratio": 1.1, "stribeck_velocity": None, "damping": None},
     twins={"hysteresis": _as_hysteresis},
 )

@@ -7,8 +7,7 @@ Source: Nayfeh and Mook, Nonlinear Oscillations (1979), ch. 3.
 
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Effect, Equivalence, Parameter, Prior, Values
 
 
 def force(x: float, v: float, actuator: float, p: Values) -> float:

@@ -8,8 +8,7 @@ gives even harmonics.
 
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect, Equivalence, Prior, Values
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Effect, Equivalence, Parameter, Prior, Values
 
 
 def force(x: float, v: float, actuator: float, p: Values) -> float:

@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Parameters, Prior
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Conditions, Effect, Parameter, Parameters, Prior
 
 
 class Saturation(Effect):

@@ -19,13 +19,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Parameters, Prior, Values
-from dfm_stage.model.parameter import Parameter
-
-Array = NDArray[np.float64]
+from dfm_stage.model.effect import Array, Conditions, Effect, Parameter, Parameters, Prior, Values
 
 
 def stamp(a: Array, rows: Array, first: int, p: Values) -> None:

@@ -11,9 +11,15 @@ from __future__ import annotations
 
 import math
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Equivalence, Parameters, Prior, Values
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import (
+    Conditions,
+    Effect,
+    Equivalence,
+    Parameter,
+    Parameters,
+    Prior,
+    Values,
+)
 
 
 def sense(x: float, t: float, other: float, p: Values) -> float:

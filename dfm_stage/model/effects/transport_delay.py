@@ -9,20 +9,9 @@ Source: Franklin, Powell and Workman, Digital Control of Dynamic Systems, 3rd ed
 
 from __future__ import annotations
 
-from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import Effect, Equivalence, Parameters, Prior
-from dfm_stage.model.parameter import Parameter
+from dfm_stage.model.effect import Effect, Equivalence, Parameter, Prior
 
-
-class TransportDelay(Effect):
-    """Begins at shares of the sample period."""
-
-    def starts(self, at: Conditions) -> list[Parameters]:
-        """From a fiftieth to three sample periods."""
-        return [{"delay": at.sample_period * f} for f in (0.02, 0.3, 1.0, 3.0)]
-
-
-EFFECT = TransportDelay(
+EFFECT = Effect(
     name="transport_delay",
     meaning="the command arrives late",
     equation="s(t) = u(t - delay)",
@@ -37,5 +26,6 @@ EFFECT = TransportDelay(
                          "a band well below the amplifier's corner",
                          "excitation to higher frequencies"),),
     adds_to="delay",
+    begins={"delay": ("sample_period", (0.02, 0.3, 1.0, 3.0))},
     late="delay",
 )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dfm_stage.model.kernel.compiled import compiled, inlined, lean
-from dfm_stage.model.kernel.memory import at
+from dfm_stage.model.kernel.compiled import at, compiled, inlined, lean
 from dfm_stage.model.kernel.slots import Array
 
 
@@ -25,12 +24,27 @@ def cubic_at(coefficients: Array, r: float) -> float:
                  + r * (coefficients[1] + r * (coefficients[2] + r * coefficients[3])))
 
 
+@inlined
+def outside(force: Array, r: float) -> float:
+    """The force from outside at r, of which `force` are the coefficients, or empty, N."""
+    return cubic_at(force, r) if force.shape[0] > 0 else 0.0
+
+
 @lean
 def fill(a: Array, value: float) -> None:
     """a[:] = value; numba takes a third of a second to compile a slice assignment."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             a[i, j] = value
+
+
+@lean
+def put_scaled(a: Array, rows: int, factor: float, out: Array) -> None:
+    """out = 0 but for the first rows, which are those of factor a"""
+    fill(out, 0.0)
+    for i in range(rows):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j] * factor
 
 
 @lean

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dfm_stage.model.kernel.algebra import cubic_at, row_value
+from dfm_stage.model.kernel.algebra import outside, row_value
 from dfm_stage.model.kernel.compiled import inlined, lean
 from dfm_stage.model.kernel.hooks import bristle_steps, point_force
 from dfm_stage.model.kernel.slots import (
@@ -50,9 +50,7 @@ def pushed(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
     push: float = (theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0)
             + point_force(layout, theta, FORCES, x, 0.0, drive)
-            - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u))
-    if force.shape[0] > 0:
-        push += cubic_at(force, r)
+            - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u)) + outside(force, r)
     return push
 
 
@@ -105,11 +103,9 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     gain = theta[FORCE_CONSTANT]
     drive, drive_end = (row_value(work, drive_row, state, n, u),
                         row_value(work, drive_row, end, n, u))
-    f = point_force(layout, theta, FORCES, x, 0.0, gain * drive)
-    f_end = point_force(layout, theta, FORCES, x, 0.0, gain * drive_end)
-    if force.shape[0] > 0:
-        f += cubic_at(force, start)
-        f_end += cubic_at(force, start + rate * left)
+    f = point_force(layout, theta, FORCES, x, 0.0, gain * drive) + outside(force, start)
+    f_end = (point_force(layout, theta, FORCES, x, 0.0, gain * drive_end)
+             + outside(force, start + rate * left))
     for k in range(TERMS):
         work[series + k] = -work[series + k]
     work[series] += theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0) + f
@@ -140,9 +136,8 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     plain = theta[CONSTANT_FORCE] - mode * theta[DRY_FRICTION]
     x, v = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
     f = (plain + bristle_force(layout, theta, work, v)
-         + point_force(layout, theta, FORCES, x, v, gain * row_value(work, d_row, state, n, u)))
-    if force.shape[0] > 0:
-        f += cubic_at(force, start)
+         + point_force(layout, theta, FORCES, x, v, gain * row_value(work, d_row, state, n, u))
+         + outside(force, start))
     slope = 0.0
     for _ in range(2):
         _series(work, n, layout[AT_A], push_row, state, u, f, slope, terms)
@@ -150,9 +145,8 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
         x_end, v_end = row_value(work, x_row, end, n, u), row_value(work, v_row, end, n, u)
         f_end = (plain + bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, out)
                  + point_force(layout, theta, FORCES, x_end, v_end,
-                               gain * row_value(work, d_row, end, n, u)))
-        if force.shape[0] > 0:
-            f_end += cubic_at(force, start + rate * left)
+                               gain * row_value(work, d_row, end, n, u))
+                 + outside(force, start + rate * left))
         slope = (f_end - f) / left
     t = left
     if mode * v_end < 0.0 and not last:

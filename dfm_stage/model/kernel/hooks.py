@@ -1,22 +1,33 @@
-"""The effects' hooks, compiled one by one and called by the address of their machine code.
+"""The effects' hooks, compiled and called by the address of their machine code.
 
 The kernel is compiled once and holds no effect. `layout` has a table for each kind of hook with
 one entry for each effect that is on: the address, where its parameters begin in `theta`, and its
 first state. Each hook is machine code of its own, kept on disk under a hash of all it is made of,
-so that an effect costs the same however many others there are.
+so that an effect costs the same however many others there are. Only the smooth forces that are on
+together share one entry, the code of their sum: they are called most, and a call costs as much as
+a force.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
 import numba
 
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.kernel.compiled import callback, inlined, lean
-from dfm_stage.model.kernel.memory import POINTER, at, caller, pointer, types, values_at
+from dfm_stage.model.kernel.compiled import (
+    POINTER,
+    at,
+    callback,
+    caller,
+    inlined,
+    lean,
+    pointer,
+    types,
+    values_at,
+)
 from dfm_stage.model.kernel.slots import (
     BRISTLE_STEPS,
     CODE,
@@ -36,25 +47,38 @@ Hook = Callable[..., Any]
 _numba: Any = numba
 carray = _numba.carray
 _number, _index = types.float64, types.int64
-_FORCE = _number(*[_number] * 9, POINTER, POINTER, _index)
-_BRISTLE = _number(*[_number] * 8, POINTER, POINTER, _index)
-_STAMP = types.void(POINTER, POINTER, _index, _index, POINTER)
-_START = types.void(POINTER, _index, _index, POINTER)
-_SENSE = types.void(POINTER, POINTER, _index, _index, _number, POINTER, _index, POINTER)
-_ENCODE = types.void(POINTER, _index, _number, POINTER)
-_OTHER = _number(POINTER)
 ONE, THREE = 1, 3
 
 
-def _force(hook: Hook, values: Hook) -> Hook:
+def _sum(*parts: tuple[Hook, Hook]) -> Hook:
+    """The sum of forces at one point, as part of the code of whoever calls it."""
+    *others, (hook, values) = parts
+
+    @inlined
+    def own(x: float, v: float, d: float, p: Any) -> float:
+        return float(hook(x, v, d, values(p)))
+
+    if not others:
+        return own
+    before = _sum(*others)
+
+    @inlined
+    def both(x: float, v: float, d: float, p: Any) -> float:
+        return float(before(x, v, d, p) + own(x, v, d, p))
+
+    return both
+
+
+def _force(*parts: tuple[Hook, Hook]) -> Hook:
+    total = _sum(*parts)
+
     def force(x1: float, x2: float, x3: float, v1: float, v2: float, v3: float, d1: float,
               d2: float, d3: float, p: Any, out: Any, count: int) -> float:
         """Return the force at the first point; of THREE points, the others go to `out`, N."""
-        own = values(p)
-        if count == THREE:
-            out[0] = hook(x2, v2, d2, own)
-            out[1] = hook(x3, v3, d3, own)
-        return float(hook(x1, v1, d1, own))
+        first: float = total(x1, v1, d1, p)
+        if count == THREE:      # all before they are stored, so that p is read once
+            out[0], out[1] = total(x2, v2, d2, p), total(x3, v3, d3, p)
+        return first
 
     return force
 
@@ -121,34 +145,42 @@ def _other_force(hook: Hook, values: Hook) -> Hook:
     return other_force
 
 
-_MADE: dict[str, tuple[Any, Callable[..., Hook]]] = {
-    "force": (_FORCE, _force), "sense": (_SENSE, _sense), "advance": (_BRISTLE, _bristle),
-    "stamp": (_STAMP, _stamp), "start": (_START, _start), "encode": (_ENCODE, _encode),
-    "other_force": (_OTHER, _other_force)}
+_KINDS: dict[str, tuple[Any, Callable[..., Hook]]] = {
+    "force": (_number(*[_number] * 9, POINTER, POINTER, _index), _force),
+    "advance": (_number(*[_number] * 8, POINTER, POINTER, _index), _bristle),
+    "stamp": (types.void(POINTER, POINTER, _index, _index, POINTER), _stamp),
+    "start": (types.void(POINTER, _index, _index, POINTER), _start),
+    "sense": (types.void(POINTER, POINTER, _index, _index, _number, POINTER, _index, POINTER),
+              _sense),
+    "encode": (types.void(POINTER, _index, _number, POINTER), _encode),
+    "other_force": (_number(POINTER), _other_force)}
+"""Kind of hook -> the signature of its machine code, and what makes that of hooks."""
 
 
-def address(effect: Effect, kind: str) -> int:
-    """The address of the machine code of one hook of an effect; compiled when first asked for."""
-    hooks = [getattr(effect, kind)]
-    if kind == "advance":
-        hooks.append(effect.bristle_force)
-    return int(_code(kind, len(effect.parameters), *hooks).address)
+def address(kind: str, uses: Sequence[tuple[Effect, int]]) -> int:
+    """The address of the machine code of a hook; compiled when first asked for.
+
+    `uses` is an effect and where its parameters begin in `theta`; of forces any number of them,
+    whose sum it is. What calls it passes the first one's parameters.
+    """
+    begin = uses[0][1]
+    return int(_code(kind, *(
+        ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else [])),
+         first - begin, len(effect.parameters)) for effect, first in uses)).address)
 
 
 @cache
-def _code(kind: str, parameters: int, *hooks: Hook) -> Any:
-    signature, make = _MADE[kind]
-    return callback(make(*(lean(hook) for hook in hooks), values_at(parameters)), signature,
-                    (kind, parameters, hooks))
+def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int]) -> Any:
+    signature, make = _KINDS[kind]
+    ready = [(*(lean(hook) for hook in hooks), values_at(first, count))
+             for hooks, first, count in parts]
+    return callback(make(*ready) if kind == "force" else make(*ready[0]), signature,
+                    (kind, parts))
 
 
-call_force = caller(_FORCE)
-call_bristle = caller(_BRISTLE)
-call_stamp = caller(_STAMP)
-call_start = caller(_START)
-call_sense = caller(_SENSE)
-call_encode = caller(_ENCODE)
-call_other = caller(_OTHER)
+call_force, call_bristle, call_stamp, call_start, call_sense, call_encode, call_other = (
+    caller(_KINDS[kind][0])
+    for kind in ("force", "advance", "stamp", "start", "sense", "encode", "other_force"))
 
 
 @inlined
@@ -179,7 +211,7 @@ def bristle_steps(layout: Layout, theta: Array, work: Array, z: int, dx: float, 
 
 @lean
 def stamp(layout: Layout, theta: Array, table: int, a: Array, rows: Array) -> None:
-    """Let the effects of one stage change the linear part; see `kernel.assemble`."""
+    """Let the effects of one stage change the linear part; see `kernel.setup`."""
     for entry in range(layout[table], layout[table + 1], ENTRY):
         call_stamp(layout[entry + CODE], (
             pointer(a, 0), pointer(rows, 0), a.shape[0], layout[entry + FIRST],

@@ -17,11 +17,10 @@ Everything lives in the flat array `work`; arguments called node, state, z, ... 
 
 from __future__ import annotations
 
-from dfm_stage.model.kernel.algebra import cubic_at, row_value
-from dfm_stage.model.kernel.compiled import inlined, lean
+from dfm_stage.model.kernel.algebra import cubic_at, outside, row_value
+from dfm_stage.model.kernel.compiled import at, inlined, lean, pointer
 from dfm_stage.model.kernel.events import bristle_force, cell, pushed
 from dfm_stage.model.kernel.hooks import THREE, call_bristle, call_force, point_force
-from dfm_stage.model.kernel.memory import at, pointer
 from dfm_stage.model.kernel.slots import (
     AT_BRISTLE,
     AT_END,
@@ -63,7 +62,7 @@ from dfm_stage.model.kernel.slots import (
     Array,
     Layout,
 )
-from dfm_stage.model.kernel.tables import CUBIC, FROM_VALUES, POINT_1, POINT_2
+from dfm_stage.model.kernel.tables import CUBIC, FROM_VALUES, POINT_1, POINT_2, POINTS
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -274,9 +273,8 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
         for j in range(n):
             hold += work[node + 6 * j + i] * work[state + j]
             drive += work[node + 6 * j + 3 + i] * work[state + j]
-        push = rest + point_force(layout, theta, FORCES, x, 0.0, drive) - hold
-        if force.shape[0] > 0:
-            push += cubic_at(force, r0 + dr * (POINT_1 if i == 0 else POINT_2 if i == 1 else 1.0))
+        push = (rest + point_force(layout, theta, FORCES, x, 0.0, drive) - hold
+                + outside(force, r0 + dr * POINTS[i]))
         if abs(push) > theta[DRY_FRICTION]:
             return REVERSAL
     for i in range(n):

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dfm_stage.model.kernel.compiled import compiled, entry, lean
-from dfm_stage.model.kernel.hooks import (
-    encode_means,
-    other_stiffness,
-    point_force,
-    sense_errors,
-)
+from dfm_stage.model.kernel.compiled import at, compiled, entry, lean
+from dfm_stage.model.kernel.hooks import encode_means, other_stiffness, point_force, sense_errors
 from dfm_stage.model.kernel.linear import steps
-from dfm_stage.model.kernel.memory import at
 from dfm_stage.model.kernel.motion import advance_piece
 from dfm_stage.model.kernel.setup import block
 from dfm_stage.model.kernel.slots import (

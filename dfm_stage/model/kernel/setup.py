@@ -1,4 +1,14 @@
-"""All that depends on the parameters but not on the motion, and the state at the beginning."""
+"""All that depends on the parameters but not on the motion, and the state at the beginning.
+
+The linear part of one axis is a state space, put together from stamps.
+The state is s = [position and velocity of the first mode, the states of amplifier and coil, the
+states of effects]. `a` has shape (n, n + 1): ds/dt = a[:, :n] s + a[:, n] u with the delayed and
+limited input u. `rows` has shape (ROWS, n + 1) and tells, in the same columns, what position and
+velocity of the driven point and the drive are; ROW_FORCE_IN holds ds/dt per newton at the point.
+
+An effect's stamp changes them: in the stage "modes" position, velocity and force input, in the
+stage "amplifier" the drive, in the stage "mechanics" it adds forces at the point.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +16,13 @@ import math
 
 import numpy as np
 
-from dfm_stage.model.kernel.algebra import exponential
-from dfm_stage.model.kernel.assemble import assemble
-from dfm_stage.model.kernel.compiled import compiled, entry
-from dfm_stage.model.kernel.hooks import start_states
+from dfm_stage.model.kernel.algebra import exponential, fill, put_scaled, row_value
+from dfm_stage.model.kernel.compiled import compiled, entry, lean
+from dfm_stage.model.kernel.hooks import stamp, start_states
 from dfm_stage.model.kernel.slots import (
+    AMPLIFIER,
+    AMPLIFIER_STAMPS,
+    AMPLIFIER_STATE,
     AT_A,
     AT_DISCRETE,
     AT_END,
@@ -23,23 +35,33 @@ from dfm_stage.model.kernel.slots import (
     AT_STATE,
     AT_STICK_END,
     AT_STICK_NODE,
+    BACK_EMF,
     BRISTLES,
+    COIL_STATE,
     CONSTANT_FORCE,
     CURVATURE,
     CURVED,
+    DAMPING,
     DELAY,
     DEPTH,
     DIRECTED,
     FORCE_CONSTANT,
     FRACTION,
     HISTORY,
+    INDUCTANCE,
     LEVEL,
     LEVELS,
+    MASS,
+    MECHANICS_STAMPS,
     MODE,
+    MODE_STAMPS,
     ORDER,
     PERIOD,
+    RESISTANCE,
+    ROW_DRIVE,
     ROW_FORCE_IN,
     ROW_HOLD,
+    ROW_POSITION,
     ROW_VELOCITY,
     ROWS,
     SAMPLE,
@@ -47,6 +69,7 @@ from dfm_stage.model.kernel.slots import (
     SLOPE,
     STEP,
     STEPS,
+    STIFFNESS,
     TRIED,
     WHOLE,
     Array,
@@ -56,6 +79,54 @@ from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
 
 SHORTEST = 0.2
 """The shortest step times the fastest rate, for which the Taylor series of events are exact."""
+INSTANT = 1e-6
+"""A lag shorter than this part of a sample period is taken as none."""
+
+
+@lean
+def lag(a: Array, rows: Array, state: int, time_constant: float, shortest: float) -> None:
+    """Put a first-order lag into the drive; none where it is shorter than `shortest`."""
+    if state < 0 or time_constant <= shortest:
+        return
+    for j in range(rows.shape[1]):
+        a[state, j] = rows[ROW_DRIVE, j] / time_constant
+        rows[ROW_DRIVE, j] = 0.0
+    a[state, state] -= 1.0 / time_constant
+    rows[ROW_DRIVE, state] = 1.0
+
+
+@lean
+def assemble(layout: Layout, theta: Array, period: float, a: Array,
+             rows: Array) -> None:
+    """Fill `a` and `rows` for the parameters `theta`."""
+    shortest = INSTANT * period
+    n = a.shape[0]
+    fill(a, 0.0)
+    fill(rows, 0.0)
+    mass = theta[MASS]
+    a[0, 1] = 1.0
+    a[1, 0] = -theta[STIFFNESS] / mass
+    a[1, 1] = -theta[DAMPING] / mass
+    rows[ROW_POSITION, 0] = 1.0
+    rows[ROW_VELOCITY, 1] = 1.0
+    rows[ROW_FORCE_IN, 1] = 1.0 / mass
+    stamp(layout, theta, MODE_STAMPS, a, rows)
+
+    rows[ROW_DRIVE, n] = 1.0
+    lag(a, rows, layout[AMPLIFIER_STATE], theta[AMPLIFIER], shortest)
+    stamp(layout, theta, AMPLIFIER_STAMPS, a, rows)
+    for j in range(n):
+        rows[ROW_DRIVE, j] -= theta[BACK_EMF] * rows[ROW_VELOCITY, j]
+    if theta[RESISTANCE] > 0.0:
+        lag(a, rows, layout[COIL_STATE], theta[INDUCTANCE] / theta[RESISTANCE],
+            shortest)
+
+    for i in range(n):
+        share = rows[ROW_FORCE_IN, i] * theta[FORCE_CONSTANT]
+        if share != 0.0:
+            for j in range(n + 1):
+                a[i, j] += share * rows[ROW_DRIVE, j]
+    stamp(layout, theta, MECHANICS_STAMPS, a, rows)
 
 
 @compiled
@@ -123,10 +194,9 @@ def _discretise(a: Array, rows: Array, period: float, fraction: float, constant:
                 out: Array) -> None:
     """out = [E | old | new | constant | force r^0..r^3], see `linear.steps`."""
     n = a.shape[0]
-    big, result = np.zeros((n + 5, n + 5)), np.empty((n + 5, n + 5))
+    big, result = np.empty((n + 5, n + 5)), np.empty((n + 5, n + 5))
+    put_scaled(a, n, period, big)
     for i in range(n):
-        for j in range(n + 1):
-            big[i, j] = a[i, j] * period
         big[i, n + 1] = rows[ROW_FORCE_IN, i] * period
     for j in range(1, 4):
         big[n + j, n + j + 1] = 1.0
@@ -140,10 +210,8 @@ def _discretise(a: Array, rows: Array, period: float, fraction: float, constant:
         out[i, n + 1] = result[i, n]
         out[i, n + 2] = constant * result[i, n + 1]
     if fraction > 0.0:
-        small, after = np.zeros((n + 1, n + 1)), np.empty((n + 1, n + 1))
-        for i in range(n):
-            for j in range(n + 1):
-                small[i, j] = a[i, j] * (period * (1.0 - fraction))
+        small, after = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
+        put_scaled(a, n, period * (1.0 - fraction), small)
         exponential(small, after)
         for i in range(n):
             out[i, n] = result[i, n] - after[i, n]
@@ -171,10 +239,7 @@ def restart(layout: Layout, work: Array) -> None:
     """Make step control forget the motion before, after the state has been set from outside."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
-    rows = block(work, layout, AT_ROWS, ROWS, n + 1)
-    speed = 0.0
-    for j in range(n):
-        speed += rows[ROW_VELOCITY, j] * work[layout[AT_STATE] + j]
-    head[MODE] = np.sign(speed)
+    speed_row = layout[AT_ROWS] + ROW_VELOCITY * (n + 1)
+    head[MODE] = np.sign(row_value(work, speed_row, layout[AT_STATE], n, 0.0))
     head[LEVEL] = head[SCALE] = head[SLOPE] = head[CURVATURE] = head[STEP] = 0.0
     head[TRIED] = 0.0

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
+from dfm_stage import arrays
+from dfm_stage.model.parameter import BASE_PARAMETERS
 
-from dfm_stage.model.base import BASE_PARAMETERS
-
-Array = NDArray[np.float64]
-Layout = NDArray[np.int64]
+Array = arrays.Array
+Layout = arrays.Lines
 
 SLOT_NAMES: tuple[str, ...] = (*(p.name for p in BASE_PARAMETERS),
                                "constant_force", "dry_friction", "command_limit")

@@ -27,9 +27,9 @@ from dfm_stage.model.kernel.algebra import (
     assign,
     balance,
     exponential,
-    fill,
     largest_row,
     multiply,
+    put_scaled,
 )
 from dfm_stage.model.kernel.compiled import compiled, lean
 from dfm_stage.model.kernel.slots import (
@@ -85,10 +85,8 @@ def fill_tables(a: Array, held: Array, rows: Array, gain: float, length: float, 
     shortest = length * 0.5 ** depth
     big, power, other = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     for i in range(3):
-        fill(big, 0.0)
+        put_scaled(a, n, POINTS[i] * shortest, big)
         for row in range(n):
-            for j in range(n + 1):
-                big[row, j] = a[row, j] * (POINTS[i] * shortest)
             big[row, n + 1] = rows[ROW_FORCE_IN, row] * (POINTS[i] * shortest)
         for j in range(1, 4):
             big[n + j, n + j + 1] = POINTS[i]
@@ -108,10 +106,7 @@ def _fill_stick_tables(held: Array, rows: Array, gain: float, shortest: float, d
     small, power, other = (np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1)),
                            np.empty((n + 1, n + 1)))
     for i in range(3):
-        fill(small, 0.0)
-        for row in range(n):
-            for j in range(n + 1):
-                small[row, j] = held[row, j] * (POINTS[i] * shortest)
+        put_scaled(held, n, POINTS[i] * shortest, small)
         exponential(small, power)
         for level in range(depth, -1, -1):
             _take_stick(power, rows, gain, i, stick_node[level], stick_end[level])

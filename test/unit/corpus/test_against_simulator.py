@@ -6,7 +6,7 @@ import pytest
 from benchmarks.corpus import plant
 from benchmarks.corpus.case import Truth, make_truth, shown
 from benchmarks.corpus.plan import EFFECTS, CaseSpec
-from dfm_stage.model import EffectUse, Model, Simulator
+from dfm_stage.model import EffectUse, Model, Simulator, model_from_dict
 
 SHARE_OF_NOISE, TIMING_S = 0.002, 0.02e-6
 WIDER = {"presliding_friction": (0.05, 0.2e-6)}  # the simulator's Stribeck term, 0.02 and 0.08 us
@@ -54,4 +54,4 @@ def test_a_microsecond_of_delay_would_be_seen() -> None:
 def test_the_users_model_is_valid() -> None:
     for i, name in enumerate(("cross_axis_coupling", "back_emf", "coil_inductance", "creep")):
         case = shown(make_truth(CaseSpec(i, 78, "effect", (name,), 3.0), 4000))
-        assert Model.from_dict(case.model).axis_names in ((), ("x", "y"), ("x",))
+        assert model_from_dict(case.model).axis_names in ((), ("x", "y"), ("x",))

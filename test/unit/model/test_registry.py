@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -119,6 +122,31 @@ def test_an_effect_registered_again_replaces_the_code() -> None:
     load_effect(OUTSIDE)
     assert np.max(np.abs(after - before)) > 1e-4 * np.max(np.abs(before))
     assert np.allclose(after, Simulator(double.model).run(INPUT).position, rtol=1e-9, atol=1e-18)
+
+
+NEXT_PROCESS = """
+import importlib.util, sys
+import numba
+from dfm_stage import machine_code
+spec = importlib.util.spec_from_file_location(sys.argv[2], sys.argv[1])
+module = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(module)
+hook = numba.njit(module.half)
+def twice(x):
+    return hook(x) + hook(x)
+kept = machine_code.callback("t", twice, numba.float64(numba.float64), (module.half,))
+print(kept.ctypes(3.0), kept.cache_hits)
+"""
+
+
+def test_code_of_a_file_outside_the_package_is_found_by_the_next_process(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def half(x):\n    return 0.5 * x\n")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    for module, hits in (("first", 0), ("another_name", 1)):
+        done = subprocess.run(
+            [sys.executable, "-c", NEXT_PROCESS, str(tmp_path / "mine.py"), module],
+            capture_output=True, text=True, check=False, env=environment)
+        assert done.stdout.split() == ["3.0", str(hits)], done.stderr
 
 
 @pytest.mark.parametrize(("text", "message"), [
