@@ -260,13 +260,6 @@ class Controller(LoopNode):
         return None
 
 
-@lru_cache(maxsize=2)
-def _model(name: str, axis: str, _modified_ns: int) -> Model:
-    """Return a model, or its part for the axis; read again where the file has changed."""
-    model = load_model(name)
-    return model.axis(axis) if model.axes else model
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return run_node(Controller, args)
