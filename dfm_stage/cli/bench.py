@@ -21,9 +21,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dfm_stage.cli.bench_table import table
-from dfm_stage.cli.colour import paint
-from dfm_stage.cli.command import add_options, command_parser, option
+import numpy as np
+
+from dfm_stage.cli.bench_report import table, write_page
+from dfm_stage.cli.command import command_parser, option, paint
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
@@ -36,6 +37,13 @@ examples:
   ./run bench diagnose --cases 100 --seed 7 --resume --keep out/diagnose
   ./run bench --from out/loop.json --from out/all.json --page out/bench.html
 """
+CASE_OPTIONS = (
+    option("--cases", type=int, metavar="N", help="how many cases"),
+    option("--seed", type=int, metavar="S", help="the seed they are drawn with"),
+    option("--resume", action="store_true", help="keep the cases answered already"),
+    option("--keep", type=Path, metavar="DIR", help="the folder of the answers"),
+    option("--jobs", type=int, metavar="N", help="how many processes at once"),
+)
 OPTIONS = (
     option("names", nargs="*", metavar="NAME", help="which; all without a name"),
     option("--json", type=Path, metavar="FILE", help="write machine and figures"),
@@ -45,15 +53,7 @@ OPTIONS = (
            "--page or print the table"),
     option("--quick", action="store_true", help="shorter runs, rougher figures"),
     option("--list", action="store_true", help="print the names and stop"),
-)
-CASE_OPTIONS = (
-    option("--cases", type=int, metavar="N", help="how many cases"),
-    option("--seed", type=int, metavar="S", help="the seed they are drawn with"),
-    option("--resume", action="store_true", help="keep the cases answered already"),
-    option("--keep", type=Path, metavar="DIR", help="the folder of the answers"),
-    option("--jobs", type=int, metavar="N", help="how many processes at once"),
-)
-HIDDEN_OPTIONS = (
+    ("for benchmarks of many cases (diagnose)", CASE_OPTIONS),
     option("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS),
     option("--child", nargs=2, help=argparse.SUPPRESS),
 )
@@ -72,14 +72,13 @@ def available(folder: Path) -> list[str]:
 
 def machine() -> dict[str, Any]:
     """What the figures depend on; nothing that names the machine or its folders."""
-    numpy = importlib.import_module("numpy")
     return {
         "cpu": _cpu_model(),
         "cores": len(os.sched_getaffinity(0)),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "kernel": platform.release(),
         "python": platform.python_version(),
-        "numpy": str(numpy.__version__),
+        "numpy": np.__version__,
         "load_1min": os.getloadavg()[0],
     }
 
@@ -131,9 +130,9 @@ def _end_with(parent: int) -> None:
 
 def _extra(options: argparse.Namespace) -> dict[str, Any]:
     """The options that only some benchmarks take, as far as they were given."""
-    given = {name: getattr(options, name) for (flag,), _ in CASE_OPTIONS
-             for name in [flag.removeprefix("--")]}
-    return {name: value for name, value in given.items() if value not in (None, False)}
+    names = (flag.removeprefix("--") for (flag,), _ in CASE_OPTIONS)
+    return {name: value for name in names
+            if (value := getattr(options, name)) not in (None, False)}
 
 
 def _run_child(name: str, folder: Path, quick: bool, answer: Path, extra: dict[str, Any]) -> int:
@@ -157,16 +156,6 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
         raise BenchError(f"cannot write {path}: {error.strerror}: name another --json") from error
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser(
-        "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG)
-    add_options(parser, OPTIONS)
-    add_options(parser.add_argument_group("for benchmarks of many cases (diagnose)"),
-                CASE_OPTIONS)
-    add_options(parser, HIDDEN_OPTIONS)
-    return parser
-
-
 def _chosen(asked: Sequence[str], folder: Path) -> list[str]:
     names = available(folder)
     if not names:
@@ -181,7 +170,9 @@ def _chosen(asked: Sequence[str], folder: Path) -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when every benchmark ran, 1 when one failed, 2 for a name or file that cannot be used."""
-    options = _parser().parse_args(argv)
+    options = command_parser(
+        "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG,
+        OPTIONS).parse_args(argv)
     if options.keep:
         options.keep = options.keep.resolve()
     folder = options.folder.resolve()
@@ -243,10 +234,7 @@ def _run_all(names: Sequence[str], folder: Path, options: argparse.Namespace) ->
 def _shown(report: Mapping[str, Any], options: argparse.Namespace) -> int:
     """Print the table, and write the page if asked; 1 when a benchmark failed."""
     if options.page:
-        from dfm_stage.cli.bench_report import write_page
-
-        names = " ".join(options.names)
-        how = [f"./run bench {names}".strip()] if not options.results else []
+        how = [] if options.results else [" ".join(("./run bench", *options.names))]
         options.page.parent.mkdir(parents=True, exist_ok=True)
         write_page(report["figures"], options.page, report["machine"], report["failed"], how)
     print(table(report["figures"]))

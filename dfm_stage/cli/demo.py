@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,17 @@ import numpy as np
 from dfm_stage.cli.command import (
     PROCESSES,
     SEED,
-    command_parser,
+    command,
     dated_folder,
     new_folder,
     option,
-    run_command,
 )
 from dfm_stage.cli.progress import Progress
 from dfm_stage.errors import DfmError
+from dfm_stage.model import load_model
+from dfm_stage.recording import read_record
+from dfm_stage.share import find_experiment
+from dfm_stage.trajectory import load_experiment
 
 LOOP_NODES = "sim_plant encoder_driver controller amplifier_driver trajectory_generator recorder"
 BANDWIDTH_HZ = 10.0
@@ -41,18 +44,18 @@ OPTIONS = (
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+@command("demo", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Run the demonstration; 0 when it worked, 2 with one line when it could not."""
-    options = command_parser("demo", __doc__, EPILOG, OPTIONS).parse_args(argv)
     out = dated_folder(options.out, "demo")
-    return run_command(
-        lambda: _demo(out, options.model, options.seed, not options.processes),
-        stopped=f"stopped; what was recorded is in {out}")
+    try:
+        return _demo(out, options.model, options.seed, not options.processes)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped; what was recorded is in {out}") from None
 
 
 def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
     from dfm_stage.cli import identify
-    from dfm_stage.model import load_model
 
     load_model(model)
     new_folder(out)
@@ -105,9 +108,6 @@ def _diagnosed(out: Path, gains: dict[str, Any], seed: int,
 
 
 def _scan(name: str, controller: dict[str, Any]) -> dict[str, Any]:
-    from dfm_stage.harness import find_experiment
-    from dfm_stage.trajectory import load_experiment
-
     scan = load_experiment(find_experiment("scan"))
     return {"name": name, "mode": "pid", "duration_s": scan.duration_s, "controller": controller,
             "axes": {"x": {"reference": dict(scan.axes["x"].reference or {})}}}
@@ -131,7 +131,6 @@ def _record(experiment: str | dict[str, Any], bag: Path, model: str, seed: int,
 
 def _gains(model: Path) -> dict[str, float | str]:
     from dfm_stage.control.placement import pid_for
-    from dfm_stage.model import load_model
 
     identified = load_model(model)
     design = pid_for(identified.base, BANDWIDTH_HZ, sample_period_s=identified.sample_period)
@@ -141,8 +140,6 @@ def _gains(model: Path) -> dict[str, float | str]:
 
 def _show_scans(bags: dict[str, Path], picture: Path) -> None:
     from matplotlib.figure import Figure
-
-    from dfm_stage.recording import read_record
 
     figure = Figure(figsize=(8, 6), dpi=120, layout="constrained")
     axes = figure.subplots(1 + len(bags), 1, sharex=True)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from dfm_stage.cli.batch import Job, Outcome, run_batch
-from dfm_stage.cli.command import command_parser, output_folder, run_command, write_output
+from dfm_stage.cli.command import command, option, output_folder, write_json
 from dfm_stage.errors import DfmError
+from dfm_stage.model import load_model
 
 EPILOG = """\
 examples:
@@ -19,29 +18,23 @@ examples:
   ./run diagnose_batch runs/* --model m.yaml --cluster tcp://10.0.0.1:8786
   ./run diagnose_batch runs/* --model m.yaml --options="--no-report --axis x"
 """
+OPTIONS = (
+    option("runs", nargs="+", metavar="RUN", help="bag folders, .mcap, .csv, ..."),
+    option("--model", required=True, metavar="FILE", help="as for diagnose"),
+    option("--out", default="diagnosed", metavar="DIR",
+           help="folder for a folder of each run and batch.json (default: %(default)s)"),
+    option("--jobs", type=int, default=len(os.sched_getaffinity(0)), metavar="N",
+           help="how many at once on this machine (default: one per core)"),
+    option("--cluster", default="", metavar="ADDRESS",
+           help="address of a Dask scheduler to use instead"),
+    option("--options", default="", metavar="TEXT",
+           help="further options of diagnose: --options=\"--axis x\""),
+)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+@command("diagnose_batch", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Diagnose each run; 0 all were answered, 1 some were not, 2 unusable input."""
-    parser = command_parser("diagnose_batch", __doc__, EPILOG)
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folders, .mcap, .csv, ...")
-    parser.add_argument("--model", required=True, metavar="FILE", help="as for diagnose")
-    parser.add_argument("--out", default="diagnosed", metavar="DIR",
-                        help="folder for a folder of each run and batch.json (default: "
-                        "%(default)s)")
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), metavar="N",
-                        help="how many at once on this machine (default: one per core)")
-    parser.add_argument("--cluster", default="", metavar="ADDRESS",
-                        help="address of a Dask scheduler to use instead")
-    parser.add_argument("--options", default="", metavar="TEXT",
-                        help="further options of diagnose: --options=\"--axis x\"")
-    options = parser.parse_args(argv)
-    return run_command(lambda: _batch(options))
-
-
-def _batch(options: argparse.Namespace) -> int:
-    from dfm_stage.model import load_model
-
     load_model(options.model)
     if options.jobs < 1:
         raise DfmError(f"--jobs {options.jobs}: give at least 1")
@@ -61,14 +54,8 @@ def _batch(options: argparse.Namespace) -> int:
         outcomes.append(outcome)
         print(f"[{len(outcomes)}/{len(jobs)}] {outcome.run}: "
               f"{outcome.words or 'diagnosed'} ({outcome.seconds:.1f} s)", file=sys.stderr)
-    order = {run: k for k, run in enumerate(options.runs)}
-    outcomes.sort(key=lambda each: order[each.run])
-    write_output(out / "batch.json",
-                 json.dumps([vars(each) for each in outcomes], indent=1) + "\n")
+    outcomes.sort(key=lambda each: options.runs.index(each.run))
+    write_json(out / "batch.json", [vars(each) for each in outcomes])
     failed = sum(each.code != 0 for each in outcomes)
     print(f"{len(outcomes) - failed} of {len(outcomes)} diagnosed; {out / 'batch.json'}")
     return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
-from dfm_stage.cli.colour import TONES
+from dfm_stage.arrays import Array
+from dfm_stage.cli.command import TONES
+from dfm_stage.diagnosis import Comparison, Diagnosis
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -22,12 +22,8 @@ from dfm_stage.reporting import (
     page_style,
     time_figure,
 )
+from dfm_stage.reporting.table import Cell
 
-if TYPE_CHECKING:
-    from dfm_stage.diagnosis import Comparison, Diagnosis
-    from dfm_stage.reporting.table import Cell
-
-Array = NDArray[np.float64]
 BINS = 40
 NO_GAP = 1.5
 

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.control import LQR_PARAMETERS, PID_PARAMETERS, SHAPER_PARAMETERS
+from dfm_stage.cli.tune_verify import Tracking
+from dfm_stage.control import (
+    LQR_PARAMETERS,
+    PID_PARAMETERS,
+    SHAPER_PARAMETERS,
+    Tuned,
+    Ultimate,
+    loop_of,
+)
+from dfm_stage.model import Model
 from dfm_stage.reporting import Drawing, Page, Quantity, Table, new_figure, page_style
+from dfm_stage.reporting.table import Cell
 
-if TYPE_CHECKING:
-    from dfm_stage.cli.tune_verify import Tracking
-    from dfm_stage.control import Tuned, Ultimate
-    from dfm_stage.model import Model
-    from dfm_stage.reporting.table import Cell
-
-Array = NDArray[np.float64]
 ROBUST = 0.5
 METHODS = {"pid": "PID", "lqr": "LQR", "ziegler_nichols": "Ziegler and Nichols's PID"}
 LOWEST_HZ = 0.1
@@ -81,8 +83,6 @@ def _axis(page: Page, named: str, tuned: Tuned, model: Model) -> None:
 
 
 def _sensitivity(tuned: Tuned, model: Model) -> Drawing:
-    from dfm_stage.control import loop_of
-
     hertz, loop = loop_of(tuned, model)
     hertz, loop = hertz[hertz >= LOWEST_HZ], loop[hertz >= LOWEST_HZ]
     curves = {"1/(1 + L)": np.abs(1.0 / (1.0 + loop)),

@@ -24,36 +24,35 @@ from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
 from dfm_stage.errors import DfmError
 
 DEVICES = ("qsb_d", "copley_ascii")
+OPTIONS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
+    (("device",), {"choices": DEVICES}),
+    (("--link",), {"type": Path, "metavar": "PATH",
+                   "help": "where the port is to be found (default /tmp/dfm_<device>)"}),
+    (("--stage",), {"metavar": "NAMESPACE",
+                    "help": "connect to the sim_plant of this axis, such as /stage/x"}),
+    (("--sample-period",), {"type": float, "default": 1e-3, "metavar": "S",
+                            "help": "of the simulated model (default 0.001)"}),
+    (("--resolution",), {"type": float, "default": 0.0, "metavar": "M",
+                         "help": "length of a count of the scale (default: the simulated one's)"}),
+    (("--amplitude",), {"type": float, "default": 0.0, "metavar": "COUNTS",
+                        "help": "without a stage: the scale swings by this much"}),
+    (("--frequency",), {"type": float, "default": 1.0, "metavar": "HZ",
+                        "help": "without a stage: and this fast"}),
+    (("--index-at",), {"type": int, "metavar": "COUNTS",
+                       "help": "qsb_d: where the index mark is"}),
+    (("--drift",), {"type": float, "default": 0.0,
+                    "help": "qsb_d: how slow its clock is, relative (1e-4 = 0.1 ms per s)"}),
+    (("--flash",), {"action": "append", "default": [], "metavar": "0xNN=VALUE",
+                    "help": "copley_ascii: a parameter as stored in the drive"}),
+    (("--log",), {"type": Path, "metavar": "FILE",
+                  "help": "copley_ascii: write every change of the output current"}),
+    (("--seed",), {"type": int, "default": 0, "help": "fixes what garbage is"}),
+)
+"""What the process is started with, as `ArgumentParser.add_argument` takes it."""
 
 
 class EmulateError(DfmError):
     """The emulator cannot be set up."""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the process is started with."""
-    parser.add_argument("device", choices=DEVICES)
-    parser.add_argument("--link", type=Path, metavar="PATH",
-                        help="where the port is to be found (default /tmp/dfm_<device>)")
-    parser.add_argument("--stage", metavar="NAMESPACE",
-                        help="connect to the sim_plant of this axis, such as /stage/x")
-    parser.add_argument("--sample-period", type=float, default=1e-3, metavar="S",
-                        help="of the simulated model (default 0.001)")
-    parser.add_argument("--resolution", type=float, default=0.0, metavar="M",
-                        help="length of a count of the scale (default: the simulated one's)")
-    parser.add_argument("--amplitude", type=float, default=0.0, metavar="COUNTS",
-                        help="without a stage: the scale swings by this much")
-    parser.add_argument("--frequency", type=float, default=1.0, metavar="HZ",
-                        help="without a stage: and this fast")
-    parser.add_argument("--index-at", type=int, metavar="COUNTS",
-                        help="qsb_d: where the index mark is")
-    parser.add_argument("--drift", type=float, default=0.0,
-                        help="qsb_d: how slow its clock is, relative (1e-4 = 0.1 ms per s)")
-    parser.add_argument("--flash", action="append", default=[], metavar="0xNN=VALUE",
-                        help="copley_ascii: a parameter as stored in the drive")
-    parser.add_argument("--log", type=Path, metavar="FILE",
-                        help="copley_ascii: write every change of the output current")
-    parser.add_argument("--seed", type=int, default=0, help="fixes what garbage is")
 
 
 def _flash(items: Sequence[str]) -> dict[int, int]:
@@ -61,10 +60,10 @@ def _flash(items: Sequence[str]) -> dict[int, int]:
     for item in items:
         try:
             name, value = item.split("=")
-            out[Parameter(int(name, 0))] = int(value, 0)
+            out[int(Parameter(int(name, 0)))] = int(value, 0)
         except ValueError as error:
             raise EmulateError(f"--flash {item}: write it as 0x24=1 ({error})") from error
-    return {int(key): value for key, value in out.items()}
+    return out
 
 
 def _make(options: argparse.Namespace, link: Any, log: TextIO | None) -> Emulator:
@@ -133,7 +132,7 @@ def _serve(port: PtyPort, stop: list[int]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Emulate the device that the options of `add_arguments` name until `quit` or a signal.
+    """Emulate the device that the options name until `quit` or a signal.
 
     Returns
     -------
@@ -170,7 +169,8 @@ def run(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the process for whoever started it; 2 with one line when it cannot be set up."""
     parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(parser)
+    for flags, how in OPTIONS:
+        parser.add_argument(*flags, **how)
     try:
         return run(parser.parse_args(argv))
     except DfmError as error:
