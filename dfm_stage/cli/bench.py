@@ -100,9 +100,9 @@ def run_one(name: str, folder: Path, quick: bool,
     """
     with tempfile.TemporaryDirectory(prefix="dfm_stage_bench_") as scratch:
         answer = Path(scratch) / "figures.json"
-        command = [sys.executable, "-m", "dfm_stage", "bench"]
-        command += ["--child", str(answer), str(os.getpid()), "--folder", str(folder)]
-        command += [*(["--quick"] if quick else []), name]
+        command = [sys.executable, "-m", "dfm_stage", "bench", "--child", str(answer),
+                   str(os.getpid()), "--folder", str(folder),
+                   *(["--quick"] if quick else []), name]
         for given, value in (extra or {}).items():
             command += [f"--{given}"] if value is True else [f"--{given}", str(value)]
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=STDERR) as child:
@@ -115,10 +115,9 @@ def run_one(name: str, folder: Path, quick: bool,
                 child.kill()
                 raise
         if code != 0:
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            raise BenchError(f"benchmark {name} failed ({how}): its own message is above")
-        figures: list[dict[str, Any]] = json.loads(answer.read_text("utf-8"))
-        return figures
+            raise BenchError(f"benchmark {name} failed ({'signal' if code < 0 else 'exit code'} "
+                             f"{abs(code)}): its own message is above")
+        return list(json.loads(answer.read_text("utf-8")))
 
 
 def _end_with(parent: int) -> None:
@@ -143,8 +142,8 @@ def _run_child(name: str, folder: Path, quick: bool, answer: Path, extra: dict[s
         if given not in taken:
             print(f"bench: benchmark {name} takes no --{given}: leave it out", file=sys.stderr)
             return 2
-    figures = [figure.to_dict() for figure in module.figures(quick=quick, **extra)]
-    answer.write_text(json.dumps(figures), "utf-8")
+    answer.write_text(json.dumps(
+        [figure.to_dict() for figure in module.figures(quick=quick, **extra)]), "utf-8")
     return 0
 
 
@@ -163,8 +162,8 @@ def _chosen(asked: Sequence[str], folder: Path) -> list[str]:
     for name in asked:
         if name not in names:
             near = difflib.get_close_matches(name, names, n=1)
-            remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
-            raise BenchError(f"there is no benchmark {name!r}: {remedy}")
+            raise BenchError(f"there is no benchmark {name!r}: " + (
+                f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"))
     return list(dict.fromkeys(asked)) or names
 
 

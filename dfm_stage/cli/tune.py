@@ -12,7 +12,7 @@ from typing import Any
 
 from dfm_stage.cli.command import command, option
 from dfm_stage.cli.graph_run import run_on_graph
-from dfm_stage.cli.progress import Progress, steps
+from dfm_stage.cli.progress import steps
 from dfm_stage.cli.tune_verify import Tracking, as_experiment, compare
 from dfm_stage.control import (
     Tuned,
@@ -171,8 +171,6 @@ def identified(bag: str, folder: Path, **given: str | None) -> str:
 
 def _on_the_graph(way: str, axis: str, model: str, options: argparse.Namespace) -> Ultimate:
     """Run one way of tuning on the node graph and return what it found."""
-    from dfm_stage.harness import StageGraph
-
     run = {"name": f"ziegler_nichols_{way}", "mode": "pid", "duration_s": options.duration,
            "axes": {axis: {}},
            "controller": {"tuning": way, "tuning_voltage_v": options.voltage,
@@ -180,10 +178,7 @@ def _on_the_graph(way: str, axis: str, model: str, options: argparse.Namespace) 
                           "tuning_time_s": options.duration, "output_limit_v": options.limit}}
     with tempfile.TemporaryDirectory(prefix="dfm_stage_tune_") as folder:
         bag = Path(folder) / "bag"
-        with StageGraph(axes=(axis,), model=model, lockstep=True, composed=True, bag=bag) as graph:
-            with Progress(f"{way} on the node graph") as progress:
-                graph.run(run, progress=progress)
-            graph.stop_recording()
+        run_on_graph(run, bag, model=model, axes=(axis,), label=f"{way} on the node graph")
         topic = f"/stage/{axis}/controller/config"
         said = [json.loads(text) for text in read_bag(bag, [topic])[topic]["data"]]
     state: Mapping[str, Any] = next((each["tuning"] for each in reversed(said)

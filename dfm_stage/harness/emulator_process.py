@@ -69,9 +69,9 @@ def _flash(items: Sequence[str]) -> dict[int, int]:
 def _make(options: argparse.Namespace, link: Any, log: TextIO | None) -> Emulator:
     if options.device == "qsb_d":
         turn = 2.0 * math.pi * options.frequency
-        scale = link.counts if link is not None else (
-            lambda now: round(options.amplitude * math.sin(turn * now)))
-        return QsbDEmulator(scale, index_at=options.index_at, drift=options.drift)
+        return QsbDEmulator(link.counts if link is not None else (
+            lambda now: round(options.amplitude * math.sin(turn * now))),
+            index_at=options.index_at, drift=options.drift)
 
     def output(now: float, current_a: float, enabled: bool) -> None:
         """Pass the output current on; the log has lines `steady-clock-ns amperes on|off`."""
@@ -120,11 +120,9 @@ def _serve(port: PtyPort, stop: list[int]) -> None:
     while not stop:
         if not port.step(typed.handles, 0.05):
             continue
-        for line in typed.lines():
+        for line in filter(None, typed.lines()):
             if line == "quit":
                 return
-            if not line:
-                continue
             try:
                 print(f"{time.monotonic_ns()} {port.inject(line)}", flush=True)
             except DfmError as error:
@@ -148,8 +146,8 @@ def run(options: argparse.Namespace) -> int:
     link_path = options.link or Path(f"/tmp/dfm_{options.device}")  # noqa: S108 asked for by name
     with contextlib.ExitStack() as cleanup:
         for number in (signal.SIGINT, signal.SIGTERM):
-            before = signal.signal(number, lambda signum, _frame: stop.append(signum))
-            cleanup.callback(signal.signal, number, before)
+            cleanup.callback(signal.signal, number, signal.signal(
+                number, lambda signum, _frame: stop.append(signum)))
         log = cleanup.enter_context(
             options.log.open("w", encoding="utf-8")) if options.log else None
         stage = _connect(options)

@@ -226,9 +226,8 @@ class Controller(LoopNode):
             self.count("saturated")
         self._sent_v, self._added_v = voltage, added
         self._seq = (self._seq + 1) & 0xFFFFFFFF
-        stamp = measurement.stamp_ns if self.lockstep else self.now_ns()
-        self._out.send(stamp, self._seq, measurement.seq, measurement.stamp_ns, voltage,
-                       saturated)
+        self._out.send(measurement.stamp_ns if self.lockstep else self.now_ns(), self._seq,
+                       measurement.seq, measurement.stamp_ns, voltage, saturated)
 
     def _law(self, reference: Any, position: float, samples: int) -> float:
         run = self._laws.run

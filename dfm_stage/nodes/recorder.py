@@ -113,13 +113,12 @@ class Recorder(LoopNode):
         if not self._open:
             return
         for name, types in self.get_topic_names_and_types():
-            if "/_" in name:  # hidden, as ROS 2 calls it: the inner topics of actions
-                continue
-            if (name not in self._topics and name not in self._refused and len(types) == 1
-                    and self._wanted.fullmatch(name) and not self._unwanted.fullmatch(name)):
-                offers = self.get_publishers_info_by_topic(name)
-                if offers:
-                    self._record(name, types[0], offers)
+            # with /_ it is hidden, as ROS 2 calls it: the inner topics of actions
+            if ("/_" not in name and name not in self._topics and name not in self._refused
+                    and len(types) == 1 and self._wanted.fullmatch(name)
+                    and not self._unwanted.fullmatch(name)
+                    and (offers := self.get_publishers_info_by_topic(name))):
+                self._record(name, types[0], offers)
 
     def _record(self, name: str, type_name: str, offers: list[Any]) -> None:
         try:
@@ -136,16 +135,18 @@ class Recorder(LoopNode):
         profiles = [each.qos_profile for each in offers]
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_ALL,
-            reliability=_common(profiles, "reliability", ReliabilityPolicy.RELIABLE,
-                                ReliabilityPolicy.BEST_EFFORT),
-            durability=_common(profiles, "durability", DurabilityPolicy.TRANSIENT_LOCAL,
-                               DurabilityPolicy.VOLATILE))
+            reliability=ReliabilityPolicy.RELIABLE
+            if all(each.reliability == ReliabilityPolicy.RELIABLE for each in profiles)
+            else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL
+            if all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in profiles)
+            else DurabilityPolicy.VOLATILE)
         has_header = next(iter(message_type.get_fields_and_field_types().values()),
                           "") == "std_msgs/Header"
-        is_config = type_name == "std_msgs/msg/String" and name.endswith("/config")
-        write = self._writer(topic, has_header, is_config)
-        subscription = self._tap.create_subscription(message_type, name, write, qos, raw=True)
-        self._topics[name] = subscription
+        write = self._writer(topic, has_header, is_config=(
+            type_name == "std_msgs/msg/String" and name.endswith("/config")))
+        self._topics[name] = subscription = self._tap.create_subscription(
+            message_type, name, write, qos, raw=True)
         self._taps.append((subscription.handle.take_message, message_type, write))
 
     def _fetch(self) -> None:
@@ -264,10 +265,6 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
     except re.error as error:
         raise DfmError(f"recorder: parameter {name} = {text!r} is not a regular expression: "
                        f"{error}") from None
-
-
-def _common(profiles: list[Any], policy: str, strong: Any, weak: Any) -> Any:
-    return strong if all(getattr(each, policy) == strong for each in profiles) else weak
 
 
 def _offer(info: Any) -> QosProfile:
