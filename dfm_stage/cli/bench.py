@@ -239,9 +239,9 @@ def _shown(report: Mapping[str, Any], options: argparse.Namespace) -> int:
     print(table(report["figures"]))
     judged = [figure["met"] for figure in report["figures"] if figure["met"] is not None]
     facts, failed = report["machine"], len(report["failed"])
-    bars = paint(f"{sum(judged)} of {len(judged)} bars met", "good" if all(judged) else "warn")
-    print(f"\n{len(report['figures'])} figures, {bars}, "
-          f"{failed} benchmark{'' if failed == 1 else 's'} failed")
+    print(f"\n{len(report['figures'])} figures,",
+          paint(f"{sum(judged)} of {len(judged)} bars met", "good" if all(judged) else "warn")
+          + f", {failed} benchmark{'' if failed == 1 else 's'} failed")
     if facts:
         print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_1min']:.2f} at the "
               "start")

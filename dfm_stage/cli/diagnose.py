@@ -99,13 +99,13 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
                            f"{', '.join(library)}")
         library.remove(name)
     one = model.axis(options.axis or ("x" if "x" in model.axes else None))
-    free = [*default_free(one), *names_in(options.free)]
     with steps("diagnose", options.json) as step:
         step("reading")
         records = [read_with(options, path) for path in fitted]
         holdout = [read_with(options, path) for path in held]
         found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
-                         free=free, fixed=names_in(options.fix),
+                         free=[*default_free(one), *names_in(options.free)],
+                         fixed=names_in(options.fix),
                          names=[Path(p).name or p for p in (*fitted, *held)],
                          seed=options.seed, step=step)
         step("writing")
@@ -116,8 +116,8 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         if not options.no_report:
             from dfm_stage.cli.diagnose_report import write_report
 
-            sources = [each.provenance.words for each in (*records, *holdout)]
-            write_report(found, out / "report.html", sources, options.model)
+            write_report(found, out / "report.html",
+                         [each.provenance.words for each in (*records, *holdout)], options.model)
     if options.json:
         print(text, end="")
     else:

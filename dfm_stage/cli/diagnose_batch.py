@@ -115,8 +115,8 @@ def _on_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
         raise DiagnosisError(f"cluster {scheduler}: cannot be reached ({error}); start a Dask "
                              "scheduler there, or leave --cluster out") from None
     with client:
-        futures = client.map(work, jobs, pure=False)
-        for _, outcome in distributed.as_completed(futures, with_results=True):
+        for _, outcome in distributed.as_completed(client.map(work, jobs, pure=False),
+                                                   with_results=True):
             yield outcome
 
 

@@ -162,11 +162,11 @@ def _print(found: Identification, out: Path, report: bool) -> None:
         if math.isfinite(q.value):
             print(f"  {name:<{wide}}  {q}")
     for name, value in found.estimate.held.items():
-        unit = found.model.parameter(name).unit
-        print(f"  {name:<{wide}}  {format_quantity(value, unit)} (held)")
+        print(f"  {name:<{wide}}  {format_quantity(value, found.model.parameter(name).unit)} "
+              "(held)")
+    unit = found.sources[0].axis.position_unit
     for evaluation in (*found.evaluations, *found.held_out):
         what = "held out" if evaluation in found.held_out else "fit"
-        unit = found.sources[0].axis.position_unit
         percent = evaluation.fit_percent
         said = "at rest" if percent is None else f"{percent:.2f} %"
         print(f"  {what}: {evaluation.source}: {said}, RMS "

@@ -23,6 +23,7 @@ from dfm_stage.reporting import (
     Table,
     bode_figure,
     format_quantity,
+    log_labels,
     new_figure,
     page_style,
     time_figure,
@@ -197,9 +198,7 @@ def _line_figure(lines: LineResidual) -> Drawing:
         axis.semilogx(lines.frequency_hz, lines.ratio, "o", color="C0", markersize=3.0)
         axis.axhline(lines.band, color="C1", linewidth=1.0)
         axis.set(yscale="log", xlabel="frequency (Hz)", ylabel="power ratio")
-        for each in (axis.xaxis, axis.yaxis):
-            each.set_major_formatter(lambda value, _: f"{value:g}")
-            each.set_minor_formatter("")
+        log_labels(axis.xaxis, axis.yaxis)
     worst = int(np.argmax(lines.ratio))
     return Drawing(figure, Table(
         ("", "frequency (Hz)", "ratio"),

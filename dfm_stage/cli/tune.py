@@ -194,8 +194,8 @@ def _verify(file: Path, results: Mapping[str, Tuned], axes: Mapping[str, Model],
     """Run the experiment on the graph with the file and return errors beside the predicted."""
     if not options.verify:
         return {}
-    mode = next(iter(results.values())).parameters["mode"]
-    experiment = as_experiment(options.verify, mode, file, tuple(axes))
+    experiment = as_experiment(
+        options.verify, next(iter(results.values())).parameters["mode"], file, tuple(axes))
     with tempfile.TemporaryDirectory(prefix="dfm_stage_tune_") as folder:
         record = run_on_graph(experiment, Path(folder) / "bag", model=plant, axes=tuple(axes),
                               label=f"{options.verify} on the node graph")

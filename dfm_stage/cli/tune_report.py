@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -93,16 +92,13 @@ def _sensitivity(tuned: Tuned, model: Model) -> Drawing:
             axis.loglog(hertz, values, label=label)
         axis.axhline(1.0 / tuned.margins.modulus, color="C2", linestyle="--", linewidth=1.0,
                      label="1 / margin")
-        axis.set_xlabel("frequency (Hz)")
-        axis.set_ylabel("factor")
+        axis.set(xlabel="frequency (Hz)", ylabel="factor")
         axis.set_ylim(bottom=1e-3)
         axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
                     columnspacing=1.0, handlelength=1.4)
-    rows: list[list[Any]] = []
-    for label, values in curves.items():
-        top = int(np.argmax(values))
-        rows.append([label, float(values[top]), float(hertz[top]), float(values[0]),
-                     float(hertz[0])])
+    rows: list[list[Cell]] = [
+        [label, float(np.max(values)), float(hertz[np.argmax(values)]), float(values[0]),
+         float(hertz[0])] for label, values in curves.items()]
     return Drawing(figure, Table(("curve", "largest", "at (Hz)", "at the lowest frequency",
                                   "which is (Hz)"), rows))
 

@@ -28,8 +28,6 @@ from dfm_stage.harness.node_set import HarnessError
 from dfm_stage.harness.stage_graph import StageGraph
 from dfm_stage.model import load_model
 
-__all__ = ["EmulatedDevice", "EmulatedGraph", "hardware_parameters"]
-
 RESOLUTION_M = 5e-8
 SERVICE_S = 15.0
 DRIVERS = ("encoder_driver", "amplifier_driver")

@@ -32,8 +32,6 @@ from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back
 from dfm_stage.nodes.base import node_class
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
 
-__all__ = ["HarnessError", "Launched", "NodeSet", "NotInTimeError"]
-
 _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
 _ASKED_BY_ONE = 3

@@ -27,8 +27,6 @@ from dfm_stage.recording import Record, read_record
 from dfm_stage.share import find_experiment
 from dfm_stage.trajectory import Experiment, load_experiment
 
-__all__ = ["RunResult", "StageGraph"]
-
 SAMPLING = ("sim_plant", "controller", "trajectory_generator")
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 STAGE_NODES = ("sim_plant", "recorder")
@@ -95,8 +93,9 @@ class StageGraph(NodeSet):
 
     def _node_parameters(self, model: str, seed: int,
                          extra: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-        common = {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds}
-        out: dict[str, dict[str, Any]] = {kind: dict(common) for kind in self._kinds}
+        out: dict[str, dict[str, Any]] = {
+            kind: {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds}
+            for kind in self._kinds}
         if "recorder" in out:
             out["recorder"] |= {"bag": str(self.bag), "wait_for_recorder": False}
         if "sim_plant" in out:

@@ -36,8 +36,9 @@ from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
     LINKS,
+    LOCKSTEP_QOS,
+    PUBLISHER_QOS,
     RECORDER_TAP,
-    publisher_qos,
     subscriber_qos,
 )
 
@@ -60,7 +61,7 @@ class Publisher:
     def __init__(self, node: LoopNode, topic: str, prefix: str = "") -> None:
         self.link = LINKS[topic]
         self.ros = node.create_publisher(self.link.type, prefix + topic,
-                                         publisher_qos(node.lockstep))
+                                         LOCKSTEP_QOS if node.lockstep else PUBLISHER_QOS)
         self._node = node
         self._publish = self.ros.handle.publish_raw
         self._encode = codec(self.link.type, prefix.strip("/") or node.axis).encode

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from dfm_stage.control import (
     modes,
     plan_laws,
 )
-from dfm_stage.middleware.recent import Recent
+from dfm_stage.middleware.watch import Recent
 from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
@@ -101,8 +101,8 @@ class Controller(LoopNode):
         self._references, self._excitations = Ahead(_KEPT_AHEAD), Ahead(_KEPT_AHEAD)
         self._out = self.link_publisher("command")
         self.link_subscription("measurement", self._on_measurement)
-        self.link_subscription("reference", self._on_reference)
-        self.link_subscription("excitation", self._on_excitation)
+        self.link_subscription("reference", partial(self._on_ahead, self._references))
+        self.link_subscription("excitation", partial(self._on_ahead, self._excitations))
         if self.settings["amplifier_feedback"]:
             self.link_subscription("amplifier", self._on_amplifier)
         self.begin()
@@ -164,13 +164,8 @@ class Controller(LoopNode):
                 self.count("reference_late")
         self._answer(measurement)
 
-    def _on_reference(self, reference: Any) -> None:
-        self._references.keep(reference.seq, reference)
-        if self.lockstep:
-            self._answer_when_complete()
-
-    def _on_excitation(self, excitation: Any) -> None:
-        self._excitations.keep(excitation.seq, excitation)
+    def _on_ahead(self, ahead: Ahead, message: Any) -> None:
+        ahead.keep(message.seq, message)
         if self.lockstep:
             self._answer_when_complete()
 

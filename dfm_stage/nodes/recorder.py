@@ -121,10 +121,11 @@ class Recorder(LoopNode):
                 self._record(name, types[0], offers)
 
     def _record(self, name: str, type_name: str, offers: list[Any]) -> None:
+        profiles = [each.qos_profile for each in offers]
         try:
             package, _, kind = type_name.partition("/msg/")
             message_type = getattr(importlib.import_module(f"{package}.msg"), kind)
-            topic = self._bag.add_topic(name, type_name, [_offer(each) for each in offers],
+            topic = self._bag.add_topic(name, type_name, [_offer(each) for each in profiles],
                                         str(offers[0].topic_type_hash),
                                         definition_text(type_name))
         except (ImportError, AttributeError, DfmError) as error:
@@ -132,7 +133,6 @@ class Recorder(LoopNode):
             self.count("topics_refused")
             self.get_logger().warning(f"{name} ({type_name}) is not recorded: {error}")
             return
-        profiles = [each.qos_profile for each in offers]
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_ALL,
             reliability=ReliabilityPolicy.RELIABLE
@@ -141,9 +141,8 @@ class Recorder(LoopNode):
             durability=DurabilityPolicy.TRANSIENT_LOCAL
             if all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in profiles)
             else DurabilityPolicy.VOLATILE)
-        has_header = next(iter(message_type.get_fields_and_field_types().values()),
-                          "") == "std_msgs/Header"
-        write = self._writer(topic, has_header, is_config=(
+        first = next(iter(message_type.get_fields_and_field_types().values()), "")
+        write = self._writer(topic, first == "std_msgs/Header", is_config=(
             type_name == "std_msgs/msg/String" and name.endswith("/config")))
         self._topics[name] = subscription = self._tap.create_subscription(
             message_type, name, write, qos, raw=True)
@@ -267,8 +266,7 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
                        f"{error}") from None
 
 
-def _offer(info: Any) -> QosProfile:
-    qos = info.qos_profile
+def _offer(qos: QoSProfile) -> QosProfile:
     return QosProfile(
         history=HistoryPolicy(qos.history).short_key, depth=qos.depth,
         reliability=ReliabilityPolicy(qos.reliability).short_key,

@@ -227,9 +227,9 @@ class TrajectoryGenerator(LoopNode):
         """Return what the recorder is to attach to the bag: a voltage that came from a file."""
         if excitation.kind != "csv":
             return {}
-        rows = "".join(f"{k * excitation.sample_period_s:.9g},{volts!r}\n"
-                       for k, volts in enumerate(excitation.voltage.tolist()))
-        return {f"{self.axis}_excitation.csv": f"time_s,excitation_v\n{rows}"}
+        return {f"{self.axis}_excitation.csv": "time_s,excitation_v\n" + "".join(
+            f"{k * excitation.sample_period_s:.9g},{volts!r}\n"
+            for k, volts in enumerate(excitation.voltage.tolist()))}
 
     def config(self) -> dict[str, Any]:
         """Return what signal is, or was last, running and where in the record it starts."""
