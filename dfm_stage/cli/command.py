@@ -31,6 +31,10 @@ _CODES = {"good": "32", "warn": "33", "bad": "31"}
 _made: list[Path] = []
 
 
+class CheckFailedError(DfmError):
+    """The input is usable, but what was asked for cannot be answered for: exit code 1, not 2."""
+
+
 def paint(text: str, tone: Tone, stream: TextIO | None = None) -> str:
     """Return text in a colour where `stream` (default: stdout) is a terminal that shows colours.
 
@@ -62,14 +66,14 @@ def command(name: str, description: str | None, epilog: str, options: Options
 
 
 def run_command(work: Callable[[], int]) -> int:
-    """Do the work and return its exit code; 2 with one line for an error of ours, 130 with one
-    line, the interrupt's own if it has one, after Ctrl-C. An output folder that stayed empty is
-    taken away again."""
+    """Do the work and return its exit code; 2 with one line for an error of ours, 1 for a
+    CheckFailedError, 130 with one line, the interrupt's own if it has one, after Ctrl-C. An output
+    folder that stayed empty is taken away again."""
     try:
         return work()
     except DfmError as error:
         print(f"{paint('error:', 'bad', sys.stderr)} {error}", file=sys.stderr)
-        return 2
+        return 1 if isinstance(error, CheckFailedError) else 2
     except KeyboardInterrupt as stop:
         print(str(stop) or "stopped", file=sys.stderr)
         return 130

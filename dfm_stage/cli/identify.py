@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 from dfm_stage.cli.command import (
     COLUMNS,
     NO_REPORT,
+    CheckFailedError,
     command,
     finite,
     json_option,
@@ -102,8 +102,7 @@ def main(options: argparse.Namespace) -> int:
     else:
         _print(found, out, not options.no_report)
     if not found.estimate.ok:
-        print(f"error: {found.estimate.message}", file=sys.stderr)
-        return 1
+        raise CheckFailedError(found.estimate.message)
     return 0
 
 

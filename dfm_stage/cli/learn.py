@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.cli.command import command, new_folder, option, write_json
+from dfm_stage.cli.command import CheckFailedError, command, new_folder, option, write_json
 from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.learn_report import learning_page
 from dfm_stage.cli.progress import Progress
@@ -74,7 +74,7 @@ experiment that replays it with the gains it was learnt with.
 """
 
 
-class NotConvergingError(DfmError):
+class NotConvergingError(CheckFailedError):
     """The convergence condition does not hold; no pass was run."""
 
 
@@ -99,11 +99,7 @@ class Axis:
 @command("learn", __doc__, EPILOG, OPTIONS)
 def main(options: argparse.Namespace) -> int:
     """Learn; 0 when done, 1 if it does not converge, 2 with one line if unusable."""
-    try:
-        result = _replay(options) if options.replay else _learn(options)
-    except NotConvergingError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    result = _replay(options) if options.replay else _learn(options)
     if options.json:
         print(json.dumps(result, indent=1))
     return 0

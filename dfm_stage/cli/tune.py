@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dfm_stage.cli.command import command, option
+from dfm_stage.cli.command import CheckFailedError, command, option
 from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
 from dfm_stage.cli.tune_verify import Tracking, as_experiment, compare
@@ -91,7 +90,7 @@ OPTIONS = (
 )
 
 
-class TuningFailedError(DfmError):
+class TuningFailedError(CheckFailedError):
     """A tuning run on the loop ended without a result; it was stopped safely."""
 
 
@@ -116,14 +115,10 @@ def main(options: argparse.Namespace) -> int:
     axes = {axis or "x": model.axis(axis) if model.axes else model for axis in names}
     results: dict[str, Tuned] = {}
     found: dict[str, dict[str, Ultimate]] = {}
-    try:
-        for axis, each in axes.items():
-            with steps("tune", options.json or options.method == "ziegler_nichols") as step:
-                step(f"axis {axis}")
-                results[axis], found[axis] = _tuned(axis, each, name, options)
-    except TuningFailedError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    for axis, each in axes.items():
+        with steps("tune", options.json or options.method == "ziegler_nichols") as step:
+            step(f"axis {axis}")
+            results[axis], found[axis] = _tuned(axis, each, name, options)
     write_text(out, _yaml(results, axes))
     verified = _verify(out, results, axes, options.plant or name, options)
     page = out.with_suffix(".html")
