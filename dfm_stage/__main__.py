@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import sys
 from collections.abc import Sequence
 
-from dfm_stage.commands import NODES, TOOLS, module_of
+from dfm_stage.commands import NODES, TOOLS, listing, module_of, unknown
 from dfm_stage.errors import DfmError
 
 ROS_MODULES = ("rclpy", "dfm_interfaces")
-
-
-def usage() -> str:
-    """The names with one line each."""
-    lines = ["usage: python -m dfm_stage NAME [arguments]", ""]
-    for title, group in (("tools", TOOLS), ("nodes", NODES)):
-        lines.append(f"{title}:")
-        lines += [f"  {name:22}{text.removeprefix('node: ')}" for name, text in group.items()]
-        lines.append("")
-    return "\n".join(lines).rstrip()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one node or tool; its exit code, or 2 with one line on stderr when it cannot start."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(usage())
+        print("\n".join(listing("usage: python -m dfm_stage NAME [arguments]",
+                                ("tools", TOOLS), ("nodes", NODES))))
         return 0
     try:
         return _run(arguments[0], arguments[1:])
@@ -41,7 +31,7 @@ def _run(name: str, rest: list[str]) -> int:
     try:
         module_name = module_of(name)
     except KeyError:
-        return _refuse(_unknown(name))
+        return _refuse(unknown(name, [*NODES, *TOOLS], "--help lists the names"))
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
@@ -56,12 +46,6 @@ def _run(name: str, rest: list[str]) -> int:
         return _refuse(f"{name} needs the Python package {missing}: start it as ./run {name}")
     sys.argv = [name, *rest]
     return int(module.main(rest) or 0)
-
-
-def _unknown(name: str) -> str:
-    near = difflib.get_close_matches(name, [*NODES, *TOOLS], n=1, cutoff=0.5)
-    remedy = f"did you mean {near[0]}?" if near else "--help lists the names"
-    return f"there is no {name!r}: {remedy}"
 
 
 def _refuse(message: str) -> int:

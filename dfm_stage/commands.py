@@ -7,6 +7,9 @@ so it imports nothing but the standard library.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable, Mapping
+
 NODES: dict[str, str] = {
     "encoder_driver": "node: encoder counts to position measurements",
     "amplifier_driver": "node: commands to the amplifier's output, with its safety limits",
@@ -30,6 +33,21 @@ TOOLS: dict[str, str] = {
     "learn": "repeat a scan on the graph until its error is learnt away; keep and replay that",
     "bench": "run the benchmarks and print each figure beside its bar and its peer",
 }
+
+
+def listing(head: str, *groups: tuple[str, Mapping[str, str]]) -> list[str]:
+    """Lines that give names with one line each, in groups with a title."""
+    lines = [head]
+    for title, group in groups:
+        lines += ["", f"{title}:"]
+        lines += [f"  {name:22}{text.removeprefix('node: ')}" for name, text in group.items()]
+    return lines
+
+
+def unknown(name: str, names: Iterable[str], remedy: str) -> str:
+    """What to say of a name that is none of `names`; `remedy` where none of them is near."""
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"there is no {name!r}: {f'did you mean {near[0]}?' if near else remedy}"
 
 
 def module_of(name: str) -> str:

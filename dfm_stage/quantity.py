@@ -37,9 +37,9 @@ class Quantity:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON keeps it; limits that are not finite become null."""
-        limits = None if self.ci95 is None else [
-            float(x) if math.isfinite(x) else None for x in self.ci95]
-        return {"value": float(self.value), "unit": self.unit, "ci95": limits}
+        return {"value": float(self.value), "unit": self.unit,
+                "ci95": None if self.ci95 is None else [
+                    float(x) if math.isfinite(x) else None for x in self.ci95]}
 
     def __str__(self) -> str:
         return format_quantity(self.value, self.unit, self.ci95)
@@ -55,9 +55,8 @@ def display_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
     if unit not in _SCALABLE or not finite:
         return 1.0, _typeset(unit)
     largest = max(finite) * 1.02
-    usable = [each for each in _PREFIXES if unit != "s" or each[0] <= 1.0]
-    if unit in ("m", "m/s", "m/V", "m/N"):
-        usable = [each for each in usable if each[0] <= 1.0]
+    usable = [each for each in _PREFIXES
+              if each[0] <= 1.0 or unit not in ("s", "m", "m/s", "m/V", "m/N")]
     scale, prefix = next((each for each in usable if largest >= each[0]), usable[-1])
     return 1.0 / scale, prefix + unit
 

@@ -126,8 +126,7 @@ class Steps:
                 f"{what} failed: the package registry is out of reach (network?); log: {self.log}"
             )
         errors = [line.strip() for line in text.splitlines() if "error" in line.lower()]
-        hint = f": {errors[0][:160]}" if errors else ""
-        return f"{what} failed{hint}; log: {self.log}"
+        return f"{what} failed{f': {errors[0][:160]}' if errors else ''}; log: {self.log}"
 
 
 def say(text: str, end: str = "\n") -> None:

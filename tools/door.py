@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
-import importlib.util
 import os
+import runpy
 import shlex
 import signal
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import environment
 import host as host_module
@@ -28,28 +28,15 @@ PYTEST = ["-m", "pytest", "-p", "no:launch_testing", "-p", "no:launch_ros"]
 MOST_TEST_PROCESSES = 4
 
 
-def known_names() -> tuple[dict[str, str], dict[str, str]]:
-    """Nodes and tools from dfm_stage/commands.py, read without importing the package."""
-    spec = importlib.util.spec_from_file_location("commands", ROOT / "dfm_stage/commands.py")
-    if spec is None or spec.loader is None:
-        raise ImportError("dfm_stage/commands.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.NODES, module.TOOLS
+USAGE = "usage: ./run NAME [arguments]     (./run NAME --help says more)"
+NEEDED = """
+The first call prepares everything inside this checkout (.dfm); Python 3.10 to 3.13
+and a C++ compiler are needed. DFM_PYTHON names another Python than python3."""
 
 
-def usage(nodes: dict[str, str], tools: dict[str, str]) -> str:
-    """The list of names with one line each."""
-    lines = ["usage: ./run NAME [arguments]     (./run NAME --help says more)", ""]
-    for title, group in (("tools", tools), ("nodes", nodes), ("working here", OWN_COMMANDS)):
-        lines.append(f"{title}:")
-        lines += [f"  {name:22}{text.removeprefix('node: ')}" for name, text in group.items()]
-        lines.append("")
-    lines.append(
-        "The first call prepares everything inside this checkout (.dfm); Python 3.10 to 3.13"
-    )
-    lines.append("and a C++ compiler are needed. DFM_PYTHON names another Python than python3.")
-    return "\n".join(lines)
+def commands() -> SimpleNamespace:
+    """What dfm_stage/commands.py defines, read without importing the package."""
+    return SimpleNamespace(**runpy.run_path(str(ROOT / "dfm_stage/commands.py")))
 
 
 def prepare() -> tuple[Path, dict[str, str]]:
@@ -70,8 +57,7 @@ def prepare() -> tuple[Path, dict[str, str]]:
             if workspace.stale(ROOT, folder):
                 steps.log_to(folder / "logs/build.log")
                 variables = workspace.variables(host, folder, os.environ)
-                python = folder / "env/bin/python"
-                compiling = [str(python), "-m", "dfm_stage.compile_all"]
+                compiling = [str(folder / "env/bin/python"), "-m", "dfm_stage.compile_all"]
                 with steps.beside(compiling, variables, "simulator compiled", ROOT):
                     workspace.build(ROOT, folder, steps, variables)
     variables = workspace.variables(host, folder, os.environ)
@@ -102,8 +88,8 @@ def side_by_side(arguments: list[str]) -> list[str]:
     """The options that spread the tests over the cores, unless single files are asked for."""
     if any(os.path.exists(argument.partition("::")[0]) for argument in arguments):
         return []
-    processes = min(len(os.sched_getaffinity(0)), MOST_TEST_PROCESSES)
-    return ["-n", str(processes), "--dist", "loadfile"]
+    processes = str(min(len(os.sched_getaffinity(0)), MOST_TEST_PROCESSES))
+    return ["-n", processes, "--dist", "loadfile"]
 
 
 def command_for(name: str, rest: list[str], folder: Path, variables: dict[str, str]) -> list[str]:
@@ -126,16 +112,15 @@ def command_for(name: str, rest: list[str], folder: Path, variables: dict[str, s
 
 def main(arguments: list[str]) -> int:
     """Exit code, unless the process became the program; 2 for a name that is not known."""
-    nodes, tools = known_names()
+    known = commands()
     if not arguments or arguments[0] in ("-h", "--help", "help"):
-        print(usage(nodes, tools))
+        groups = ("tools", known.TOOLS), ("nodes", known.NODES), ("working here", OWN_COMMANDS)
+        print("\n".join([*known.listing(USAGE, *groups), NEEDED]))
         return 0
     name, rest = arguments[0], arguments[1:]
-    names = [*nodes, *tools, *OWN_COMMANDS]
+    names = [*known.NODES, *known.TOOLS, *OWN_COMMANDS]
     if name not in names:
-        near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-        remedy = f"did you mean {near[0]}?" if near else "./run lists the names"
-        say(f"run: there is no {name!r}: {remedy}")
+        say(f"run: {known.unknown(name, names, './run lists the names')}")
         return 2
     if name == "exec" and not rest:
         say("run: exec needs a command: ./run exec CMD ...")

@@ -39,10 +39,8 @@ def lock_file(root: Path, host: Host) -> Path:
 
 def key(root: Path, host: Host, folder: Path) -> str:
     """What the environment was made from; another key, another environment."""
-    parts = (str(REVISION), host.version, host.ros_prefix or "", str(folder))
-    return hashlib.sha256(
-        "\n".join(parts).encode() + lock_file(root, host).read_bytes()
-    ).hexdigest()
+    parts = "\n".join((str(REVISION), host.version, host.ros_prefix or "", str(folder)))
+    return hashlib.sha256(parts.encode() + lock_file(root, host).read_bytes()).hexdigest()
 
 
 def is_ready(root: Path, host: Host, folder: Path) -> bool:
@@ -97,8 +95,8 @@ def build(root: Path, host: Host, folder: Path, steps: Steps, environ: Mapping[s
     with steps.step(f"{len(lines)} pinned packages"):
         steps.call([*pip, builder], env=outside, what="pip install setuptools")
         # unpacking keeps one processor busy; with --no-deps the parts do not need each other
-        parts = [[line for line in lines[part::PARTS] if line != builder] for part in range(PARTS)]
-        commands = ([*pip, *sources, *part] for part in parts)
+        lines.remove(builder)
+        commands = ([*pip, *sources, *lines[part::PARTS]] for part in range(PARTS))
         steps.call(*commands, env=outside, what="pip install")
     if not host.ros_prefix:
         repair_exports(env, host.version)

@@ -44,8 +44,9 @@ def find_host(environ: Mapping[str, str], cache: Path) -> Host:
     own_version = f"{sys.version_info[0]}.{sys.version_info[1]}"
     prefix, version = _sourced_rclpy(environ)
     if prefix:
-        own = version == own_version
-        python = sys.executable if own else shutil.which(f"python{version}")
+        python = (
+            sys.executable if version == own_version else shutil.which(f"python{version}")
+        )
         if python and _imports_rclpy(python, prefix, environ, cache):
             return Host(python, version, prefix)
         remark = f"rclpy of {prefix} does not import with {python or 'python' + version}"
@@ -142,6 +143,5 @@ def _python_offers(host: Host) -> tuple[str, bool]:
         "print(json.dumps([sysconfig.get_path('include') + '/Python.h',"
         "bool(u.find_spec('venv') and u.find_spec('ensurepip'))]))"
     )
-    answer = subprocess.run([host.python, "-I", "-c", code], capture_output=True, check=True)
-    header, has_venv = json.loads(answer.stdout)
+    header, has_venv = json.loads(subprocess.check_output([host.python, "-I", "-c", code]))
     return str(header), bool(has_venv)

@@ -30,8 +30,8 @@ relative to the namespace of an axis (`/stage/x`) unless they begin with `/`.
 
 def _rows(text: str) -> dict[str, tuple[str, ...]]:
     """Lines of cells between bars, by their first cell."""
-    split = [tuple(line.split(" | ")) for line in text.strip().splitlines()]
-    return {cells[0]: cells[1:] for cells in split}
+    return {first: tuple(rest) for first, *rest in (
+        line.split(" | ") for line in text.strip().splitlines())}
 
 
 PARAMETERS = """\
@@ -146,8 +146,8 @@ def _messages() -> str:
     text = ["## Messages\n"]
     for kind in ("msg", "srv", "action"):
         for file in sorted((INTERFACES / kind).glob(f"*.{kind}")):
-            definition = file.read_text(encoding="utf-8").rstrip()
-            text += [f"### {file.stem}\n", f"```\n{definition}\n```\n"]
+            text += [f"### {file.stem}\n",
+                     f"```\n{file.read_text(encoding='utf-8').rstrip()}\n```\n"]
     return "\n".join(text)
 
 
@@ -164,9 +164,8 @@ def _commands() -> str:
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [columns, ["---"] * len(columns), *rows]
     return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |\n"
-                   for row in lines)
+                   for row in (columns, ["---"] * len(columns), *rows))
 
 
 if __name__ == "__main__":

@@ -21,9 +21,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dfm_stage.cli.bench_table import table
-from dfm_stage.cli.colour import paint
-from dfm_stage.cli.command import add_options, command_parser, option
+import numpy as np
+
+from dfm_stage.cli.bench_report import table, write_page
+from dfm_stage.cli.command import command_parser, option, paint
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
@@ -36,6 +37,13 @@ examples:
   ./run bench diagnose --cases 100 --seed 7 --resume --keep out/diagnose
   ./run bench --from out/loop.json --from out/all.json --page out/bench.html
 """
+CASE_OPTIONS = (
+    option("--cases", type=int, metavar="N", help="how many cases"),
+    option("--seed", type=int, metavar="S", help="the seed they are drawn with"),
+    option("--resume", action="store_true", help="keep the cases answered already"),
+    option("--keep", type=Path, metavar="DIR", help="the folder of the answers"),
+    option("--jobs", type=int, metavar="N", help="how many processes at once"),
+)
 OPTIONS = (
     option("names", nargs="*", metavar="NAME", help="which; all without a name"),
     option("--json", type=Path, metavar="FILE", help="write machine and figures"),
@@ -45,15 +53,7 @@ OPTIONS = (
            "--page or print the table"),
     option("--quick", action="store_true", help="shorter runs, rougher figures"),
     option("--list", action="store_true", help="print the names and stop"),
-)
-CASE_OPTIONS = (
-    option("--cases", type=int, metavar="N", help="how many cases"),
-    option("--seed", type=int, metavar="S", help="the seed they are drawn with"),
-    option("--resume", action="store_true", help="keep the cases answered already"),
-    option("--keep", type=Path, metavar="DIR", help="the folder of the answers"),
-    option("--jobs", type=int, metavar="N", help="how many processes at once"),
-)
-HIDDEN_OPTIONS = (
+    ("for benchmarks of many cases (diagnose)", CASE_OPTIONS),
     option("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS),
     option("--child", nargs=2, help=argparse.SUPPRESS),
 )
@@ -72,14 +72,13 @@ def available(folder: Path) -> list[str]:
 
 def machine() -> dict[str, Any]:
     """What the figures depend on; nothing that names the machine or its folders."""
-    numpy = importlib.import_module("numpy")
     return {
         "cpu": _cpu_model(),
         "cores": len(os.sched_getaffinity(0)),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "kernel": platform.release(),
         "python": platform.python_version(),
-        "numpy": str(numpy.__version__),
+        "numpy": np.__version__,
         "load_1min": os.getloadavg()[0],
     }
 
@@ -101,9 +100,9 @@ def run_one(name: str, folder: Path, quick: bool,
     """
     with tempfile.TemporaryDirectory(prefix="dfm_stage_bench_") as scratch:
         answer = Path(scratch) / "figures.json"
-        command = [sys.executable, "-m", "dfm_stage", "bench"]
-        command += ["--child", str(answer), str(os.getpid()), "--folder", str(folder)]
-        command += [*(["--quick"] if quick else []), name]
+        command = [sys.executable, "-m", "dfm_stage", "bench", "--child", str(answer),
+                   str(os.getpid()), "--folder", str(folder),
+                   *(["--quick"] if quick else []), name]
         for given, value in (extra or {}).items():
             command += [f"--{given}"] if value is True else [f"--{given}", str(value)]
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=STDERR) as child:
@@ -116,10 +115,9 @@ def run_one(name: str, folder: Path, quick: bool,
                 child.kill()
                 raise
         if code != 0:
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            raise BenchError(f"benchmark {name} failed ({how}): its own message is above")
-        figures: list[dict[str, Any]] = json.loads(answer.read_text("utf-8"))
-        return figures
+            raise BenchError(f"benchmark {name} failed ({'signal' if code < 0 else 'exit code'} "
+                             f"{abs(code)}): its own message is above")
+        return list(json.loads(answer.read_text("utf-8")))
 
 
 def _end_with(parent: int) -> None:
@@ -131,9 +129,9 @@ def _end_with(parent: int) -> None:
 
 def _extra(options: argparse.Namespace) -> dict[str, Any]:
     """The options that only some benchmarks take, as far as they were given."""
-    given = {name: getattr(options, name) for (flag,), _ in CASE_OPTIONS
-             for name in [flag.removeprefix("--")]}
-    return {name: value for name, value in given.items() if value not in (None, False)}
+    names = (flag.removeprefix("--") for (flag,), _ in CASE_OPTIONS)
+    return {name: value for name in names
+            if (value := getattr(options, name)) not in (None, False)}
 
 
 def _run_child(name: str, folder: Path, quick: bool, answer: Path, extra: dict[str, Any]) -> int:
@@ -144,8 +142,8 @@ def _run_child(name: str, folder: Path, quick: bool, answer: Path, extra: dict[s
         if given not in taken:
             print(f"bench: benchmark {name} takes no --{given}: leave it out", file=sys.stderr)
             return 2
-    figures = [figure.to_dict() for figure in module.figures(quick=quick, **extra)]
-    answer.write_text(json.dumps(figures), "utf-8")
+    answer.write_text(json.dumps(
+        [figure.to_dict() for figure in module.figures(quick=quick, **extra)]), "utf-8")
     return 0
 
 
@@ -157,16 +155,6 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
         raise BenchError(f"cannot write {path}: {error.strerror}: name another --json") from error
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser(
-        "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG)
-    add_options(parser, OPTIONS)
-    add_options(parser.add_argument_group("for benchmarks of many cases (diagnose)"),
-                CASE_OPTIONS)
-    add_options(parser, HIDDEN_OPTIONS)
-    return parser
-
-
 def _chosen(asked: Sequence[str], folder: Path) -> list[str]:
     names = available(folder)
     if not names:
@@ -174,14 +162,16 @@ def _chosen(asked: Sequence[str], folder: Path) -> list[str]:
     for name in asked:
         if name not in names:
             near = difflib.get_close_matches(name, names, n=1)
-            remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
-            raise BenchError(f"there is no benchmark {name!r}: {remedy}")
+            raise BenchError(f"there is no benchmark {name!r}: " + (
+                f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"))
     return list(dict.fromkeys(asked)) or names
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when every benchmark ran, 1 when one failed, 2 for a name or file that cannot be used."""
-    options = _parser().parse_args(argv)
+    options = command_parser(
+        "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG,
+        OPTIONS).parse_args(argv)
     if options.keep:
         options.keep = options.keep.resolve()
     folder = options.folder.resolve()
@@ -243,18 +233,15 @@ def _run_all(names: Sequence[str], folder: Path, options: argparse.Namespace) ->
 def _shown(report: Mapping[str, Any], options: argparse.Namespace) -> int:
     """Print the table, and write the page if asked; 1 when a benchmark failed."""
     if options.page:
-        from dfm_stage.cli.bench_report import write_page
-
-        names = " ".join(options.names)
-        how = [f"./run bench {names}".strip()] if not options.results else []
+        how = [] if options.results else [" ".join(("./run bench", *options.names))]
         options.page.parent.mkdir(parents=True, exist_ok=True)
         write_page(report["figures"], options.page, report["machine"], report["failed"], how)
     print(table(report["figures"]))
     judged = [figure["met"] for figure in report["figures"] if figure["met"] is not None]
     facts, failed = report["machine"], len(report["failed"])
-    bars = paint(f"{sum(judged)} of {len(judged)} bars met", "good" if all(judged) else "warn")
-    print(f"\n{len(report['figures'])} figures, {bars}, "
-          f"{failed} benchmark{'' if failed == 1 else 's'} failed")
+    print(f"\n{len(report['figures'])} figures,",
+          paint(f"{sum(judged)} of {len(judged)} bars met", "good" if all(judged) else "warn")
+          + f", {failed} benchmark{'' if failed == 1 else 's'} failed")
     if facts:
         print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_1min']:.2f} at the "
               "start")

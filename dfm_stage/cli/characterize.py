@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.cli.characterize_summary import summary
 from dfm_stage.cli.command import (
     NO_REPORT,
     PROCESSES,
     SEED,
-    command_parser,
+    command,
     dated_folder,
     finite,
     json_option,
     option,
     output_folder,
-    run_command,
     write_json,
 )
+from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.errors import DfmError
+from dfm_stage.model import Model, load_model, parse_model
+from dfm_stage.recording import Record, read_record
 
 if TYPE_CHECKING:
     from dfm_stage.identification.characterisation import Characterisation
-    from dfm_stage.model import Model
-    from dfm_stage.recording import Record
 
 KINDS = ("static", "decay", "step", "stepped_sine", "multisine")
 EPILOG = """\
@@ -51,18 +50,16 @@ OPTIONS = (
     NO_REPORT,
     json_option("characterize.json"),
 )
-def main(argv: Sequence[str] | None = None) -> int:
+
+
+@command("characterize", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Run and analyse characterisation experiments; 0 done, 2 unusable input."""
-    options = command_parser("characterize", __doc__, EPILOG, OPTIONS).parse_args(argv)
-    return run_command(lambda: _characterize(options))
-
-
-def _characterize(options: argparse.Namespace) -> int:
     if options.kind == "all" and (options.bag or options.experiment):
         raise DfmError("say what the bag or experiment is: characterize "
                        f"{{{','.join(KINDS)}}} --bag BAG")
+    from dfm_stage.cli.characterize_report import summary, write_report
     from dfm_stage.identification.characterisation import characterise
-    from dfm_stage.model import load_model
 
     out = dated_folder(options.out, "characterized")
     model = load_model(options.model or "paper_stage") if (
@@ -75,11 +72,10 @@ def _characterize(options: argparse.Namespace) -> int:
                               force_constant=used.base.get("force_constant") if used else None)
         found[kind] = record, result
         if not options.json:
-            _print(kind, result)
+            _print(kind, result, summary(kind, result))
     content = {"schema": 1, "model": model.name if model else None,
                "results": {kind: result.to_dict() for kind, (_, result) in found.items()},
                "records": {kind: record.provenance.source for kind, (record, _) in found.items()}}
-    from dfm_stage.cli.characterize_report import write_report
     folder = output_folder(out)
     text = write_json(folder / "characterize.json", finite(content))
     if not options.no_report:
@@ -93,10 +89,7 @@ def _characterize(options: argparse.Namespace) -> int:
 
 def _record(kind: str, options: argparse.Namespace, out: Path) -> Record:
     if options.bag:
-        from dfm_stage.recording import read_record
-
         return read_record(options.bag, axis=options.axis)
-    from dfm_stage.cli.graph_run import run_on_graph
     from dfm_stage.identification.characterisation import EXPERIMENTS
 
     bag = out / kind
@@ -111,15 +104,13 @@ def _model_of(record: Record) -> Model | None:
     """Return the model that the bag carries, if it does."""
     if not record.provenance.model:
         return None
-    from dfm_stage.model import parse_model
-
     model = parse_model(record.provenance.model, record.provenance.source)
     return model.axis(next(iter(record.axes))) if model.axes else model
 
 
-def _print(kind: str, result: Any) -> None:
+def _print(kind: str, result: Any, told: Iterable[tuple[str, Any]]) -> None:
     print(kind.replace("_", " "))
-    for name, q in summary(kind, result):
+    for name, q in told:
         print(f"  {name:<34} {q}")
     if kind == "decay":
         print(f"  over {result.cycles:g} cycles; from two extremes alone "

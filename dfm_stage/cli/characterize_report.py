@@ -1,4 +1,4 @@
-"""The page that characterize writes: each experiment's figures, plot and where it came from."""
+"""What characterize prints and reports of each experiment: figures, plot, where it came from."""
 
 from __future__ import annotations
 
@@ -6,13 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dfm_stage.cli.characterize_summary import summary
-from dfm_stage.paper.figures import (
-    curves_figure,
-    decay_figure,
-    response_figure,
-    static_figure,
-)
+from dfm_stage.paper.figures import curves_figure, decay_figure, response_figure, static_figure
 from dfm_stage.reporting import Drawing, Page
 
 if TYPE_CHECKING:
@@ -28,6 +22,32 @@ LEADS = {"static": ("The stiffness is", "stiffness"),
          "stepped_sine": ("The stepped sine finds", "natural_frequency"),
          "multisine": ("The multisine finds", "natural_frequency")}
 """How the lead tells the figure of each kind that matters most, and which that is."""
+RESPONSE = {
+    "numerator": "numerator", "damping, 2 zeta w": "damping", "stiffness, w^2": "stiffness",
+    "natural frequency": "natural_frequency", "damping ratio": "damping_ratio",
+    "static gain": "static_gain", "amplifier lag": "lag", "delay": "delay"}
+QUANTITIES: dict[str, dict[str, str]] = {
+    "static": {"stiffness": "stiffness", "largest distance from a line": "linearity",
+               "hysteresis loop": "hysteresis",
+               "hysteresis loop over the travel": "hysteresis_percent"},
+    "decay": {"logarithmic decrement": "decrement", "damping ratio": "damping",
+              "damping ratio, Eq. 2 as printed": "damping_as_printed",
+              "natural frequency": "natural_frequency",
+              "decrement of the first half": "early", "decrement of the second half": "late"},
+    "step": {"rise time, 10 to 90 %": "rise_time", "settling time, {band:g} %": "settling_time",
+             "overshoot": "overshoot", "time of the peak": "peak_time",
+             "damping ratio from the overshoot": "damping",
+             "natural frequency from the peak": "natural_frequency"},
+    "stepped_sine": RESPONSE, "multisine": RESPONSE,
+}
+"""What is told of each kind of experiment: words, and the attribute of its result."""
+
+
+def summary(kind: str, result: Any) -> list[tuple[str, Any]]:
+    """Return what a result says, as (what, Quantity) pairs."""
+    found = getattr(result, "constrained", result)
+    return [(words.format(band=100.0 * getattr(found, "band", 0.0)), getattr(found, name))
+            for words, name in QUANTITIES[kind].items()]
 
 
 def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Model | None) -> None:
@@ -53,8 +73,7 @@ def write_report(found: Mapping[str, tuple[Record, Any]], path: Path, model: Mod
 
 def _sentence(kind: str, result: Any) -> str:
     words, name = LEADS[kind]
-    q = getattr(getattr(result, "constrained", result), name)
-    return f"{words} {q}."
+    return f"{words} {getattr(getattr(result, 'constrained', result), name)}."
 
 
 def _drawn(kind: str, record: Record, result: Any) -> tuple[Drawing, str]:

@@ -1,38 +1,81 @@
-"""What the commands have in common: how they end, where they write, what records they read."""
+"""What the commands have in common: how they begin and end, what they read, where they write."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal, TextIO
 
-from dfm_stage.cli.colour import paint
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
-
-if TYPE_CHECKING:
-    from dfm_stage.recording import Record
+from dfm_stage.recording import Record, read_record
 
 Option = tuple[tuple[str, ...], dict[str, Any]]
+Group = tuple[str, Sequence[Option]]
+"""Options under a title of their own."""
+Options = Sequence[Option | Group]
+Work = Callable[[argparse.Namespace], int]
+Tone = Literal["good", "warn", "bad"]
+TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
+                          "unknown": "bad", "not_excited": "warn"}
+"""How good news each verdict of the diagnosis is."""
+_CODES = {"good": "32", "warn": "33", "bad": "31"}
 _made: list[Path] = []
 
 
-def run_command(work: Callable[[], int], stopped: str = "stopped") -> int:
-    """Do the work and return its exit code; 2 with one line for an error of ours, 130 with the
-    line `stopped` after Ctrl-C. An output folder that stayed empty is taken away again."""
+class CheckFailedError(DfmError):
+    """The input is usable, but what was asked for cannot be answered for: exit code 1, not 2."""
+
+
+def paint(text: str, tone: Tone, stream: TextIO | None = None) -> str:
+    """Return text in a colour where `stream` (default: stdout) is a terminal that shows colours.
+
+    NO_COLOR, if it is set to anything, and TERM=dumb turn them off (https://no-color.org).
+    """
+    if (not (stream or sys.stdout).isatty() or os.environ.get("NO_COLOR")
+            or os.environ.get("TERM") == "dumb"):
+        return text
+    return f"\x1b[{_CODES[tone]}m{text}\x1b[0m"
+
+
+def command(name: str, description: str | None, epilog: str, options: Options
+            ) -> Callable[[Work], Callable[[Sequence[str] | None], int]]:
+    """Make a function of its options a command: `main(argv)` that ends as `run_command` does.
+
+    The help ends with the epilog as it is written.
+    """
+    parser = command_parser(name, description, epilog, options)
+
+    def decorate(work: Work) -> Callable[[Sequence[str] | None], int]:
+        @functools.wraps(work)
+        def main(argv: Sequence[str] | None = None) -> int:
+            given = parser.parse_args(argv)
+            return run_command(lambda: work(given))
+
+        return main
+
+    return decorate
+
+
+def run_command(work: Callable[[], int]) -> int:
+    """Do the work and return its exit code; 2 with one line for an error of ours, 1 for a
+    CheckFailedError, 130 with one line, the interrupt's own if it has one, after Ctrl-C. An output
+    folder that stayed empty is taken away again."""
     try:
         return work()
     except DfmError as error:
         print(f"{paint('error:', 'bad', sys.stderr)} {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(stopped, file=sys.stderr)
+        return 1 if isinstance(error, CheckFailedError) else 2
+    except KeyboardInterrupt as stop:
+        print(str(stop) or "stopped", file=sys.stderr)
         return 130
     finally:
         while _made:
@@ -54,42 +97,34 @@ SEED = option("--seed", type=int, default=0, help="fixes the noise (default: 0)"
 PROCESSES = option("--processes", action="store_true",
                    help="one process per node instead of all in this one")
 NO_REPORT = option("--no-report", action="store_true", help="do not write report.html")
-COLUMNS = (*(option(f"--{name}", metavar="COLUMN") for name in ("time", "input", "output")),
-           *(option(f"--{name}-unit", metavar="UNIT") for name in ("time", "input", "output")),
-           option("--sample-period", type=float, metavar="SECONDS"))
+COLUMNS: Group = ("CSV files with other column names", (
+    *(option(f"--{name}", metavar="COLUMN") for name in ("time", "input", "output")),
+    *(option(f"--{name}-unit", metavar="UNIT") for name in ("time", "input", "output")),
+    option("--sample-period", type=float, metavar="SECONDS")))
 """What `read_with` needs to know of a foreign CSV file."""
 
 
 def command_parser(name: str, description: str | None, epilog: str,
-                   options: Sequence[Option] = ()) -> argparse.ArgumentParser:
+                   options: Options) -> argparse.ArgumentParser:
     """A parser of these options whose help ends with examples, set as they are written."""
     parser = argparse.ArgumentParser(prog=name, description=description, epilog=epilog,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    add_options(parser, options)
+    for flags, settings in options:
+        where, entries = ((parser, ((flags, settings),)) if isinstance(settings, dict)
+                          else (parser.add_argument_group(str(flags)), settings))
+        for names, how in entries:
+            where.add_argument(*names, **how)
     return parser
 
 
-def add_options(parser: argparse._ActionsContainer, options: Sequence[Option]) -> None:
-    """Add options to a parser or to a group of its options."""
-    for flags, settings in options:
-        parser.add_argument(*flags, **settings)
-
-
-def add_column_options(parser: argparse.ArgumentParser) -> None:
-    """Add `COLUMNS`, as a group of their own."""
-    add_options(parser.add_argument_group("CSV files with other column names"), COLUMNS)
-
-
 def read_with(options: argparse.Namespace, path: str, axis: str | None = None) -> Record:
-    """Read a record by the options of `add_column_options`.
+    """Read a record by the options of `COLUMNS`.
 
     Raises
     ------
     DfmError
         If it cannot be read.
     """
-    from dfm_stage.recording import read_record
-
     return read_record(path, axis=axis, time=options.time, input=options.input,
                        output=options.output, time_unit=options.time_unit,
                        input_unit=options.input_unit, output_unit=options.output_unit,
@@ -138,7 +173,7 @@ def new_folder(path: str | Path) -> Path:
     return output_folder(out)
 
 
-def write_output(path: Path, text: str) -> None:
+def write_output(path: Path, content: str | bytes) -> None:
     """Write a result, whole or not at all.
 
     Raises
@@ -147,7 +182,7 @@ def write_output(path: Path, text: str) -> None:
         If it cannot be written.
     """
     try:
-        write_whole(path, text)
+        write_whole(path, content)
     except OSError as error:
         raise DfmError(f"{path}: cannot be written ({error.strerror}); choose another folder "
                        "with --out") from None

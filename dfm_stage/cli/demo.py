@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,20 @@ import numpy as np
 from dfm_stage.cli.command import (
     PROCESSES,
     SEED,
-    command_parser,
+    command,
     dated_folder,
     new_folder,
     option,
-    run_command,
 )
 from dfm_stage.cli.progress import Progress
 from dfm_stage.errors import DfmError
+from dfm_stage.model import load_model
+from dfm_stage.recording import read_record
+from dfm_stage.share import find_experiment
+from dfm_stage.trajectory import load_experiment
 
-LOOP_NODES = "sim_plant encoder_driver controller amplifier_driver trajectory_generator recorder"
+LOOP_NODES = ("sim_plant, encoder_driver, controller, amplifier_driver, trajectory_generator, "
+              "recorder")
 BANDWIDTH_HZ = 10.0
 SETTLED_S = 1.5
 STIFFENING_STAGE = "demo_stage"
@@ -41,45 +45,42 @@ OPTIONS = (
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+@command("demo", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Run the demonstration; 0 when it worked, 2 with one line when it could not."""
-    options = command_parser("demo", __doc__, EPILOG, OPTIONS).parse_args(argv)
     out = dated_folder(options.out, "demo")
-    return run_command(
-        lambda: _demo(out, options.model, options.seed, not options.processes),
-        stopped=f"stopped; what was recorded is in {out}")
+    try:
+        return _demo(out, options.model, options.seed, not options.processes)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped; what was recorded is in {out}") from None
 
 
 def _demo(out: Path, model: str, seed: int, composed: bool) -> int:
     from dfm_stage.cli import identify
-    from dfm_stage.model import load_model
 
     load_model(model)
     new_folder(out)
-    where = "in this process" if composed else "in a process each"
-    print(f"1. ROS 2 nodes {where}, in lockstep: {LOOP_NODES.replace(' ', ', ')}")
+    print(f"1. ROS 2 nodes in {'this process' if composed else 'a process each'}, in lockstep: "
+          f"{LOOP_NODES}")
     before = _record("scan", out / "scan", model, seed, composed)
     shake = _record("multisine", out / "multisine", model, seed, composed)
     print("2. Identification from the open-loop multisine bag")
-    code = identify.main([str(shake), "--out", str(out / "identify")])
-    if code:
+    if code := identify.main([str(shake), "--out", str(out / "identify")]):
         return code
     print("3. The same scan with gains and feedforward from the identified model")
     gains = _gains(out / "identify" / "model.yaml")
     after = _record(_scan("scan_tuned", gains), out / "scan_tuned", model, seed, composed)
     _show_scans({"default gains": before, "from the model": after}, out / "scan.png")
     print("4. Another stage: its spring stiffens, which the model does not know")
-    code, pictures = _diagnosed(out, gains, seed, composed)
-    if code:
+    if code := _diagnosed(out, gains, seed, composed):
         return code
-    print(f"\nPictures: {out / 'identify' / 'report.html'}, {out / 'scan.png'}, "
-          f"{', '.join(str(picture) for picture in pictures)}")
+    pictures = ("identify/report.html", "scan.png", "diagnosis/report.html", "scan_diagnosed.png")
+    print(f"\nPictures: {', '.join(str(out / picture) for picture in pictures)}")
     print(f"Bags, for ros2 bag, Foxglove, PlotJuggler: in {out}")
     return 0
 
 
-def _diagnosed(out: Path, gains: dict[str, Any], seed: int,
-               composed: bool) -> tuple[int, tuple[Path, ...]]:
+def _diagnosed(out: Path, gains: dict[str, Any], seed: int, composed: bool) -> int:
     """Scan a stage that the model does not describe, have it diagnosed, scan with the result."""
     from dfm_stage.cli import diagnose
 
@@ -93,21 +94,16 @@ def _diagnosed(out: Path, gains: dict[str, Any], seed: int,
     before = scan("scan_before_diagnosis", simple)
     shake = _record(LARGE_MULTISINE, out / "large_multisine", STIFFENING_STAGE, seed, composed)
     print("5. Diagnosis of the multisine bag, judged on the scan")
-    code = diagnose.main([str(shake), "--holdout", str(before), "--model", str(simple), "--out",
-                          str(extended.parent)])
-    if code:
-        return code, ()
+    if code := diagnose.main([str(shake), "--holdout", str(before), "--model", str(simple),
+                              "--out", str(extended.parent)]):
+        return code
     print("6. The same scan, feedforward from the diagnosed model")
     after = scan("scan_after_diagnosis", extended)
-    picture = out / "scan_diagnosed.png"
-    _show_scans({"identified model": before, "diagnosed model": after}, picture)
-    return 0, (extended.parent / "report.html", picture)
+    _show_scans({"identified model": before, "diagnosed model": after}, out / "scan_diagnosed.png")
+    return 0
 
 
 def _scan(name: str, controller: dict[str, Any]) -> dict[str, Any]:
-    from dfm_stage.harness import find_experiment
-    from dfm_stage.trajectory import load_experiment
-
     scan = load_experiment(find_experiment("scan"))
     return {"name": name, "mode": "pid", "duration_s": scan.duration_s, "controller": controller,
             "axes": {"x": {"reference": dict(scan.axes["x"].reference or {})}}}
@@ -124,14 +120,13 @@ def _record(experiment: str | dict[str, Any], bag: Path, model: str, seed: int,
             result = graph.run(experiment, progress=progress)["x"]
         summary = graph.stop_recording()
     samples = result.last_seq - result.first_seq + 1
-    speed = samples * 1e-3 / (time.monotonic() - start)
-    print(f"   {name}: {samples} samples, {speed:.1f} times real time; {summary}")
+    print(f"   {name}: {samples} samples, {samples * 1e-3 / (time.monotonic() - start):.1f} times "
+          f"real time; {summary}")
     return bag
 
 
 def _gains(model: Path) -> dict[str, float | str]:
     from dfm_stage.control.placement import pid_for
-    from dfm_stage.model import load_model
 
     identified = load_model(model)
     design = pid_for(identified.base, BANDWIDTH_HZ, sample_period_s=identified.sample_period)
@@ -141,8 +136,6 @@ def _gains(model: Path) -> dict[str, float | str]:
 
 def _show_scans(bags: dict[str, Path], picture: Path) -> None:
     from matplotlib.figure import Figure
-
-    from dfm_stage.recording import read_record
 
     figure = Figure(figsize=(8, 6), dpi=120, layout="constrained")
     axes = figure.subplots(1 + len(bags), 1, sharex=True)
@@ -156,9 +149,8 @@ def _show_scans(bags: dict[str, Path], picture: Path) -> None:
         speed = np.gradient(axis.reference, time_s)
         settled = time_s > SETTLED_S
         line = settled & (np.abs(np.gradient(speed, time_s)) < 1e-3 * np.max(np.abs(speed)))
-        turn = settled & ~line
         figures = (np.sqrt(np.mean(error[line] ** 2)), np.max(np.abs(error[line])),
-                   np.max(np.abs(error[turn])))
+                   np.max(np.abs(error[settled & ~line])))
         print(f"   {label:24} " + " ".join(f"{value * 1e6:12.2f}" for value in figures))
         if index == 0:
             axes[0].plot(time_s, axis.reference * 1e3, color="0.6", linewidth=3,

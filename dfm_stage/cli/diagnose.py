@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from dfm_stage.cli.colour import TONES, paint
+from ruamel.yaml import YAML
+
 from dfm_stage.cli.command import (
-    add_column_options,
-    command_parser,
+    COLUMNS,
+    NO_REPORT,
+    TONES,
+    Options,
+    command,
+    json_option,
     names_in,
+    option,
     output_folder,
+    paint,
     read_with,
-    run_command,
+    write_json,
     write_output,
 )
+from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
 from dfm_stage.errors import DfmError
+from dfm_stage.model import EFFECTS, Model, load_model, save_model
+from dfm_stage.quantity import format_quantity
 
 if TYPE_CHECKING:
     from dfm_stage.diagnosis import Diagnosis
-    from dfm_stage.model import Model
 
 EPILOG = """\
 examples:
@@ -31,54 +40,39 @@ examples:
   ./run diagnose log.csv --model m.yaml --time t --input iq --output theta --output-unit rad
   ./run diagnose runs/multisine --model m.yaml --run stage.yaml   # and the next experiment
 """
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Diagnose bags or CSV files; 0 a verdict was reached, 2 unusable input."""
-    options = _parser().parse_args(argv)
-    return run_command(lambda: _diagnose(options))
-
-
-OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("runs", {"nargs": "+", "metavar": "RUN",
-              "help": "bag folder, .mcap, .csv, .npz or .mat; several are fitted together"}),
-    ("--model", {"required": True, "metavar": "FILE",
-                 "help": "the model that should explain them: model.yaml or a name in "
-                 "config/models"}),
-    ("--holdout", {"action": "append", "default": [], "metavar": "RUN",
-                   "help": "a record to predict and never to fit, best of another kind; without "
-                   "one, the last 30 %% of each record"}),
-    ("--out", {"default": "diagnosed", "metavar": "DIR",
-               "help": "folder for diagnosis.json, model.yaml, report.html and "
-               "next_experiment.yaml (default: %(default)s)"}),
-    ("--axis", {"metavar": "NAME", "help": "axis, where a record has several"}),
-    *((name, {"action": "append", "default": [], "metavar": "NAME[,NAME]", "help": words})
+OPTIONS: Options = (
+    option("runs", nargs="+", metavar="RUN",
+           help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together"),
+    option("--model", required=True, metavar="FILE",
+           help="the model that should explain them: model.yaml or a name in config/models"),
+    option("--holdout", action="append", default=[], metavar="RUN",
+           help="a record to predict and never to fit, best of another kind; without one, the "
+           "last 30 %% of each record"),
+    option("--out", default="diagnosed", metavar="DIR",
+           help="folder for diagnosis.json, model.yaml, report.html and next_experiment.yaml "
+           "(default: %(default)s)"),
+    option("--axis", metavar="NAME", help="axis, where a record has several"),
+    *(option(name, action="append", default=[], metavar="NAME[,NAME]", help=words)
       for name, words in (
           ("--library", "effects that may be named (default: all)"),
           ("--without", "effects that may not be named"),
           ("--free", "re-estimate these as well, for instance mass"),
           ("--fix", "hold these at the model's values"))),
-    ("--run", {"metavar": "STAGE",
-               "help": "perform the next experiment on the node graph, with this model.yaml as "
-               "the stage, and diagnose again with the new bag"}),
-    ("--rounds", {"type": int, "default": 1, "metavar": "N",
-                  "help": "how often --run does so (default: %(default)s)"}),
-    ("--seed", {"type": int, "default": 0, "help": "fixes what is shuffled (default: 0)"}))
+    option("--run", metavar="STAGE",
+           help="perform the next experiment on the node graph, with this model.yaml as the "
+           "stage, and diagnose again with the new bag"),
+    option("--rounds", type=int, default=1, metavar="N",
+           help="how often --run does so (default: %(default)s)"),
+    option("--seed", type=int, default=0, help="fixes what is shuffled (default: 0)"),
+    COLUMNS,
+    json_option("diagnosis.json"),
+    NO_REPORT,
+)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("diagnose", __doc__, EPILOG)
-    for name, settings in OPTIONS:
-        parser.add_argument(name, **settings)
-    add_column_options(parser)
-    parser.add_argument("--json", action="store_true", help="print diagnosis.json, nothing else")
-    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
-    return parser
-
-
-def _diagnose(options: argparse.Namespace) -> int:
-    from dfm_stage.model import load_model
-
+@command("diagnose", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
+    """Diagnose bags or CSV files; 0 a verdict was reached, 2 unusable input."""
     model = load_model(options.model)
     out = output_folder(options.out)
     fitted, held = list(options.runs), list(options.holdout)
@@ -97,7 +91,6 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
           held: Sequence[str], out: Path) -> Diagnosis:
     from dfm_stage.diagnosis import diagnose
     from dfm_stage.identification.model_fit import default_free
-    from dfm_stage.model import EFFECTS, save_model
 
     library = names_in(options.library) or list(EFFECTS)
     for name in names_in(options.without):
@@ -106,26 +99,25 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
                            f"{', '.join(library)}")
         library.remove(name)
     one = model.axis(options.axis or ("x" if "x" in model.axes else None))
-    free = [*default_free(one), *names_in(options.free)]
     with steps("diagnose", options.json) as step:
         step("reading")
         records = [read_with(options, path) for path in fitted]
         holdout = [read_with(options, path) for path in held]
         found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
-                         free=free, fixed=names_in(options.fix),
+                         free=[*default_free(one), *names_in(options.free)],
+                         fixed=names_in(options.fix),
                          names=[Path(p).name or p for p in (*fitted, *held)],
                          seed=options.seed, step=step)
         step("writing")
-        result = {**found.to_dict(), "records": list(fitted), "holdout": list(held)}
-        text = json.dumps(result, indent=1, allow_nan=False) + "\n"
-        write_output(out / "diagnosis.json", text)
+        text = write_json(out / "diagnosis.json", {
+            **found.to_dict(), "records": list(fitted), "holdout": list(held)})
         save_model(found.model, out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         if not options.no_report:
             from dfm_stage.cli.diagnose_report import write_report
 
-            sources = [each.provenance.words for each in (*records, *holdout)]
-            write_report(found, out / "report.html", sources, options.model)
+            write_report(found, out / "report.html",
+                         [each.provenance.words for each in (*records, *holdout)], options.model)
     if options.json:
         print(text, end="")
     else:
@@ -137,18 +129,12 @@ def _next(found: Diagnosis, path: Path) -> None:
     if found.next_experiment is None:
         path.unlink(missing_ok=True)
         return
-    from io import StringIO
-
-    from ruamel.yaml import YAML
-
     text = StringIO()
     YAML().dump(dict(found.next_experiment), text)
     write_output(path, text.getvalue())
 
 
 def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
-    from dfm_stage.cli.graph_run import run_on_graph
-
     experiment = dict(found.next_experiment or {})
     if bag.exists():
         raise DfmError(f"{bag} is there already; choose another folder with --out")
@@ -159,8 +145,6 @@ def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
 
 
 def _print(found: Diagnosis, out: Path, report: bool) -> None:
-    from dfm_stage.reporting import format_quantity
-
     print(f"{paint(found.verdict, TONES[found.verdict])}: {found.sentence}")
     for effect in found.effects:
         print(f"  {' or '.join(effect.members)}  ({effect.gap_share:.0%} of the gap)")
@@ -169,20 +153,14 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
     gap, unit = found.gap, found.gap.unit
     words = ("before", "retuned", "after")
     for what, values in (("fitted", gap.fit), ("held out", gap.held_out)):
-        said = ", ".join(f"{w} {format_quantity(v, unit)}"
-                         for w, v in zip(words, values, strict=True))
-        print(f"  RMS {what}: {said}")
+        print(f"  RMS {what}: " + ", ".join(f"{w} {format_quantity(v, unit)}" for w, v in
+                                            zip(words, values, strict=True)))
     print(f"  noise floor {format_quantity(gap.noise_floor, unit)} (from "
           f"{gap.noise_floor_from})")
     if found.next_experiment is not None:
         print(f"  next experiment: {found.next_experiment['description']}")
     for warning in found.warnings:
         print(f"  note: {warning}")
-    files = ["diagnosis.json", "model.yaml"]
-    files += ["report.html"] if report else []
-    files += ["next_experiment.yaml"] if found.next_experiment is not None else []
+    files = ["diagnosis.json", "model.yaml", *(["report.html"] if report else []),
+             *(["next_experiment.yaml"] if found.next_experiment is not None else [])]
     print(f"  {', '.join(files)} in {out}")
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
-from dfm_stage.cli.colour import TONES
+from dfm_stage.arrays import Array
+from dfm_stage.cli.command import TONES
+from dfm_stage.diagnosis import Comparison, Diagnosis
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -18,16 +18,13 @@ from dfm_stage.reporting import (
     Table,
     display_unit,
     format_quantity,
+    log_labels,
     new_figure,
     page_style,
     time_figure,
 )
+from dfm_stage.reporting.table import Cell
 
-if TYPE_CHECKING:
-    from dfm_stage.diagnosis import Comparison, Diagnosis
-    from dfm_stage.reporting.table import Cell
-
-Array = NDArray[np.float64]
 BINS = 40
 NO_GAP = 1.5
 
@@ -54,10 +51,9 @@ def write_report(found: Diagnosis, path: Path, records: Sequence[str], model: st
 
 
 def _gap(page: Page, found: Diagnosis) -> None:
-    gap = found.gap
     page.section("The gap", "RMS of measured minus simulated: with the model as it was given, "
                  "with its own parameters re-estimated, and with what was found added. The line "
-                 f"is the noise floor, known from {gap.noise_floor_from}.")
+                 f"is the noise floor, known from {found.gap.noise_floor_from}.")
     page.figure(_gaps(found), "The gap before and after, on fitted and on held-out records")
 
 
@@ -164,15 +160,12 @@ def _localised(run: Comparison, before: Array, after: Array, unit: str) -> Drawi
                                   markersize=2.5)
             rows.append([label, Quantity(float(np.std(left)), unit),
                          float(hertz[1 + int(np.argmax(power[1:]))])])
-        axes[0, 0].set_xlabel("frequency (Hz)")
-        axes[0, 0].set_ylabel(f"gap ({shown}/√Hz)")
+        axes[0, 0].set(xlabel="frequency (Hz)", ylabel=f"gap ({shown}/√Hz)")
         axes[0, 0].legend(loc="best")
-        for each in (axes[0, 0].xaxis, axes[0, 0].yaxis):
-            each.set_major_formatter(lambda value, _: f"{value:g}")
-            each.set_minor_formatter("")
+        log_labels(axes[0, 0].xaxis, axes[0, 0].yaxis)
         for row, name in ((1, "position"), (2, "speed")):
-            axes[row, 0].set_xlabel(f"{name} ({abscissae[row - 1][2]})")
-            axes[row, 0].set_ylabel(f"mean gap ({shown})")
+            axes[row, 0].set(xlabel=f"{name} ({abscissae[row - 1][2]})",
+                             ylabel=f"mean gap ({shown})")
     return Drawing(figure, Table(("", "RMS", "strongest at (Hz)"), rows))
 
 
@@ -185,10 +178,9 @@ def _binned(along: Array, values: Array) -> tuple[Array, Array]:
 
 def _rejected(page: Page, found: Diagnosis) -> None:
     page.section("What it is not")
-    unit = found.gap.unit
-    page.table(("effect", "held-out RMS with it", "why not"),
-               [[r.name, None if r.held_out_rms is None else Quantity(r.held_out_rms, unit),
-                 r.reason] for r in found.rejected])
+    page.table(("effect", "held-out RMS with it", "why not"), [
+        [r.name, None if r.held_out_rms is None else Quantity(r.held_out_rms, found.gap.unit),
+         r.reason] for r in found.rejected])
     if found.detection_limits:
         page.section("What would have shown",
                      "Half of all records like these would have named an effect of this size; a "

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from dfm_stage.cli.command import command_parser, run_command
-from dfm_stage.harness.emulator_process import add_arguments, run
+from dfm_stage.cli.command import command
+from dfm_stage.harness.emulator_process import OPTIONS, run
 
 HELP = """faults, typed as lines:
   silence S        hears and says nothing for S seconds
@@ -23,13 +21,4 @@ examples:
 """
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """0 after quit or a signal, 2 when it cannot be set up."""
-    parser = command_parser("emulate", __doc__, HELP)
-    add_arguments(parser)
-    options = parser.parse_args(argv)
-    return run_command(lambda: run(options))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+main = command("emulate", __doc__, HELP, OPTIONS)(run)

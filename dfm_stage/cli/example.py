@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import argparse
+import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dfm_stage.cli.command import command_parser, option, output_folder, run_command
-
-if TYPE_CHECKING:
-    from dfm_stage.recording import Record
+from dfm_stage.cli.command import command, option, output_folder, write_output
+from dfm_stage.model import Simulator, load_model, save_model
+from dfm_stage.recording import AxisRecord, Provenance, Record, write_csv, write_mat
+from dfm_stage.trajectory import make_excitation
 
 STAGE, MODEL = "demo_stage", "paper_stage"
 DURATION_S = 16.0
@@ -36,19 +36,21 @@ OPTIONS = (
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+@command("example", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Write the files; 0 done, 2 where they cannot be written."""
-    options = command_parser("example", __doc__, EPILOG, OPTIONS).parse_args(argv)
-    return run_command(lambda: _write(output_folder(options.folder), options.format,
-                                      options.seed))
+    folder = output_folder(options.folder)
+    write, suffix = {"csv": (write_csv, "csv"), "mat": (write_mat, "mat"),
+                     "dspace": (_write_dspace, "mat")}[options.format]
+    for number, (name, excitation) in enumerate((("multisine", SHAKE), ("sweep", SWEEP))):
+        write(example_record(excitation, options.seed + number), folder / f"{name}.{suffix}")
+    save_model(load_model(MODEL), folder / "model.yaml")
+    print(f"multisine.{suffix}, sweep.{suffix} and model.yaml in {folder}")
+    return 0
 
 
 def example_record(excitation: dict[str, object], seed: int) -> Record:
     """Return what an open-loop run of the example's stage measures, 16 s at 1 kHz."""
-    from dfm_stage.model import Simulator, load_model
-    from dfm_stage.recording import AxisRecord, Provenance, Record
-    from dfm_stage.trajectory import make_excitation
-
     stage = load_model(STAGE)
     period = stage.sample_period
     volts = make_excitation(excitation, sample_period_s=period, duration_s=DURATION_S,
@@ -59,28 +61,9 @@ def example_record(excitation: dict[str, object], seed: int) -> Record:
                   Provenance(str(excitation["kind"]), "simulated"))
 
 
-def _write(folder: Path, form: str, seed: int) -> int:
-    from dfm_stage.model import load_model, save_model
-    from dfm_stage.recording import write_csv, write_mat
-
-    write: Callable[[Record, Path], None] = {
-        "csv": write_csv, "mat": write_mat, "dspace": _write_dspace}[form]
-    suffix = "csv" if form == "csv" else "mat"
-    for number, (name, excitation) in enumerate((("multisine", SHAKE), ("sweep", SWEEP))):
-        write(example_record(excitation, seed + number), folder / f"{name}.{suffix}")
-    save_model(load_model(MODEL), folder / "model.yaml")
-    print(f"multisine.{suffix}, sweep.{suffix} and model.yaml in {folder}")
-    return 0
-
-
 def _write_dspace(record: Record, path: Path) -> None:
     """Write a capture as ControlDesk exports it: X the time, Y the signals by block path."""
-    import io
-
     import scipy.io
-
-    from dfm_stage.files import write_whole
-    from dfm_stage.recording.errors import write_error
 
     axis = record.axis()
     signals = [{"Name": f'"Model Root/Stage/{name}"', "Data": values}
@@ -88,8 +71,4 @@ def _write_dspace(record: Record, path: Path) -> None:
     content = io.BytesIO()
     scipy.io.savemat(content, {path.stem: {"X": {"Name": "Time", "Data": record.time},
                                            "Y": signals}})
-    try:
-        write_whole(path, content.getvalue())
-    except OSError as error:
-        raise write_error(path, error) from None
-
+    write_output(path, content.getvalue())

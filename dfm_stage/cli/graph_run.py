@@ -6,12 +6,10 @@ import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dfm_stage.cli.progress import Progress
-
-if TYPE_CHECKING:
-    from dfm_stage.recording import Record
+from dfm_stage.recording import Record, read_record
 
 
 def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, seed: int = 0,
@@ -28,7 +26,6 @@ def run_on_graph(experiment: str | Mapping[str, Any], bag: Path, *, model: str, 
         If the graph does not come up, the experiment fails or the bag cannot be read.
     """
     from dfm_stage.harness import NotInTimeError, StageGraph
-    from dfm_stage.recording import read_record
 
     name = experiment if isinstance(experiment, str) else str(experiment["name"])
 

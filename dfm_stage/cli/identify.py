@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dfm_stage.cli.command import (
+    COLUMNS,
     NO_REPORT,
-    add_column_options,
-    add_options,
-    command_parser,
+    CheckFailedError,
+    command,
     finite,
     json_option,
     names_in,
     option,
     output_folder,
     read_with,
-    run_command,
     write_json,
 )
 from dfm_stage.cli.progress import steps
 from dfm_stage.errors import DfmError
+from dfm_stage.model import Model, load_model, save_model
+from dfm_stage.quantity import format_number, format_quantity
+from dfm_stage.recording import Record
 
 if TYPE_CHECKING:
     from dfm_stage.identification import Identification, Source
-    from dfm_stage.model import Model
-    from dfm_stage.recording import Record
 
 EPILOG = """\
 examples:
@@ -63,19 +63,15 @@ OPTIONS = (
            help="noise model: an autoregression of fitting order, or white"),
     option("--skip", type=float, default=0.0, metavar="SECONDS",
            help="leave out the start of each record"),
+    COLUMNS,
+    json_option("identify.json"),
+    NO_REPORT,
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+@command("identify", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Identify from bags or CSV files; 0 done, 1 no model found, 2 unusable input."""
-    parser = command_parser("identify", __doc__, EPILOG, OPTIONS)
-    add_column_options(parser)
-    add_options(parser, (json_option("identify.json"), NO_REPORT))
-    options = parser.parse_args(argv)
-    return run_command(lambda: _identify(options))
-
-
-def _identify(options: argparse.Namespace) -> int:
     paths = [*options.bags, *options.record]
     if not paths:
         raise DfmError("no record given: name a bag or a CSV file (identify --help)")
@@ -84,16 +80,15 @@ def _identify(options: argparse.Namespace) -> int:
     with steps("identify", options.json) as step:
         step("reading")
         from dfm_stage.identification import identify
-        from dfm_stage.model import load_model, save_model
 
         model = load_model(options.model).axis(options.axis) if options.model else None
         names = [*paths, *options.holdout]
         records = [read_with(options, path, options.axis) for path in names]
         sources = [_source(path, record, options)
                    for path, record in zip(names, records, strict=True)]
-        free = _free(options, model)
-        found = identify(sources[:len(paths)], model=model, free=free, fixed=fixed,
-                         holdout=sources[len(paths):], noise=options.noise, step=step)
+        found = identify(sources[:len(paths)], model=model, free=_free(options, model),
+                         fixed=fixed, holdout=sources[len(paths):], noise=options.noise,
+                         step=step)
         step("report")
         text = write_json(out / "identify.json", {**finite(found.to_dict()), "records": names})
         save_model(_signed(found, paths), out / "model.yaml")
@@ -107,8 +102,7 @@ def _identify(options: argparse.Namespace) -> int:
     else:
         _print(found, out, not options.no_report)
     if not found.estimate.ok:
-        print(f"error: {found.estimate.message}", file=sys.stderr)
-        return 1
+        raise CheckFailedError(found.estimate.message)
     return 0
 
 
@@ -124,8 +118,8 @@ def _source(path: str, record: Record, options: argparse.Namespace) -> Source:
                        f"{len(record)} samples: skip between 0 and "
                        f"{(len(record) - FEWEST_SAMPLES) * record.sample_period:g} s")
     record = record.slice(skip) if skip else record
-    name = Path(path).name or str(path)
-    return Source(name, record.axis(options.axis), record.sample_period, tuple(record.warnings))
+    return Source(Path(path).name or path, record.axis(options.axis), record.sample_period,
+                  tuple(record.warnings))
 
 
 def _free(options: argparse.Namespace, model: Model | None) -> list[str] | None:
@@ -154,28 +148,24 @@ def _fixed(item: str) -> tuple[str, float | None]:
 
 def _signed(found: Identification, paths: Sequence[str]) -> Model:
     """Return the model with where it comes from and how well its parameters are known."""
-    from dataclasses import replace
-
-    intervals = {name: [finite(float(x)) for x in q.ci95]
-                 for name, q in found.estimate.quantities().items() if q.ci95 is not None}
     return replace(found.model, origin={
-        "identified_from": [Path(p).name for p in paths], "ci95": intervals})
+        "identified_from": [Path(p).name for p in paths],
+        "ci95": {name: [finite(float(x)) for x in q.ci95]
+                 for name, q in found.estimate.quantities().items() if q.ci95 is not None}})
 
 
 def _print(found: Identification, out: Path, report: bool) -> None:
-    from dfm_stage.reporting import format_number, format_quantity
-
     rows = {**found.headline, **found.estimate.quantities()}
     wide = max(map(len, rows))
     for name, q in rows.items():
         if math.isfinite(q.value):
             print(f"  {name:<{wide}}  {q}")
     for name, value in found.estimate.held.items():
-        unit = found.model.parameter(name).unit
-        print(f"  {name:<{wide}}  {format_quantity(value, unit)} (held)")
+        print(f"  {name:<{wide}}  {format_quantity(value, found.model.parameter(name).unit)} "
+              "(held)")
+    unit = found.sources[0].axis.position_unit
     for evaluation in (*found.evaluations, *found.held_out):
         what = "held out" if evaluation in found.held_out else "fit"
-        unit = found.sources[0].axis.position_unit
         percent = evaluation.fit_percent
         said = "at rest" if percent is None else f"{percent:.2f} %"
         print(f"  {what}: {evaluation.source}: {said}, RMS "
@@ -191,6 +181,5 @@ def _print(found: Identification, out: Path, report: bool) -> None:
         print(f"  residual {test.name.replace('_', ' ')}: {test.text} (p = {test.p_value:.2g})")
     for warning in found.warnings:
         print(f"  note: {warning}")
-    pages = "identify.json, model.yaml" + (", report.html" if report else "")
-    print(f"  {pages} in {out}")
+    print(f"  identify.json, model.yaml{', report.html' if report else ''} in {out}")
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dfm_stage.arrays import Array
+from dfm_stage.identification.frequency_response import Distortion
 from dfm_stage.identification.model_fit import linear_plant
 from dfm_stage.identification.paper import PAPER_MODE
 from dfm_stage.identification.plant import LinearPlant
+from dfm_stage.identification.residuals import LineResidual, ResidualTest
+from dfm_stage.identification.workflow import Identification
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -21,18 +23,12 @@ from dfm_stage.reporting import (
     Table,
     bode_figure,
     format_quantity,
+    log_labels,
     new_figure,
     page_style,
     time_figure,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from dfm_stage.identification.frequency_response import Distortion
-    from dfm_stage.identification.residuals import LineResidual, ResidualTest
-    from dfm_stage.identification.workflow import Identification
-    from dfm_stage.reporting.table import Cell
+from dfm_stage.reporting.table import Cell
 
 CURVE_POINTS = 600
 SHARP = 0.25
@@ -121,9 +117,8 @@ def _bode(page: Page, found: Identification) -> None:
     drawn.append(Response("model", frequency,
                           plant.sampled_response(omega, source.sample_period)))
     if found.paper:
-        paper = LinearPlant((PAPER_MODE,), plant.lag, plant.delay)
-        drawn.append(Response("paper's G(s)", frequency,
-                              paper.sampled_response(omega, source.sample_period)))
+        drawn.append(Response("paper's G(s)", frequency, LinearPlant(
+            (PAPER_MODE,), plant.lag, plant.delay).sampled_response(omega, source.sample_period)))
     first = found.responses[0]
     how = (f"{first.lines.size} lines over {first.periods_used} of {first.periods_total} periods"
            if first.lines.size else "local polynomial estimate")
@@ -186,19 +181,15 @@ def _correlation_figure(tests: Sequence[ResidualTest]) -> Drawing:
     figure, axes = new_figure(len(tests), 0.7 + 1.5 * len(tests), squeeze=False)
     with page_style():
         for axis, test in zip(axes[:, 0], tests, strict=True):
-            _draw_test(axis, test)
+            axis.vlines(test.lags, 0.0, test.correlation, color="C0", linewidth=1.4)
+            axis.plot(test.lags, test.correlation, "o", color="C0", markersize=3.0)
+            axis.fill_between(test.lags, -test.band, test.band, color="C1", alpha=0.2, linewidth=0)
+            axis.set_ylabel("with itself" if test.name == "whiteness" else "with the input")
         axes[-1, 0].set_xlabel("lag (samples)")
     rows: list[list[Cell]] = [
         [t.name.replace("_", " "), float(np.max(np.abs(t.correlation))), float(t.band[0])]
         for t in tests]
     return Drawing(figure, Table(("test", "largest correlation", "99 % band"), rows))
-
-
-def _draw_test(axis: Axes, test: ResidualTest) -> None:
-    axis.vlines(test.lags, 0.0, test.correlation, color="C0", linewidth=1.4)
-    axis.plot(test.lags, test.correlation, "o", color="C0", markersize=3.0)
-    axis.fill_between(test.lags, -test.band, test.band, color="C1", alpha=0.2, linewidth=0)
-    axis.set_ylabel("with itself" if test.name == "whiteness" else "with the input")
 
 
 def _line_figure(lines: LineResidual) -> Drawing:
@@ -207,9 +198,7 @@ def _line_figure(lines: LineResidual) -> Drawing:
         axis.semilogx(lines.frequency_hz, lines.ratio, "o", color="C0", markersize=3.0)
         axis.axhline(lines.band, color="C1", linewidth=1.0)
         axis.set(yscale="log", xlabel="frequency (Hz)", ylabel="power ratio")
-        for each in (axis.xaxis, axis.yaxis):
-            each.set_major_formatter(lambda value, _: f"{value:g}")
-            each.set_minor_formatter("")
+        log_labels(axis.xaxis, axis.yaxis)
     worst = int(np.argmax(lines.ratio))
     return Drawing(figure, Table(
         ("", "frequency (Hz)", "ratio"),

@@ -7,53 +7,64 @@ import functools
 import json
 import shutil
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.cli.command import command_parser, new_folder, run_command
+from dfm_stage.arrays import Array
+from dfm_stage.cli.command import CheckFailedError, command, new_folder, option, write_json
+from dfm_stage.cli.graph_run import run_on_graph
+from dfm_stage.cli.learn_report import learning_page
+from dfm_stage.cli.progress import Progress
 from dfm_stage.cli.tune import identified
+from dfm_stage.control import (
+    ControlError,
+    Learner,
+    PidGains,
+    design_learning,
+    inverse_of,
+    neighbours,
+    parameter_text,
+    pid_with_margin,
+    sample_model,
+    write_text,
+)
+from dfm_stage.control.sampled import closed_loop_poles, controller_response
 from dfm_stage.errors import DfmError
+from dfm_stage.model import Model, load_model
+from dfm_stage.share import find_experiment
+from dfm_stage.trajectory import Experiment, Reference, load_experiment
 
-if TYPE_CHECKING:
-    from dfm_stage.control import Learner, PidGains
-    from dfm_stage.harness import StageGraph
-    from dfm_stage.model import Model
-    from dfm_stage.trajectory import Experiment, Reference
-
-Array = NDArray[np.float64]
 REST_M_S = 1e-9
-OPTIONS: dict[str, dict[str, Any]] = {
-    "experiment": {"nargs": "?", "default": "scan_repeat", "metavar": "EXPERIMENT",
-        "help": "a name in config/experiments or a YAML file whose references start and end at "
-                "rest in the same place (default: %(default)s)"},
-    "--model": {"metavar": "FILE",
-        "help": "model.yaml to design on, a path or a name in config/models"},
-    "--bag": {"metavar": "BAG", "help": "identify that model from a bag first"},
-    "--plant": {"metavar": "FILE",
-        "help": "model the simulated stage runs (default: that of the experiment, else --model)"},
-    "--out": {"default": "learned", "metavar": "DIR",
-        "help": "new folder for signal, bag and report (default: %(default)s)"},
-    "--passes": {"type": int, "default": 25, "metavar": "N", "help": "default: %(default)s"},
-    "--gain": {"type": float, "default": 0.5, "metavar": "G",
-        "help": "share of the error taken off per pass, 0 to 1 (default: %(default)s)"},
-    "--cutoff": {"type": float, "metavar": "HZ",
-        "help": "learn up to here (default: an eighth of the sample rate)"},
-    "--uncertainty": {"type": float, "default": 0.1, "metavar": "SHARE",
-        "help": "by how much each parameter of the model may be wrong; the passes must converge "
-                "for all of that (default: %(default)s)"},
-    "--margin": {"type": float, "default": 0.5, "metavar": "M",
-        "help": "modulus margin of the feedback (default: %(default)s)"},
-    "--no-inverse": {"action": "store_true",
-        "help": "start from nothing instead of the model's inverse"},
-    "--replay": {"metavar": "DIR", "help": "run what was learnt there once more"},
-    "--seed": {"type": int, "default": 0, "help": "noise of the plant (default: 0)"},
-    "--json": {"action": "store_true", "help": "print learning.json"},
-}
+OPTIONS = (
+    option("experiment", nargs="?", default="scan_repeat", metavar="EXPERIMENT",
+           help="a name in config/experiments or a YAML file whose references start and end at "
+           "rest in the same place (default: %(default)s)"),
+    option("--model", metavar="FILE",
+           help="model.yaml to design on, a path or a name in config/models"),
+    option("--bag", metavar="BAG", help="identify that model from a bag first"),
+    option("--plant", metavar="FILE",
+           help="model the simulated stage runs (default: that of the experiment, else --model)"),
+    option("--out", default="learned", metavar="DIR",
+           help="new folder for signal, bag and report (default: %(default)s)"),
+    option("--passes", type=int, default=25, metavar="N", help="default: %(default)s"),
+    option("--gain", type=float, default=0.5, metavar="G",
+           help="share of the error taken off per pass, 0 to 1 (default: %(default)s)"),
+    option("--cutoff", type=float, metavar="HZ",
+           help="learn up to here (default: an eighth of the sample rate)"),
+    option("--uncertainty", type=float, default=0.1, metavar="SHARE",
+           help="by how much each parameter of the model may be wrong; the passes must converge "
+           "for all of that (default: %(default)s)"),
+    option("--margin", type=float, default=0.5, metavar="M",
+           help="modulus margin of the feedback (default: %(default)s)"),
+    option("--no-inverse", action="store_true",
+           help="start from nothing instead of the model's inverse"),
+    option("--replay", metavar="DIR", help="run what was learnt there once more"),
+    option("--seed", type=int, default=0, help="noise of the plant (default: 0)"),
+    option("--json", action="store_true", help="print learning.json"),
+)
 EPILOG = """examples:
   ./run learn scan_repeat --model raster_bench --out learned
   ./run learn scan_repeat --bag bags/multisine --plant raster_bench --out learned
@@ -63,7 +74,7 @@ experiment that replays it with the gains it was learnt with.
 """
 
 
-class NotConvergingError(DfmError):
+class NotConvergingError(CheckFailedError):
     """The convergence condition does not hold; no pass was run."""
 
 
@@ -79,34 +90,24 @@ class Axis:
     error: Array
     first_error: Array
 
+    def line_rms(self) -> tuple[float, float]:
+        """RMS of the error where the reference is steady, m: of the first and the last pass."""
+        steady = self.reference.steady
+        return _rms(self.first_error[steady]), _rms(self.error[steady])
 
-def main(argv: Sequence[str] | None = None) -> int:
+
+@command("learn", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Learn; 0 when done, 1 if it does not converge, 2 with one line if unusable."""
-    parser = command_parser("learn", __doc__, EPILOG)
-    for name, how in OPTIONS.items():
-        parser.add_argument(name, **how)
-    options = parser.parse_args(argv)
-    return run_command(lambda: _run(options))
-
-
-def _run(options: argparse.Namespace) -> int:
-    try:
-        result = _replay(options) if options.replay else _learn(options)
-    except NotConvergingError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    result = _replay(options) if options.replay else _learn(options)
     if options.json:
         print(json.dumps(result, indent=1))
     return 0
 
 
 def _learn(options: argparse.Namespace) -> dict[str, Any]:
-    from dfm_stage.harness import find_experiment
-    from dfm_stage.trajectory import load_experiment
-
     _check(options)
-    source = find_experiment(options.experiment)
-    experiment = load_experiment(source)
+    experiment = load_experiment(find_experiment(options.experiment))
     out = new_folder(options.out)
     try:
         name = options.model or experiment.model
@@ -143,18 +144,6 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _design(axis: str, experiment: Experiment, name: str, options: argparse.Namespace) -> Axis:
-    from dfm_stage.control import (
-        ControlError,
-        Learner,
-        design_learning,
-        inverse_of,
-        neighbours,
-        pid_with_margin,
-        sample_model,
-    )
-    from dfm_stage.control.sampled import closed_loop_poles, controller_response
-    from dfm_stage.model import load_model
-
     if experiment.axes[axis].excitation is not None:
         raise DfmError(f"{experiment.name}: axis {axis} has an excitation; learning needs that "
                        "place for itself")
@@ -192,8 +181,6 @@ def _must_repeat(reference: Reference, where: str) -> None:
 
 def _write_inputs(axes: list[Axis], experiment: Experiment, plant: str, out: Path) -> None:
     """Write the gains, and the experiment that replays what will be learnt."""
-    from dfm_stage.control import parameter_text, write_text
-
     nodes = {f"/stage/{axis.name}/controller": {
         "sample_period_s": axis.model.sample_period, "mode": "pid", **axis.gains.to_dict()}
         for axis in axes}
@@ -211,19 +198,15 @@ def _write_inputs(axes: list[Axis], experiment: Experiment, plant: str, out: Pat
 
 
 def _write_signals(axes: list[Axis], out: Path) -> None:
-    from dfm_stage.control import write_text
-
     for axis in axes:
-        h = axis.model.sample_period
-        rows = "".join(f"{k * h:.9g},{volts!r}\n"
-                       for k, volts in enumerate(axis.learner.signal.tolist()))
-        write_text(out / f"{axis.name}_learned.csv", f"time_s,learned_v\n{rows}")
+        write_text(out / f"{axis.name}_learned.csv", "time_s,learned_v\n" + "".join(
+            f"{k * axis.model.sample_period:.9g},{volts!r}\n"
+            for k, volts in enumerate(axis.learner.signal.tolist())))
 
 
 def _passes(axes: list[Axis], experiment: Experiment, plant: str, out: Path,
             options: argparse.Namespace) -> None:
     """Run the passes and leave the signals that were best, with one more pass that uses them."""
-    from dfm_stage.cli.progress import Progress
     from dfm_stage.harness import StageGraph
 
     with StageGraph(axes=tuple(experiment.axes), model=plant, seed=options.seed, lockstep=True,
@@ -254,7 +237,7 @@ def _learnt(axes: list[Axis], first: bool) -> bool:
     return all(axis.learner.stopped for axis in axes)
 
 
-def _one_pass(axes: list[Axis], graph: StageGraph, out: Path, heard: dict[str, Any]) -> None:
+def _one_pass(axes: list[Axis], graph: Any, out: Path, heard: dict[str, Any]) -> None:
     """Run one pass with the signals as they are; leave the error of each axis, r - y, m."""
     _write_signals(axes, out)
     results = graph.run(str(out / "learned.yaml"))
@@ -276,29 +259,23 @@ def _complete(messages: list[Any], last_seq: int) -> bool:
 
 
 def _finish(axes: list[Axis], out: Path, options: argparse.Namespace) -> dict[str, Any]:
-    from dfm_stage.cli.learn_report import learning_page
-    from dfm_stage.control import write_text
-
     result: dict[str, Any] = {"schema": 1, "experiment": options.experiment, "axes": {}}
     for axis in axes:
-        d, steady = axis.learner.design, axis.reference.steady
+        d = axis.learner.design
+        line = dict(zip(("first", "learned"), axis.line_rms(), strict=True))
         result["axes"][axis.name] = {
             "passes": len(axis.learner.errors), "stopped": axis.learner.stopped,
             "contraction": d.contraction, "cutoff_hz": d.cutoff_hz, "gain": options.gain,
             "uncertainty": options.uncertainty,
             "error_rms_m": axis.learner.errors,
-            "line_rms_m": {"first": _rms(axis.first_error[steady]),
-                           "learned": _rms(axis.error[steady])},
+            "line_rms_m": line,
             "signal": f"{axis.name}_learned.csv"}
-    write_text(out / "learning.json", json.dumps(result, indent=1) + "\n")
-    learning_page(axes, out, options)
-    for axis in axes:
-        each = result["axes"][axis.name]
-        line = each["line_rms_m"]
-        stopped = f"; stopped: {axis.learner.stopped}" if axis.learner.stopped else ""
         print(f"{axis.name}: error on the line {line['first'] * 1e9:.4g} nm RMS in the first "
-              f"pass, {line['learned'] * 1e9:.4g} nm with what {each['passes']} passes taught"
-              f"{stopped}", file=sys.stderr)
+              f"pass, {line['learned'] * 1e9:.4g} nm with what {len(axis.learner.errors)} passes "
+              "taught" + (f"; stopped: {axis.learner.stopped}" if axis.learner.stopped else ""),
+              file=sys.stderr)
+    write_json(out / "learning.json", result)
+    learning_page(axes, out, options)
     print(f"written: {out}/learned.yaml (replay it with ./run learn --replay {out}), "
           f"{out}/report.html, {out}/bag", file=sys.stderr)
     return result
@@ -309,9 +286,6 @@ def _rms(values: Array) -> float:
 
 
 def _replay(options: argparse.Namespace) -> dict[str, Any]:
-    from dfm_stage.cli.graph_run import run_on_graph
-    from dfm_stage.trajectory import load_experiment
-
     folder = Path(options.replay)
     if not (folder / "learned.yaml").is_file():
         raise DfmError(f"{folder}: nothing was learnt there (no learned.yaml)")
@@ -327,8 +301,7 @@ def _replay(options: argparse.Namespace) -> dict[str, Any]:
         steady = experiment.reference(name, record.sample_period).steady
         if axis.reference is None:
             raise DfmError(f"{out / 'bag'}: no reference was recorded")
-        error = (axis.reference - axis.position)[-steady.size:]
-        result["axes"][name] = {"line_rms_m": {"learned": _rms(error[steady])}}
-        print(f"{name}: error on the line {_rms(error[steady]) * 1e9:.4g} nm RMS",
-              file=sys.stderr)
+        learned = _rms((axis.reference - axis.position)[-steady.size:][steady])
+        result["axes"][name] = {"line_rms_m": {"learned": learned}}
+        print(f"{name}: error on the line {learned * 1e9:.4g} nm RMS", file=sys.stderr)
     return result

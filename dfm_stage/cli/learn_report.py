@@ -8,25 +8,23 @@ from typing import Any
 
 import numpy as np
 
+from dfm_stage.reporting import (
+    Page,
+    Quantity,
+    Table,
+    display_unit,
+    format_quantity,
+    new_figure,
+    page_style,
+    time_figure,
+)
+
 
 def learning_page(axes: list[Any], out: Path, options: argparse.Namespace) -> Path:
     """Write report.html into `out` and return its path; `axes` as in `learn.Axis`."""
-    from dfm_stage.reporting import (
-        Page,
-        Quantity,
-        Table,
-        display_unit,
-        format_quantity,
-        new_figure,
-        page_style,
-        time_figure,
-    )
-
     page = Page(f"Learning of {options.experiment}")
     for axis in axes:
-        steady = axis.reference.steady
-        before, after = (float(np.sqrt(np.mean(e[steady]**2)))
-                         for e in (axis.first_error, axis.error))
+        before, after = axis.line_rms()
         better = after < before
         page.lead(f"{axis.name}: {format_quantity(before, 'm')} RMS on the line in the first "
                   f"pass, {format_quantity(after, 'm')} with the learnt signal.",
@@ -39,12 +37,12 @@ def learning_page(axes: list[Any], out: Path, options: argparse.Namespace) -> Pa
         with page_style():
             passes = 1 + np.arange(errors.size)
             plot.semilogy(passes, factor * errors, marker="o")
-            plot.set_xlabel("pass")
-            plot.set_ylabel(f"error, RMS ({unit})")
+            plot.set(xlabel="pass", ylabel=f"error, RMS ({unit})")
             plot.xaxis.get_major_locator().set_params(integer=True)
-        rows = list(zip(passes.tolist(), (factor * errors).tolist(), strict=True))
-        page.figure(figure, f"{axis.name}: error of every pass as measured, over the whole of "
-                    "it", Table(["pass", f"error, RMS ({unit})"], rows))
+        page.figure(
+            figure, f"{axis.name}: error of every pass as measured, over the whole of it",
+            Table(["pass", f"error, RMS ({unit})"],
+                  list(zip(passes.tolist(), (factor * errors).tolist(), strict=True))))
         page.figure(time_figure(axis.reference.time_s, [
             ("first pass", "m", {"error": axis.first_error}),
             ("learnt", "m", {"error": axis.error})]),

@@ -6,7 +6,7 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,21 +14,23 @@ from typing import TYPE_CHECKING, Any
 from dfm_stage.cli.command import (
     PROCESSES,
     SEED,
-    command_parser,
+    command,
     dated_folder,
     json_option,
     new_folder,
     option,
-    run_command,
     write_json,
 )
+from dfm_stage.cli.graph_run import run_on_graph
+from dfm_stage.model import Model, load_model, save_model
+from dfm_stage.quantity import format_number, format_quantity
+from dfm_stage.recording import Record
+from dfm_stage.share import find_experiment
+from dfm_stage.trajectory import Experiment, load_experiment
 
 if TYPE_CHECKING:
-    from dfm_stage.model import Model
     from dfm_stage.paper.row import Row
     from dfm_stage.paper.workflow import Comparison
-    from dfm_stage.recording import Record
-    from dfm_stage.trajectory import Experiment
 
 EPILOG = """\
 examples:
@@ -52,20 +54,13 @@ OPTIONS = (
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+@command("paper", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Compare with the paper; 0 done, 2 unusable input."""
-    options = command_parser("paper", __doc__, EPILOG, OPTIONS).parse_args(argv)
-    return run_command(lambda: _paper(options))
-
-
-def _paper(options: argparse.Namespace) -> int:
-    from dfm_stage.harness import find_experiment
-    from dfm_stage.model import load_model
     from dfm_stage.paper.report import write_page
     from dfm_stage.paper.row import as_json
     from dfm_stage.paper.stage import DirectStage
     from dfm_stage.paper.workflow import NAMES, STEPS, Models, compare
-    from dfm_stage.trajectory import load_experiment
 
     models = Models(load_model(options.model), load_model(options.two_mode_model),
                     load_model(options.xy_model))
@@ -112,8 +107,6 @@ class GraphStage:
 
     def run(self, experiment: Experiment, model: Model, design: Model | None = None) -> Record:
         """Run the experiment on `model` and return the record of its bag."""
-        from dfm_stage.cli.graph_run import run_on_graph
-
         controller: dict[str, Any] = (dict(experiment.controller)
                                       if not isinstance(experiment.controller, str) else {})
         if experiment.mode == "lqr":
@@ -135,8 +128,6 @@ class GraphStage:
 
     def _saved(self, model: Model) -> str:
         """Write a model beside the bags, once for each different one, and return its path."""
-        from dfm_stage.model import load_model, save_model
-
         bare, models = replace(model, document=None), self.folder / "models"
         models.mkdir(exist_ok=True)
         path = next(path for path in _numbered(models, model.name, ".yaml") if not path.exists()
@@ -154,7 +145,6 @@ def _numbered(folder: Path, name: str, suffix: str = "") -> Iterator[Path]:
 
 def _print(found: Comparison, seconds: float) -> None:
     from dfm_stage.paper.report import tally
-    from dfm_stage.reporting import format_number, format_quantity
 
     def shown(value: float | None, unit: str) -> str:
         return "-" if value is None else format_quantity(value, unit)

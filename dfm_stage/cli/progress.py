@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import TextIO
 
 _BAR = 24
@@ -35,24 +34,21 @@ class Progress:
     def __call__(self, fraction: float) -> None:
         """Show that `fraction` (0 to 1) is done."""
         now = time.monotonic()
-        pause = _EVERY_S[0] if self._terminal else (
-            _EVERY_S[1] if self._said else _FIRST_AFTER_S)
-        if now - self._last < pause:
+        if now - self._last < (_EVERY_S[0] if self._terminal else
+                               _EVERY_S[1] if self._said else _FIRST_AFTER_S):
             return
         self._last, self._said = now, True
         elapsed = now - self._start
         left = f", {elapsed * (1.0 - fraction) / fraction:.0f} s left" if fraction > 0.02 else ""
-        filled = round(_BAR * min(1.0, fraction))
-        bar = "#" * filled + "." * (_BAR - filled)
-        text = f"{self._what} [{bar}] {100 * fraction:3.0f} %{left}"
+        bar = "#" * round(_BAR * min(1.0, fraction))
+        text = f"{self._what} [{bar:.<{_BAR}}] {100 * fraction:3.0f} %{left}"
         print(f"\r{text:<79}" if self._terminal else f"{text}\n", end="", file=self._stream,
               flush=True)
 
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
-                 traceback: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._terminal and self._said:
             print("\r" + " " * 79, end="\r", file=self._stream, flush=True)
 

@@ -4,73 +4,33 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from dfm_stage.cli.command import command_parser, run_command
+from dfm_stage.cli.command import CheckFailedError, command, option
+from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
+from dfm_stage.cli.tune_verify import Tracking, as_experiment, compare
+from dfm_stage.control import (
+    Tuned,
+    Ultimate,
+    parameter_text,
+    sample_model,
+    tune_lqr,
+    tune_pid,
+    tune_ziegler_nichols,
+    ultimate,
+    write_text,
+)
 from dfm_stage.errors import DfmError
-
-if TYPE_CHECKING:
-    from dfm_stage.cli.tune_verify import Tracking
-    from dfm_stage.control import Tuned, Ultimate
-    from dfm_stage.model import Model
+from dfm_stage.model import Model, load_model
+from dfm_stage.recording import read_bag
 
 METHODS = ("pid", "lqr", "ziegler_nichols")
 WAYS = ("raise_gain", "relay")
 _NO_NOISE_M = 1e-11
-OPTIONS: dict[str, dict[str, Any]] = {
-    "--model": {"metavar": "FILE",
-        "help": "model.yaml, a path or a name in config/models; with --bag, where identification "
-                "starts from"},
-    "--bag": {"metavar": "BAG", "help": "bag or CSV file the model is identified from first"},
-    "--axis": {"metavar": "NAME",
-        "help": "one axis of a model that has several (default: all of them); also the node's "
-                "namespace (default: x)"},
-    "--method": {"choices": METHODS, "default": "pid",
-        "help": "default: %(default)s, two degrees of freedom with feedforward"},
-    "--margin": {"type": float, "default": 0.5, "metavar": "M",
-        "help": "modulus margin to keep, 0 to 1 (default: %(default)s); ziegler_nichols takes "
-                "what it gets"},
-    "--limit": {"type": float, "default": 10.0, "metavar": "V",
-        "help": "largest output (default: %(default)s V)"},
-    "--no-integral": {"action": "store_true", "help": "lqr without integral action"},
-    "--disturbance": {"action": "store_true", "help": "lqr with an estimate of a drifting force"},
-    "--feedforward": {"choices": ("auto", "gains", "model", "inverse"), "default": "auto",
-        "help": "pid: three gains; the model's own input with its springs, friction and force "
-                "constant; or the inverse for the whole reference ahead (default: model where it "
-                "has such effects, else gains)"},
-    "--notch": {"action": "store_true",
-        "help": "pid: take the model's highest mode out of the feedback"},
-    "--verify": {"metavar": "EXPERIMENT",
-        "help": "run this experiment with the result on the node graph and show the error beside "
-                "the predicted one"},
-    "--plant": {"metavar": "FILE",
-        "help": "model the simulated stage runs for --verify and ziegler_nichols (default: the "
-                "model tuned on)"},
-    "--out": {"metavar": "FILE",
-        "help": "parameter file to write (default: <method>.yaml); a page and the identified "
-                "model go beside it"},
-    "--json": {"action": "store_true", "help": "print the result as JSON"},
-    "--no-report": {"action": "store_true",
-        "help": "do not write the page beside the parameter file"},
-}
-GRAPH_OPTIONS: dict[str, dict[str, Any]] = {
-    "--way": {"choices": (*WAYS, "both", "model"), "default": "both",
-        "help": "raise the gain until the loop oscillates, relay feedback, both, or only compute "
-                "on the model (default: %(default)s)"},
-    "--voltage": {"type": float, "default": 0.5, "metavar": "V",
-        "help": "amplitude of relay and pulses (default: %(default)s V)"},
-    "--travel": {"type": float, "default": 0.004, "metavar": "M",
-        "help": "stop where the stage goes further (default: %(default)s m)"},
-    "--gain": {"type": float, "default": 100.0, "metavar": "V/M",
-        "help": "gain to start from (default: %(default)s V/m)"},
-    "--duration": {"type": float, "default": 30.0, "metavar": "S",
-        "help": "time for each way (default: %(default)s s)"},
-}
 EPILOG = """examples:
   ./run tune --model paper_stage
   ./run tune --model my/model.yaml --method lqr --margin 0.6 --out lqr.yaml
@@ -80,20 +40,63 @@ EPILOG = """examples:
 then:
   ./run controller --ros-args --params-file pid.yaml
 """
+OPTIONS = (
+    option("--model", metavar="FILE",
+           help="model.yaml, a path or a name in config/models; with --bag, where "
+           "identification starts from"),
+    option("--bag", metavar="BAG", help="bag or CSV file the model is identified from first"),
+    option("--axis", metavar="NAME",
+           help="one axis of a model that has several (default: all of them); also the node's "
+           "namespace (default: x)"),
+    option("--method", choices=METHODS, default="pid",
+           help="default: %(default)s, two degrees of freedom with feedforward"),
+    option("--margin", type=float, default=0.5, metavar="M",
+           help="modulus margin to keep, 0 to 1 (default: %(default)s); ziegler_nichols takes "
+           "what it gets"),
+    option("--limit", type=float, default=10.0, metavar="V",
+           help="largest output (default: %(default)s V)"),
+    option("--no-integral", action="store_true", help="lqr without integral action"),
+    option("--disturbance", action="store_true", help="lqr with an estimate of a drifting force"),
+    option("--feedforward", choices=("auto", "gains", "model", "inverse"), default="auto",
+           help="pid: three gains; the model's own input with its springs, friction and force "
+           "constant; or the inverse for the whole reference ahead (default: model where it has "
+           "such effects, else gains)"),
+    option("--notch", action="store_true",
+           help="pid: take the model's highest mode out of the feedback"),
+    option("--verify", metavar="EXPERIMENT",
+           help="run this experiment with the result on the node graph and show the error beside "
+           "the predicted one"),
+    option("--plant", metavar="FILE",
+           help="model the simulated stage runs for --verify and ziegler_nichols (default: the "
+           "model tuned on)"),
+    option("--out", metavar="FILE",
+           help="parameter file to write (default: <method>.yaml); a page and the identified "
+           "model go beside it"),
+    option("--json", action="store_true", help="print the result as JSON"),
+    option("--no-report", action="store_true",
+           help="do not write the page beside the parameter file"),
+    ("ziegler_nichols, on the node graph in lockstep", (
+        option("--way", choices=(*WAYS, "both", "model"), default="both",
+               help="raise the gain until the loop oscillates, relay feedback, both, or only "
+               "compute on the model (default: %(default)s)"),
+        option("--voltage", type=float, default=0.5, metavar="V",
+               help="amplitude of relay and pulses (default: %(default)s V)"),
+        option("--travel", type=float, default=0.004, metavar="M",
+               help="stop where the stage goes further (default: %(default)s m)"),
+        option("--gain", type=float, default=100.0, metavar="V/M",
+               help="gain to start from (default: %(default)s V/m)"),
+        option("--duration", type=float, default=30.0, metavar="S",
+               help="time for each way (default: %(default)s s)"))),
+)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+class TuningFailedError(CheckFailedError):
+    """A tuning run on the loop ended without a result; it was stopped safely."""
+
+
+@command("tune", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Tune; 0 when done, 1 when the loop could not be tuned, 2 with one line if unusable."""
-    parser = command_parser("tune", __doc__, EPILOG)
-    graph = parser.add_argument_group("ziegler_nichols, on the node graph in lockstep")
-    for part, table in ((parser, OPTIONS), (graph, GRAPH_OPTIONS)):
-        for name, how in table.items():
-            part.add_argument(name, **how)
-    options = parser.parse_args(argv)
-    return run_command(lambda: _tune(options))
-
-
-def _tune(options: argparse.Namespace) -> int:
     out = Path(options.out or f"{options.method}.yaml")
     if out.is_dir() or not out.absolute().parent.is_dir():
         raise DfmError(f"{out}: cannot write there; give a file in a folder that exists")
@@ -101,9 +104,6 @@ def _tune(options: argparse.Namespace) -> int:
         raise DfmError("no model: give --model FILE, or --bag BAG to identify one")
     if not 0.0 < options.margin < 1.0:
         raise DfmError(f"--margin {options.margin:g}: give a number between 0 and 1")
-    from dfm_stage.control import write_text
-    from dfm_stage.model import load_model
-
     name = options.model
     if options.bag:
         name = identified(options.bag, out.with_suffix(""), model=options.model,
@@ -113,19 +113,12 @@ def _tune(options: argparse.Namespace) -> int:
         name = str(Path(name).resolve())
     names = [options.axis] if options.axis or not model.axes else list(model.axes)
     axes = {axis or "x": model.axis(axis) if model.axes else model for axis in names}
-    if options.axis and not model.axes:
-        axes = {options.axis: model}
     results: dict[str, Tuned] = {}
     found: dict[str, dict[str, Ultimate]] = {}
-    try:
-        for axis, each in axes.items():
-            quiet = options.json or options.method == "ziegler_nichols"
-            with steps("tune", quiet) as step:
-                step(f"axis {axis}")
-                results[axis], found[axis] = _tuned(axis, each, name, options)
-    except TuningFailedError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    for axis, each in axes.items():
+        with steps("tune", options.json or options.method == "ziegler_nichols") as step:
+            step(f"axis {axis}")
+            results[axis], found[axis] = _tuned(axis, each, name, options)
     write_text(out, _yaml(results, axes))
     verified = _verify(out, results, axes, options.plant or name, options)
     page = out.with_suffix(".html")
@@ -136,21 +129,19 @@ def _tune(options: argparse.Namespace) -> int:
                      {"Model": name, "Bag": options.bag or "none", "Parameters": out})
     if options.json:
         plain = {axis: _plain(results[axis], found[axis], verified.get(axis)) for axis in axes}
-        said = {"schema": 1, "axes": plain} if len(plain) > 1 else next(iter(plain.values()))
-        print(json.dumps(said, indent=1))
+        print(json.dumps({"schema": 1, "axes": plain} if len(plain) > 1 else
+                         next(iter(plain.values())), indent=1))
     else:
-        for axis in axes:
+        for axis, each in axes.items():
             if len(axes) > 1:
                 print(f"axis {axis}")
-            _print(results[axis], found[axis], axes[axis], verified.get(axis))
+            _print(results[axis], found[axis], each, verified.get(axis))
         print(f"written: {out}" + ("" if options.no_report else f", {page}"))
     return 0
 
 
 def _tuned(axis: str, model: Model, name: str,
            options: argparse.Namespace) -> tuple[Tuned, dict[str, Ultimate]]:
-    from dfm_stage.control import tune_lqr, tune_pid, tune_ziegler_nichols
-
     if options.method == "pid":
         return tune_pid(model, options.margin, options.limit, model_name=name,
                         feedforward=options.feedforward, notch=options.notch), {}
@@ -161,10 +152,6 @@ def _tuned(axis: str, model: Model, name: str,
     ways = {"both": WAYS, "model": ()}.get(options.way, (options.way,))
     found = {way: _on_the_graph(way, axis, options.plant or name, options) for way in ways}
     return tune_ziegler_nichols(model, next(iter(found.values()), None), options.limit), found
-
-
-class TuningFailedError(DfmError):
-    """A tuning run on the loop ended without a result; it was stopped safely."""
 
 
 def identified(bag: str, folder: Path, **given: str | None) -> str:
@@ -179,11 +166,6 @@ def identified(bag: str, folder: Path, **given: str | None) -> str:
 
 def _on_the_graph(way: str, axis: str, model: str, options: argparse.Namespace) -> Ultimate:
     """Run one way of tuning on the node graph and return what it found."""
-    from dfm_stage.cli.progress import Progress
-    from dfm_stage.control import Ultimate
-    from dfm_stage.harness import StageGraph
-    from dfm_stage.recording import read_bag
-
     run = {"name": f"ziegler_nichols_{way}", "mode": "pid", "duration_s": options.duration,
            "axes": {axis: {}},
            "controller": {"tuning": way, "tuning_voltage_v": options.voltage,
@@ -191,17 +173,14 @@ def _on_the_graph(way: str, axis: str, model: str, options: argparse.Namespace) 
                           "tuning_time_s": options.duration, "output_limit_v": options.limit}}
     with tempfile.TemporaryDirectory(prefix="dfm_stage_tune_") as folder:
         bag = Path(folder) / "bag"
-        with StageGraph(axes=(axis,), model=model, lockstep=True, composed=True, bag=bag) as graph:
-            with Progress(f"{way} on the node graph") as progress:
-                graph.run(run, progress=progress)
-            graph.stop_recording()
+        run_on_graph(run, bag, model=model, axes=(axis,), label=f"{way} on the node graph")
         topic = f"/stage/{axis}/controller/config"
         said = [json.loads(text) for text in read_bag(bag, [topic])[topic]["data"]]
     state: Mapping[str, Any] = next((each["tuning"] for each in reversed(said)
                                      if each.get("tuning", {}).get("ended")), {})
     if "ultimate_gain_v_m" not in state:
-        reason = state.get("failure") or "no result in time"
-        raise TuningFailedError(f"{way}: {reason}; the output went to zero")
+        raise TuningFailedError(f"{way}: {state.get('failure') or 'no result in time'}; the "
+                                "output went to zero")
     return Ultimate(state["ultimate_gain_v_m"], state["ultimate_period_s"])
 
 
@@ -210,11 +189,8 @@ def _verify(file: Path, results: Mapping[str, Tuned], axes: Mapping[str, Model],
     """Run the experiment on the graph with the file and return errors beside the predicted."""
     if not options.verify:
         return {}
-    from dfm_stage.cli.graph_run import run_on_graph
-    from dfm_stage.cli.tune_verify import as_experiment, compare
-
-    mode = next(iter(results.values())).parameters["mode"]
-    experiment = as_experiment(options.verify, mode, file, tuple(axes))
+    experiment = as_experiment(
+        options.verify, next(iter(results.values())).parameters["mode"], file, tuple(axes))
     with tempfile.TemporaryDirectory(prefix="dfm_stage_tune_") as folder:
         record = run_on_graph(experiment, Path(folder) / "bag", model=plant, axes=tuple(axes),
                               label=f"{options.verify} on the node graph")
@@ -222,8 +198,6 @@ def _verify(file: Path, results: Mapping[str, Tuned], axes: Mapping[str, Model],
 
 
 def _yaml(results: Mapping[str, Tuned], axes: Mapping[str, Model]) -> str:
-    from dfm_stage.control import parameter_text
-
     comments, nodes = [], {}
     for axis, result in results.items():
         comments += [f"{result.method} for model {axes[axis].name}, by tune", "",
@@ -267,16 +241,13 @@ def _plain(result: Tuned, found: Mapping[str, Ultimate],
 
 def _print(result: Tuned, found: Mapping[str, Ultimate], model: Model,
            verified: Tracking | None) -> None:
-    from dfm_stage.control import sample_model, ultimate
-
     for way, each in found.items():
         print(f"{way}: ultimate gain {each.gain_v_m:.5g} V/m, period {each.period_s:.4g} s")
     if found:
         exact = ultimate(sample_model(model))
         print(f"the model's own: {exact.gain_v_m:.5g} V/m, {exact.period_s:.4g} s")
     for name, value in {**result.parameters, **result.generator}.items():
-        shown = f"{value:.6g}" if isinstance(value, float) else value
-        print(f"  {name:24} {shown}")
+        print(f"  {name:24} {f'{value:.6g}' if isinstance(value, float) else value}")
     for line in (*result.reasons, *_promises(result)):
         print(f"- {line}")
     if verified is not None:

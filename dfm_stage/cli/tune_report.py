@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dfm_stage.control import LQR_PARAMETERS, PID_PARAMETERS, SHAPER_PARAMETERS
+from dfm_stage.cli.tune_verify import Tracking
+from dfm_stage.control import (
+    LQR_PARAMETERS,
+    PID_PARAMETERS,
+    SHAPER_PARAMETERS,
+    Tuned,
+    Ultimate,
+    loop_of,
+)
+from dfm_stage.model import Model
 from dfm_stage.reporting import Drawing, Page, Quantity, Table, new_figure, page_style
+from dfm_stage.reporting.table import Cell
 
-if TYPE_CHECKING:
-    from dfm_stage.cli.tune_verify import Tracking
-    from dfm_stage.control import Tuned, Ultimate
-    from dfm_stage.model import Model
-    from dfm_stage.reporting.table import Cell
-
-Array = NDArray[np.float64]
 ROBUST = 0.5
 METHODS = {"pid": "PID", "lqr": "LQR", "ziegler_nichols": "Ziegler and Nichols's PID"}
 LOWEST_HZ = 0.1
@@ -81,8 +82,6 @@ def _axis(page: Page, named: str, tuned: Tuned, model: Model) -> None:
 
 
 def _sensitivity(tuned: Tuned, model: Model) -> Drawing:
-    from dfm_stage.control import loop_of
-
     hertz, loop = loop_of(tuned, model)
     hertz, loop = hertz[hertz >= LOWEST_HZ], loop[hertz >= LOWEST_HZ]
     curves = {"1/(1 + L)": np.abs(1.0 / (1.0 + loop)),
@@ -93,16 +92,13 @@ def _sensitivity(tuned: Tuned, model: Model) -> Drawing:
             axis.loglog(hertz, values, label=label)
         axis.axhline(1.0 / tuned.margins.modulus, color="C2", linestyle="--", linewidth=1.0,
                      label="1 / margin")
-        axis.set_xlabel("frequency (Hz)")
-        axis.set_ylabel("factor")
+        axis.set(xlabel="frequency (Hz)", ylabel="factor")
         axis.set_ylim(bottom=1e-3)
         axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
                     columnspacing=1.0, handlelength=1.4)
-    rows: list[list[Any]] = []
-    for label, values in curves.items():
-        top = int(np.argmax(values))
-        rows.append([label, float(values[top]), float(hertz[top]), float(values[0]),
-                     float(hertz[0])])
+    rows: list[list[Cell]] = [
+        [label, float(np.max(values)), float(hertz[np.argmax(values)]), float(values[0]),
+         float(hertz[0])] for label, values in curves.items()]
     return Drawing(figure, Table(("curve", "largest", "at (Hz)", "at the lowest frequency",
                                   "which is (Hz)"), rows))
 

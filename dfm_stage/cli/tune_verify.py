@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
+from dfm_stage.control import Tuned, law_of, run_on_model
 from dfm_stage.errors import DfmError
+from dfm_stage.model import Model
+from dfm_stage.recording import Record
+from dfm_stage.share import find_experiment
+from dfm_stage.trajectory import load_experiment
 
-if TYPE_CHECKING:
-    from dfm_stage.control import Tuned
-    from dfm_stage.model import Model
-    from dfm_stage.recording import Record
-
-Array = NDArray[np.float64]
 _SETTLED_S = 1.0
 
 
@@ -51,9 +50,6 @@ def as_experiment(name: str, mode: str, file: Path, axes: tuple[str, ...]) -> di
     DfmError
         If there is no such experiment or it moves none of the axes.
     """
-    from dfm_stage.harness import find_experiment
-    from dfm_stage.trajectory import load_experiment
-
     found = load_experiment(find_experiment(name))
     given = {axis: {"reference": dict(spec.reference)} if spec.reference else {}
              for axis, spec in found.axes.items() if axis in axes}
@@ -74,8 +70,6 @@ def compare(record: Record, axis: str, experiment: Mapping[str, Any], model: Mod
     DfmError
         If the record lacks the axis or its reference.
     """
-    from dfm_stage.trajectory import load_experiment
-
     measured = record.axes.get(axis)
     if measured is None or measured.reference is None:
         raise DfmError(f"the bag has no reference of axis {axis}")
@@ -84,28 +78,17 @@ def compare(record: Record, axis: str, experiment: Mapping[str, Any], model: Mod
     n = min(counts.size, measured.position.size)
     counts = counts[:n]
     achieved = (measured.reference - measured.position)[:n][counts]
-    true = _on_model(model, tuned, reference)
+    law, effects = law_of(tuned.parameters, model)
+    true = run_on_model(model, law, reference.position, reference.velocity,
+                        reference.acceleration, forward=effects,
+                        inverse="inverse_model" in tuned.generator)
     # The encoder's noise is in what is measured, so it is in what is predicted.
     noise = np.random.default_rng(1).normal(0.0, model.base.get("noise", 0.0), n)
     predicted = (reference.position[:n] - true[:n] - noise)[counts]
     if not achieved.size:
         raise DfmError(f"{experiment['name']}: is over before {_SETTLED_S:g} s; take a longer one")
-    return Tracking(str(experiment["name"]), _rms(predicted), _peak(predicted), _rms(achieved),
-                    _peak(achieved))
+    return Tracking(str(experiment["name"]), *_rms_and_peak(predicted), *_rms_and_peak(achieved))
 
 
-def _on_model(model: Model, tuned: Tuned, reference: Any) -> Array:
-    from dfm_stage.control import law_of, run_on_model
-
-    law, effects = law_of(tuned.parameters, model)
-    return run_on_model(model, law, reference.position, reference.velocity,
-                        reference.acceleration, forward=effects,
-                        inverse="inverse_model" in tuned.generator)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _peak(values: Array) -> float:
-    return float(np.max(np.abs(values)))
+def _rms_and_peak(values: Array) -> tuple[float, float]:
+    return float(np.sqrt(np.mean(values**2))), float(np.max(np.abs(values)))

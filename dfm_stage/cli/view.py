@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import signal
-from collections.abc import Sequence
 
-from dfm_stage.cli.command import command_parser, option, run_command
+from dfm_stage.cli.command import command, option
 
 EPILOG = """\
 examples:
@@ -23,13 +22,9 @@ OPTIONS = (
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+@command("view", __doc__, EPILOG, OPTIONS)
+def main(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C (130) or SIGTERM (0); 2 where the port is taken."""
-    options = command_parser("view", __doc__, EPILOG, OPTIONS).parse_args(argv)
-    return run_command(lambda: _view(options))
-
-
-def _view(options: argparse.Namespace) -> int:
     from dfm_stage.live.server import View
     from dfm_stage.live.watcher import Watcher
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
-from contextlib import AbstractContextManager
-from types import TracebackType
 
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.shared_memory import DOMAIN_GAIN, PORT_BASE
@@ -20,7 +19,7 @@ class NoFreeDomainError(DfmError):
     """Every ROS domain of this machine is taken."""
 
 
-class Domain(AbstractContextManager["Domain"]):
+class Domain(contextlib.AbstractContextManager["Domain"]):
     """A domain id that this process holds until `release` or its end; a context manager.
 
     Held by an abstract socket's name: the kernel frees it with the process, however that ends, and
@@ -35,12 +34,7 @@ class Domain(AbstractContextManager["Domain"]):
         """Let others have the domain; again is harmless."""
         self._claim.close()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
 
@@ -54,15 +48,11 @@ def claim_domain(first: int | None = None) -> Domain:
     for step in range(len(DOMAINS)):
         number = DOMAINS[(start + step) % len(DOMAINS)]
         claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
+        with contextlib.suppress(OSError):  # another claimer has it
             claim.bind(f"\0dfm_stage_domain_{number}")
-        except OSError:
-            claim.close()
-            continue
-        if _has_participants(number):
-            claim.close()
-            continue
-        return Domain(number, claim)
+            if not _has_participants(number):
+                return Domain(number, claim)
+        claim.close()
     raise NoFreeDomainError(
         f"all ROS domains {DOMAINS[0]} to {DOMAINS[-1]} of this machine are in use: "
         "end some of the node graphs that run here"

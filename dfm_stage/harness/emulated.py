@@ -28,8 +28,6 @@ from dfm_stage.harness.node_set import HarnessError
 from dfm_stage.harness.stage_graph import StageGraph
 from dfm_stage.model import load_model
 
-__all__ = ["EmulatedDevice", "EmulatedGraph", "hardware_parameters"]
-
 RESOLUTION_M = 5e-8
 SERVICE_S = 15.0
 DRIVERS = ("encoder_driver", "amplifier_driver")
@@ -121,8 +119,7 @@ class EmulatedGraph(StageGraph):
         self._arguments = {"encoder": encoder_arguments, "amplifier": amplifier_arguments}
         self.output_log = folder / "output.log"
         merged = hardware_parameters(self._links["encoder"], self._links["amplifier"])
-        kinds = options.get("nodes")
-        if kinds is not None:
+        if (kinds := options.get("nodes")) is not None:
             merged = {kind: values for kind, values in merged.items() if kind in kinds}
         for kind, values in (parameters or {}).items():
             merged[kind] = {**merged.get(kind, {}), **values}
@@ -159,22 +156,16 @@ class EmulatedGraph(StageGraph):
 
     def transition(self, kind: str, name: str) -> bool:
         """Ask for a transition (`configure`, `activate`, ...); return whether it succeeded."""
-        number = getattr(Transition, f"TRANSITION_{name.upper()}")
-        request = ChangeState.Request(transition=Transition(id=number))
-        return bool(self._once(ChangeState, f"{self.node(kind)}/change_state", request).success)
+        request = ChangeState.Request(
+            transition=Transition(id=getattr(Transition, f"TRANSITION_{name.upper()}")))
+        # asked once only: a transition that was made is refused the second time
+        return bool(self.call(ChangeState, f"{self.node(kind)}/change_state", request, SERVICE_S,
+                              again_s=SERVICE_S).success)
 
     def trigger(self, kind: str, service: str) -> tuple[bool, str]:
         """Call `arm`, `disarm`, `clear` or `home`; return success and message."""
         answer = self.call(Trigger, f"{self.node(kind)}/{service}", Trigger.Request())
         return bool(answer.success), str(answer.message)
-
-    def _once(self, kind: Any, name: str, request: Any) -> Any:
-        """As `call`, but never asking twice: a transition that was made is refused then."""
-        client = self._client(kind, name)
-        self.spin_until(client.service_is_ready, SERVICE_S, f"service {name}")
-        future = client.call_async(request)
-        self.spin_until(future.done, SERVICE_S, f"an answer of {name}")
-        return future.result()
 
     def bring_to_life(self) -> None:
         """Configure and activate both drivers, take the rest position as zero, arm.
@@ -198,12 +189,9 @@ class EmulatedGraph(StageGraph):
 
     def _insist(self, kind: str, service: str) -> None:
         deadline = time.monotonic() + SERVICE_S
-        while True:
-            done, message = self.trigger(kind, service)
-            if done:
-                return
+        while not (answer := self.trigger(kind, service))[0]:
             if time.monotonic() > deadline:
-                raise HarnessError(f"{kind} refused to {service}: {message}")
+                raise HarnessError(f"{kind} refused to {service}: {answer[1]}")
             self.spin(0.05)
 
     def close(self) -> None:

@@ -79,8 +79,8 @@ class StageLink:
         self._heard_s = now
         number = self._number(sample.seq)
         self._grid(number, time.monotonic_ns())
-        scale = sample.resolution / self._resolution_m if self._resolution_m else 1.0
-        counts = sample.counts * scale
+        counts = sample.counts * (
+            sample.resolution / self._resolution_m if self._resolution_m else 1.0)
         last_number, last_counts, _ = self._last
         step = number - last_number
         self._last = (number, counts, (counts - last_counts) / step if 0 < step < 100 else 0.0)

@@ -24,36 +24,35 @@ from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
 from dfm_stage.errors import DfmError
 
 DEVICES = ("qsb_d", "copley_ascii")
+OPTIONS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
+    (("device",), {"choices": DEVICES}),
+    (("--link",), {"type": Path, "metavar": "PATH",
+                   "help": "where the port is to be found (default /tmp/dfm_<device>)"}),
+    (("--stage",), {"metavar": "NAMESPACE",
+                    "help": "connect to the sim_plant of this axis, such as /stage/x"}),
+    (("--sample-period",), {"type": float, "default": 1e-3, "metavar": "S",
+                            "help": "of the simulated model (default 0.001)"}),
+    (("--resolution",), {"type": float, "default": 0.0, "metavar": "M",
+                         "help": "length of a count of the scale (default: the simulated one's)"}),
+    (("--amplitude",), {"type": float, "default": 0.0, "metavar": "COUNTS",
+                        "help": "without a stage: the scale swings by this much"}),
+    (("--frequency",), {"type": float, "default": 1.0, "metavar": "HZ",
+                        "help": "without a stage: and this fast"}),
+    (("--index-at",), {"type": int, "metavar": "COUNTS",
+                       "help": "qsb_d: where the index mark is"}),
+    (("--drift",), {"type": float, "default": 0.0,
+                    "help": "qsb_d: how slow its clock is, relative (1e-4 = 0.1 ms per s)"}),
+    (("--flash",), {"action": "append", "default": [], "metavar": "0xNN=VALUE",
+                    "help": "copley_ascii: a parameter as stored in the drive"}),
+    (("--log",), {"type": Path, "metavar": "FILE",
+                  "help": "copley_ascii: write every change of the output current"}),
+    (("--seed",), {"type": int, "default": 0, "help": "fixes what garbage is"}),
+)
+"""What the process is started with, as `ArgumentParser.add_argument` takes it."""
 
 
 class EmulateError(DfmError):
     """The emulator cannot be set up."""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the process is started with."""
-    parser.add_argument("device", choices=DEVICES)
-    parser.add_argument("--link", type=Path, metavar="PATH",
-                        help="where the port is to be found (default /tmp/dfm_<device>)")
-    parser.add_argument("--stage", metavar="NAMESPACE",
-                        help="connect to the sim_plant of this axis, such as /stage/x")
-    parser.add_argument("--sample-period", type=float, default=1e-3, metavar="S",
-                        help="of the simulated model (default 0.001)")
-    parser.add_argument("--resolution", type=float, default=0.0, metavar="M",
-                        help="length of a count of the scale (default: the simulated one's)")
-    parser.add_argument("--amplitude", type=float, default=0.0, metavar="COUNTS",
-                        help="without a stage: the scale swings by this much")
-    parser.add_argument("--frequency", type=float, default=1.0, metavar="HZ",
-                        help="without a stage: and this fast")
-    parser.add_argument("--index-at", type=int, metavar="COUNTS",
-                        help="qsb_d: where the index mark is")
-    parser.add_argument("--drift", type=float, default=0.0,
-                        help="qsb_d: how slow its clock is, relative (1e-4 = 0.1 ms per s)")
-    parser.add_argument("--flash", action="append", default=[], metavar="0xNN=VALUE",
-                        help="copley_ascii: a parameter as stored in the drive")
-    parser.add_argument("--log", type=Path, metavar="FILE",
-                        help="copley_ascii: write every change of the output current")
-    parser.add_argument("--seed", type=int, default=0, help="fixes what garbage is")
 
 
 def _flash(items: Sequence[str]) -> dict[int, int]:
@@ -61,18 +60,18 @@ def _flash(items: Sequence[str]) -> dict[int, int]:
     for item in items:
         try:
             name, value = item.split("=")
-            out[Parameter(int(name, 0))] = int(value, 0)
+            out[int(Parameter(int(name, 0)))] = int(value, 0)
         except ValueError as error:
             raise EmulateError(f"--flash {item}: write it as 0x24=1 ({error})") from error
-    return {int(key): value for key, value in out.items()}
+    return out
 
 
 def _make(options: argparse.Namespace, link: Any, log: TextIO | None) -> Emulator:
     if options.device == "qsb_d":
         turn = 2.0 * math.pi * options.frequency
-        scale = link.counts if link is not None else (
-            lambda now: round(options.amplitude * math.sin(turn * now)))
-        return QsbDEmulator(scale, index_at=options.index_at, drift=options.drift)
+        return QsbDEmulator(link.counts if link is not None else (
+            lambda now: round(options.amplitude * math.sin(turn * now))),
+            index_at=options.index_at, drift=options.drift)
 
     def output(now: float, current_a: float, enabled: bool) -> None:
         """Pass the output current on; the log has lines `steady-clock-ns amperes on|off`."""
@@ -121,11 +120,9 @@ def _serve(port: PtyPort, stop: list[int]) -> None:
     while not stop:
         if not port.step(typed.handles, 0.05):
             continue
-        for line in typed.lines():
+        for line in filter(None, typed.lines()):
             if line == "quit":
                 return
-            if not line:
-                continue
             try:
                 print(f"{time.monotonic_ns()} {port.inject(line)}", flush=True)
             except DfmError as error:
@@ -133,7 +130,7 @@ def _serve(port: PtyPort, stop: list[int]) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Emulate the device that the options of `add_arguments` name until `quit` or a signal.
+    """Emulate the device that the options name until `quit` or a signal.
 
     Returns
     -------
@@ -149,8 +146,8 @@ def run(options: argparse.Namespace) -> int:
     link_path = options.link or Path(f"/tmp/dfm_{options.device}")  # noqa: S108 asked for by name
     with contextlib.ExitStack() as cleanup:
         for number in (signal.SIGINT, signal.SIGTERM):
-            before = signal.signal(number, lambda signum, _frame: stop.append(signum))
-            cleanup.callback(signal.signal, number, before)
+            cleanup.callback(signal.signal, number, signal.signal(
+                number, lambda signum, _frame: stop.append(signum)))
         log = cleanup.enter_context(
             options.log.open("w", encoding="utf-8")) if options.log else None
         stage = _connect(options)
@@ -170,7 +167,8 @@ def run(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the process for whoever started it; 2 with one line when it cannot be set up."""
     parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(parser)
+    for flags, how in OPTIONS:
+        parser.add_argument(*flags, **how)
     try:
         return run(parser.parse_args(argv))
     except DfmError as error:

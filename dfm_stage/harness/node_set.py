@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
+import functools
 import gc
 import json
 import os
@@ -30,8 +31,6 @@ from dfm_stage.middleware.security import require_what_was_asked
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 from dfm_stage.nodes.base import node_class
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
-
-__all__ = ["HarnessError", "Launched", "NodeSet", "NotInTimeError"]
 
 _PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
@@ -177,12 +176,9 @@ class NodeSet:
         for launched in self.launched:
             others = [each.full_name for each in self.launched
                       if each.kind not in apart.get(launched.kind, ())]
-            while True:
-                left = max(deadline - time.monotonic(), 1.0)
-                answer = self.call(Ready, f"{launched.full_name}/ready",
-                                   Ready.Request(nodes=others), left)
-                if answer.ready:
-                    break
+            while not (answer := self.call(
+                    Ready, f"{launched.full_name}/ready", Ready.Request(nodes=others),
+                    max(deadline - time.monotonic(), 1.0))).ready:
                 if time.monotonic() > deadline:
                     raise NotInTimeError(f"{launched.full_name} is not ready: {answer.message}")
 
@@ -284,12 +280,13 @@ class NodeSet:
     @staticmethod
     def last_words(launched: Launched) -> str:
         """Return the last line a node process wrote."""
-        lines = launched.log.read_text(errors="replace").split("\n") if launched.log else []
-        lines = [line.strip() for line in lines if line.strip()]
-        return lines[-1] if lines else "it said nothing"
+        text = launched.log.read_text(errors="replace").strip() if launched.log else ""
+        return text.split("\n")[-1].strip() or "it said nothing"
 
-    def call(self, kind: Any, name: str, request: Any, timeout_s: float = 20.0) -> Any:
-        """Call a service of a node and return the response.
+    def call(self, kind: Any, name: str, request: Any, timeout_s: float = 20.0,
+             again_s: float = _ASK_AGAIN_S) -> Any:
+        """Call a service of a node, again where no answer came within `again_s`; return the
+        response.
 
         Raises
         ------
@@ -300,31 +297,23 @@ class NodeSet:
         asked: list[Any] = []
         while True:
             # An answer is lost where the node has not met the client yet: ask again. Where a node
-            # of this name was killed a client may never meet the next: take a new one.
-            client = self._client(kind, name, anew=bool(asked) and len(asked) % _ASKED_BY_ONE == 0)
+            # of this name was killed a client may never meet the next: take a new one. All are
+            # kept until the end. To destroy one is not harmless: Fast DDS 2.14 in the other
+            # process may lock up if it checks a lease while it takes leave of the client
+            # (`check_remote_participant_liveliness` against `removeWriterProxyData`), and then
+            # hears nobody any more.
+            if name not in self._clients or (asked and len(asked) % _ASKED_BY_ONE == 0):
+                self._clients[name] = self._client_node.create_client(kind, name)
+            client = self._clients[name]
             self.spin_until(client.service_is_ready, timeout_s, f"service {name}")
             asked.append(client.call_async(request))
-            self._spin_while_unanswered(asked, min(time.monotonic() + _ASK_AGAIN_S, deadline))
-            answered = [future.result() for future in asked if future.done()]
-            if answered:
-                return answered[0]
+            self.spin_until(functools.partial(_answered, asked, min(
+                time.monotonic() + again_s, deadline)), again_s + 60.0, "an answer")
+            for future in asked:
+                if future.done():
+                    return future.result()
             if time.monotonic() >= deadline:
                 raise NotInTimeError(f"service {name} does not answer within {timeout_s:g} s")
-
-    def _client(self, kind: Any, name: str, anew: bool = False) -> Any:
-        """Return the client of a service, which is kept until the end.
-
-        To destroy one is not harmless: Fast DDS 2.14 in the other process may lock up if it checks
-        a lease while it takes leave of the client (`check_remote_participant_liveliness` against
-        `removeWriterProxyData`), and then hears nobody any more.
-        """
-        if anew or name not in self._clients:
-            self._clients[name] = self._client_node.create_client(kind, name)
-        return self._clients[name]
-
-    def _spin_while_unanswered(self, asked: Sequence[Any], until: float) -> None:
-        self.spin_until(lambda: any(future.done() for future in asked)
-                        or time.monotonic() > until, _ASK_AGAIN_S + 60.0, "an answer")
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a running node, all or none.
@@ -334,21 +323,20 @@ class NodeSet:
         HarnessError
             With the node's reason if it refuses.
         """
-        request = SetParametersAtomically.Request(parameters=[
-            RosParameter(name, value=value).to_parameter_msg() for name, value in values.items()])
-        result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically",
-                           request).result
+        result = self.call(
+            SetParametersAtomically, f"{node}/set_parameters_atomically",
+            SetParametersAtomically.Request(parameters=[
+                RosParameter(name, value=value).to_parameter_msg()
+                for name, value in values.items()])).result
         if not result.successful:
             raise HarnessError(f"{node}: {result.reason} (setting {', '.join(values)})")
 
     def cpu_seconds(self) -> float:
         """Return the processor time that the node processes have used so far, s."""
-        ticks = 0
-        for launched in self.launched:
-            if launched.process is not None and not launched.ended:
-                stat = Path(f"/proc/{launched.process.pid}/stat").read_text()
-                ticks += sum(map(int, stat.rpartition(")")[2].split()[11:13]))
-        return ticks / os.sysconf("SC_CLK_TCK")
+        stats = [Path(f"/proc/{launched.process.pid}/stat").read_text() for launched in
+                 self.launched if launched.process is not None and not launched.ended]
+        return sum(int(ticks) for stat in stats for ticks in stat.rpartition(")")[2].split()[11:13]
+                   ) / os.sysconf("SC_CLK_TCK")
 
     def close(self) -> None:
         """End every node and give everything back. Safe to call twice."""
@@ -375,18 +363,21 @@ class NodeSet:
                 launched.node = None
 
     def _end_processes(self) -> None:
-        for launched in self.launched:
-            if launched.process is not None and launched.process.poll() is None:
-                launched.process.send_signal(signal.SIGINT)
+        processes = [each.process for each in self.launched if each.process is not None]
+        for process in processes:
+            process.send_signal(signal.SIGINT)  # nothing, where it has ended
         deadline = time.monotonic() + 5.0
-        for launched in self.launched:
-            if launched.process is not None:
-                try:
-                    launched.process.wait(max(0.05, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    launched.process.kill()
-                    launched.process.wait()
+        for process in processes:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(max(0.05, deadline - time.monotonic()))
+            process.kill()
+            process.wait()
         self.launched.clear()
+
+
+def _answered(asked: Sequence[Any], until: float) -> bool:
+    """Whether one of the futures is done, or there is no more time to wait for it."""
+    return any(future.done() for future in asked) or time.monotonic() > until
 
 
 def _die_with_parent() -> None:

@@ -9,27 +9,23 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
 from dfm_interfaces.action import RunExperiment
+from dfm_stage.compile_all import compile_all
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet
 from dfm_stage.middleware.wire import codec
 from dfm_stage.model import load_model
+from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, LOSSY_QOS, PUBLISHER_QOS
+from dfm_stage.recording import Record, read_record
 from dfm_stage.share import find_experiment
 from dfm_stage.trajectory import Experiment, load_experiment
-
-if TYPE_CHECKING:
-    from dfm_stage.nodes.base import LoopNode
-    from dfm_stage.recording import Record
-
-__all__ = ["RunResult", "StageGraph"]
 
 SAMPLING = ("sim_plant", "controller", "trajectory_generator")
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
@@ -97,8 +93,9 @@ class StageGraph(NodeSet):
 
     def _node_parameters(self, model: str, seed: int,
                          extra: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-        common = {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds}
-        out: dict[str, dict[str, Any]] = {kind: dict(common) for kind in self._kinds}
+        out: dict[str, dict[str, Any]] = {
+            kind: {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds}
+            for kind in self._kinds}
         if "recorder" in out:
             out["recorder"] |= {"bag": str(self.bag), "wait_for_recorder": False}
         if "sim_plant" in out:
@@ -121,8 +118,7 @@ class StageGraph(NodeSet):
         self.bring_up()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
-                 traceback: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def start_nodes(self) -> None:
@@ -131,16 +127,13 @@ class StageGraph(NodeSet):
             model = load_model(self._parameters["sim_plant"]["model"])
             self._sample_period_s = self._sample_period_s or model.sample_period
             if not self.composed:
-                from dfm_stage.compile_all import compile_all
-
                 compile_all()
         for kind in self._kinds:
             self._parameters[kind] = {**self._sampling(kind), **self._parameters[kind]}
         deadline = time.monotonic() + self._start_timeout_s
         for kind in sorted(self._kinds, key=START_ORDER.index):
-            namespaces = ["/stage"] if kind in STAGE_NODES else [
-                f"/stage/{axis}" for axis in self.axes]
-            for namespace in namespaces:
+            for namespace in ["/stage"] if kind in STAGE_NODES else [
+                    f"/stage/{axis}" for axis in self.axes]:
                 self.launch(kind, namespace, self._parameters[kind])
         self._goals = {axis: ActionClient(self._client_node, RunExperiment,
                                           f"/stage/{axis}/trajectory_generator/run_experiment")
@@ -164,10 +157,9 @@ class StageGraph(NodeSet):
             ROS parameters, besides `lockstep`, `wait_for_recorder` and `sample_period_s`, which
             are the graph's.
         """
-        common = {"lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds,
-                  **self._sampling("controller")}
-        return self.launch(make.kind, f"/stage/{axis}", {**common, **(parameters or {})},
-                           make).node
+        return self.launch(make.kind, f"/stage/{axis}", {
+            "lockstep": self.lockstep, "wait_for_recorder": "recorder" in self._kinds,
+            **self._sampling("controller"), **(parameters or {})}, make).node
 
     def _sampling(self, kind: str) -> dict[str, float]:
         """Return the one sampling period for a kind of node that has one."""
@@ -251,11 +243,10 @@ class StageGraph(NodeSet):
             for axis in loaded.axes}
         results = {}
         deadline = time.monotonic() + limit
-        handles = {}
         for axis, future in futures.items():
             self.spin_until(future.done, deadline - time.monotonic(), f"{axis}: acceptance")
-            handles[axis] = future.result().get_result_async()
-        for axis, future in handles.items():
+            futures[axis] = future.result().get_result_async()
+        for axis, future in futures.items():
             self.spin_until(future.done, deadline - time.monotonic(),
                             f"the end of {loaded.name!r} on axis {axis}")
             result = future.result().result
@@ -285,15 +276,14 @@ class StageGraph(NodeSet):
         if isinstance(experiment.controller, Mapping):
             values = dict(experiment.controller)
         elif experiment.controller:
-            values = read_parameters(experiment.controller, axis)
-            if not values:
+            if not (values := read_parameters(experiment.controller, axis)):
                 raise HarnessError(f"{experiment.controller}: this parameter file has nothing for "
                                    f"/stage/{axis}/controller")
-            ahead = read_parameters(experiment.controller, axis, "trajectory_generator")
-            if ahead:
+            if ahead := read_parameters(experiment.controller, axis, "trajectory_generator"):
                 self.set_parameters(f"/stage/{axis}/trajectory_generator", ahead)
-        values = {name: value for name, value in values.items() if name not in FIXED}
-        self.set_parameters(f"/stage/{axis}/controller", {**values, "mode": experiment.mode})
+        self.set_parameters(f"/stage/{axis}/controller", {
+            **{name: value for name, value in values.items() if name not in FIXED},
+            "mode": experiment.mode})
 
     def listen(self, axis: str, topic: str, lossy: bool = False) -> list[Any]:
         """Return a list that every message of a loop topic is put into from now on, decoded.
@@ -351,8 +341,6 @@ class StageGraph(NodeSet):
         DfmError
             If nothing was recorded or the bag cannot be read.
         """
-        from dfm_stage.recording import read_record
-
         if self.bag is None:
             raise HarnessError("nothing was recorded: give StageGraph a bag folder")
         return read_record(self.bag, axis=axis)

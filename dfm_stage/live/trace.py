@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from dfm_stage.middleware.recent import Recent
+from dfm_stage.middleware.watch import Recent
 
 KEPT = 2000
 BEHIND = 100
@@ -50,8 +50,8 @@ class Trace:
         None where nothing is known. The newest wait for their answers, unless `everything` is
         asked for, as it is where the loop stands still.
         """
-        ready = len(self._measured) - (0 if everything else BEHIND)
-        taken = [self._measured.popleft() for _ in range(max(0, ready))]
+        taken = [self._measured.popleft() for _ in range(
+            len(self._measured) - (0 if everything else BEHIND))]
         self.every = max(1, -(-len(taken) // MOST_ROWS))
         out: list[list[float | None]] = []
         for seq, stamp_ns, position in taken[::self.every]:

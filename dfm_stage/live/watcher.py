@@ -68,8 +68,9 @@ class Watcher:
         """Return what is new since the last look, as plain data for JSON."""
         now = time.monotonic()
         with self._lock:
-            axes = {name: self._axis(name, trace, now) for name, trace in self._traces.items()}
-            return {"axes": axes, "nodes": list(self._nodes.values())}
+            return {"axes": {name: self._axis(name, trace, now)
+                             for name, trace in self._traces.items()},
+                    "nodes": list(self._nodes.values())}
 
     def _axis(self, name: str, trace: Trace, now: float) -> dict[str, Any]:
         since, before, rate, last = self._rates.get(name, (now, trace.heard, 0.0, now))

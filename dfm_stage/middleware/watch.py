@@ -1,11 +1,29 @@
-"""What a node notices by itself once a second: topics that stopped, and its own standstill."""
+"""What a node keeps of what it heard, and what it notices once a second: topics that stopped, and
+its own standstill."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 SILENT_S = 1.0
 HELD_UP_S = 0.5
+T = TypeVar("T")
+
+
+class Recent(dict[int, T]):
+    """The newest `most` entries by their number, for messages that belong together and come one by
+    one; older ones are forgotten."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self.most = most
+
+    def keep(self, number: int, entry: T) -> None:
+        """Add an entry."""
+        self[number] = entry
+        if len(self) > self.most:
+            del self[next(iter(self))]
 
 
 class Notices(dict[str, str]):

@@ -14,12 +14,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from dfm_stage.drivers.amplifier_worker import AmplifierWorker
-from dfm_stage.drivers.device import (
-    AmplifierDevice,
-    AmplifierStatus,
-    create_amplifier,
-    names,
-)
+from dfm_stage.drivers.device import AmplifierStatus, create_amplifier, names
 from dfm_stage.drivers.errors import DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
 from dfm_stage.errors import DfmError
@@ -92,7 +87,6 @@ class AmplifierDriver(ManagedNode):
         self._encoder: DiagnosticStatus | None = None
         self._loop: dict[str, DiagnosticStatus] = {}
         self._worker: AmplifierWorker | None = None
-        self._device: AmplifierDevice | None = None
         self._drive: Publisher | None = None
         self._status_words: dict[str, str] = {}
         self._state = self.link_publisher("amplifier")
@@ -168,12 +162,6 @@ class AmplifierDriver(ManagedNode):
         elif self._seq and self.context.ok():
             self._apply(self.now_ns(), 0.0, self._off_bits)
 
-    def cleanup(self) -> None:
-        """Close the port; the drive is off."""
-        if self._device is not None:
-            self._device.close()
-            self._device = None
-
     # Commands
 
     def _on_command(self, command: Any) -> None:
@@ -203,8 +191,8 @@ class AmplifierDriver(ManagedNode):
         """Simulation: look for commands; a short hold-up of this process is not their absence."""
         now = time.monotonic()
         gap, self._checked_s = now - self._checked_s, now
-        begun = math.isfinite(self._interlock.last_command_s)
-        if begun and gap > max(_HELD_UP_S, self._interlock.stale_s):
+        if math.isfinite(self._interlock.last_command_s) and (
+                gap > max(_HELD_UP_S, self._interlock.stale_s)):
             self._trip(Cause.STALE_COMMAND, f"this process stood still for {gap:.2f} s")
         elif gap <= self._interlock.stale_s / 2 and self._interlock.stale(now):
             self._apply(self.now_ns(), 0.0, self._off_bits)
@@ -262,10 +250,9 @@ class AmplifierDriver(ManagedNode):
 
     def _on_health(self, health: DiagnosticStatus) -> None:
         self._encoder = health
-        trouble = self._encoder_trouble()
-        if trouble:
-            travel = any(value.value == "travel" for value in health.values)
-            self._trip(Cause.TRAVEL if travel else Cause.ENCODER, trouble)
+        if trouble := self._encoder_trouble():
+            self._trip(Cause.TRAVEL if any(value.value == "travel" for value in health.values)
+                       else Cause.ENCODER, trouble)
 
     def _on_loop_health(self, health: DiagnosticStatus) -> None:
         self._loop[health.name] = health
@@ -295,9 +282,8 @@ class AmplifierDriver(ManagedNode):
         """One node is to send commands; two of one name are told apart by their numbers."""
         if not self._interlock.armed:
             return
-        topic = self.resolve_topic_name("command")
-        senders = {f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-                   for info in self.get_publishers_info_by_topic(topic)
+        senders = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in
+                   self.get_publishers_info_by_topic(self.resolve_topic_name("command"))
                    if not info.node_name.startswith("_")}
         if len(senders) > 1:
             self._trip(Cause.OTHER_PUBLISHER, f"{len(senders)} nodes send commands: "

@@ -36,8 +36,9 @@ from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
     LINKS,
+    LOCKSTEP_QOS,
+    PUBLISHER_QOS,
     RECORDER_TAP,
-    publisher_qos,
     subscriber_qos,
 )
 
@@ -59,12 +60,11 @@ class Publisher:
 
     def __init__(self, node: LoopNode, topic: str, prefix: str = "") -> None:
         self.link = LINKS[topic]
-        self._codec = codec(self.link.type, prefix.strip("/") or node.axis)
         self.ros = node.create_publisher(self.link.type, prefix + topic,
-                                         publisher_qos(node.lockstep))
+                                         LOCKSTEP_QOS if node.lockstep else PUBLISHER_QOS)
         self._node = node
         self._publish = self.ros.handle.publish_raw
-        self._encode = self._codec.encode
+        self._encode = codec(self.link.type, prefix.strip("/") or node.axis).encode
         self._open = False
         self._held: list[bytes] = []
 
@@ -122,20 +122,16 @@ class Publisher:
     def open(self) -> bool:
         """Return whether the first message may go out: everyone who must not miss it listens."""
         if not self._open:
-            wanted: list[str] = []
-            if self._node.settings["wait_for_recorder"]:
-                wanted.append(RECORDER_TAP)
-            if self._node.lockstep:
-                wanted += self.link.subscribers
+            wanted = [*([RECORDER_TAP] if self._node.settings["wait_for_recorder"] else []),
+                      *(self.link.subscribers if self._node.lockstep else [])]
             self._open = not wanted or not self.missing(wanted)
         return self._open
 
 
 def node_class(kind: str) -> type[LoopNode]:
     """Return the class of one of the package's nodes by its name on the command line."""
-    found: type[LoopNode] = getattr(importlib.import_module(f"dfm_stage.nodes.{kind}"),
-                                    "".join(map(str.capitalize, kind.split("_"))))
-    return found
+    return getattr(importlib.import_module(f"dfm_stage.nodes.{kind}"),
+                   "".join(map(str.capitalize, kind.split("_"))))
 
 
 class LoopNode(Node):
@@ -154,9 +150,8 @@ class LoopNode(Node):
     def __init__(self, *, context: Any = None, cli_args: list[str] | None = None) -> None:
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
                          cli_args=cli_args, use_global_arguments=cli_args is None)
-        own = (replace(PRIORITY, default=self.priority),
-               *self.settings_for(self._parameter_overrides))
-        self.settings = Settings(self, (*COMMON, *own))
+        self.settings = Settings(self, (*COMMON, replace(PRIORITY, default=self.priority),
+                                        *self.settings_for(self._parameter_overrides)))
         self.lockstep: bool = self.settings["lockstep"]
         self.axis = self.get_namespace().rpartition("/")[2]
         self.counters: dict[str, int] = {}
@@ -225,10 +220,6 @@ class LoopNode(Node):
         """Return why the node cannot work yet, apart from its links, or None."""
         return None
 
-    def take_process(self) -> None:
-        """Give this node's process its priority; to be called where it has one to itself."""
-        self.realtime.take(self.settings[PRIORITY.name], time.monotonic())
-
     # Tools for the nodes
 
     def link_publisher(self, topic: str, prefix: str = "") -> Publisher:
@@ -275,14 +266,13 @@ class LoopNode(Node):
         health = self.create_publisher(DiagnosticStatus, LOOP_HEALTH, LATCHED_QOS)
 
         def say() -> None:
-            level, words = DiagnosticStatus.OK, ""
             self.errors_active.put(SAMPLE_PERIOD.name, check.complaint)
-            if check.complaint:
-                level, words = DiagnosticStatus.ERROR, f"{self.kind}: {check.complaint}"
-            elif check.measured_s is None:
-                level = DiagnosticStatus.WARN
-                words = f"{self.kind} still compares its sampling period with the measurements"
-            health.publish(self.status(level, words))
+            health.publish(
+                self.status(DiagnosticStatus.ERROR, f"{self.kind}: {check.complaint}")
+                if check.complaint else self.status(
+                    DiagnosticStatus.WARN,
+                    f"{self.kind} still compares its sampling period with the measurements")
+                if check.measured_s is None else self.status(DiagnosticStatus.OK))
 
         def compared(measurement: Any) -> None:
             if check.heard(measurement.seq, measurement.stamp_ns):
@@ -304,9 +294,7 @@ class LoopNode(Node):
 
     def an_endpoint(self) -> Sequence[int]:
         """Return the global identifier of one of this node's endpoints."""
-        identifier: Sequence[int] = self.get_publishers_info_by_topic(
-            self._config.topic_name)[0].endpoint_gid
-        return identifier
+        return list(self.get_publishers_info_by_topic(self._config.topic_name)[0].endpoint_gid)
 
     def status(self, level: bytes, words: str = "",
                values: Mapping[str, Any] | None = None) -> DiagnosticStatus:
@@ -341,10 +329,9 @@ class LoopNode(Node):
         reasons = [self.not_ready()]
         kinds = {name.rpartition("/")[2] for name in request.nodes}
         for publisher in self.publishers_of_links:
-            wanted = [kind for kind in publisher.link.subscribers if kind in kinds]
-            wanted += [RECORDER_TAP] if "recorder" in kinds else []
-            missing = publisher.missing(wanted)
-            if missing:
+            if missing := publisher.missing([
+                    *(kind for kind in publisher.link.subscribers if kind in kinds),
+                    *([RECORDER_TAP] if "recorder" in kinds else [])]):
                 reasons.append(f"{publisher.ros.topic_name} has no {', '.join(missing)}")
             elif self.lockstep and not publisher.delivered():
                 reasons.append(f"{publisher.ros.topic_name} is still being delivered")
@@ -372,11 +359,11 @@ class LoopNode(Node):
         missing = f"waiting for {waiting[0]}" if waiting is not None and late else ""
         if self.warnings_active.put("waiting", missing):
             self.get_logger().warning(f"lockstep: {missing}")
-        values = {**self.counters, **self.report(), "scheduling": self.realtime.words}
         level = (DiagnosticStatus.ERROR if self.errors_active
                  else DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK)
-        words = [*self.errors_active.values(), *self.warnings_active.values()]
-        array = DiagnosticArray(status=[self.status(level, "; ".join(words), values)])
+        array = DiagnosticArray(status=[self.status(
+            level, "; ".join((*self.errors_active.values(), *self.warnings_active.values())),
+            {**self.counters, **self.report(), "scheduling": self.realtime.words})])
         array.header.stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(Exception):
             self._diagnostics.publish(array)

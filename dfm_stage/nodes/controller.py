@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from dfm_stage.control import (
     modes,
     plan_laws,
 )
-from dfm_stage.middleware.recent import Recent
+from dfm_stage.middleware.watch import Recent
 from dfm_stage.model import Model, load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
@@ -101,8 +101,8 @@ class Controller(LoopNode):
         self._references, self._excitations = Ahead(_KEPT_AHEAD), Ahead(_KEPT_AHEAD)
         self._out = self.link_publisher("command")
         self.link_subscription("measurement", self._on_measurement)
-        self.link_subscription("reference", self._on_reference)
-        self.link_subscription("excitation", self._on_excitation)
+        self.link_subscription("reference", partial(self._on_ahead, self._references))
+        self.link_subscription("excitation", partial(self._on_ahead, self._excitations))
         if self.settings["amplifier_feedback"]:
             self.link_subscription("amplifier", self._on_amplifier)
         self.begin()
@@ -164,13 +164,8 @@ class Controller(LoopNode):
                 self.count("reference_late")
         self._answer(measurement)
 
-    def _on_reference(self, reference: Any) -> None:
-        self._references.keep(reference.seq, reference)
-        if self.lockstep:
-            self._answer_when_complete()
-
-    def _on_excitation(self, excitation: Any) -> None:
-        self._excitations.keep(excitation.seq, excitation)
+    def _on_ahead(self, ahead: Ahead, message: Any) -> None:
+        ahead.keep(message.seq, message)
         if self.lockstep:
             self._answer_when_complete()
 
@@ -226,9 +221,8 @@ class Controller(LoopNode):
             self.count("saturated")
         self._sent_v, self._added_v = voltage, added
         self._seq = (self._seq + 1) & 0xFFFFFFFF
-        stamp = measurement.stamp_ns if self.lockstep else self.now_ns()
-        self._out.send(stamp, self._seq, measurement.seq, measurement.stamp_ns, voltage,
-                       saturated)
+        self._out.send(measurement.stamp_ns if self.lockstep else self.now_ns(), self._seq,
+                       measurement.seq, measurement.stamp_ns, voltage, saturated)
 
     def _law(self, reference: Any, position: float, samples: int) -> float:
         run = self._laws.run
@@ -258,13 +252,6 @@ class Controller(LoopNode):
         if state is not None and state.measurement_seq != self._last_seq:
             return "amplifier", self._last_seq or 0
         return None
-
-
-@lru_cache(maxsize=2)
-def _model(name: str, axis: str, _modified_ns: int) -> Model:
-    """Return a model, or its part for the axis; read again where the file has changed."""
-    model = load_model(name)
-    return model.axis(axis) if model.axes else model
 
 
 def main(args: list[str] | None = None) -> int:

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from dfm_interfaces.msg import Measurement
-from dfm_stage.drivers.device import EncoderDevice, EncoderSample, create_encoder, names
+from dfm_stage.drivers.device import EncoderSample, create_encoder, names
 from dfm_stage.drivers.encoder_reader import EncoderReader
 from dfm_stage.drivers.errors import RefusedError
 from dfm_stage.errors import DfmError
@@ -62,7 +62,6 @@ class EncoderDriver(ManagedNode):
         self._last_counts = 0
         self._last_position = 0.0
         self._flags = _REFERENCED if self.simulated else 0
-        self._device: EncoderDevice | None = None
         self._reader: EncoderReader | None = None
         self._identity = ""
         self._alarms: dict[str, str] = {}
@@ -106,12 +105,6 @@ class EncoderDriver(ManagedNode):
             self._reader.stop()
             self._reader = None
             self._unreference()
-
-    def cleanup(self) -> None:
-        """Close the port."""
-        if self._device is not None:
-            self._device.close()
-            self._device = None
 
     def config(self) -> dict[str, Any]:
         """Return what answered at the port."""
@@ -249,26 +242,23 @@ class EncoderDriver(ManagedNode):
 
     def report(self) -> dict[str, Any]:
         """Return rate, age and what the line did."""
-        out: dict[str, Any] = {"state": self.life_cycle_state(),
-                               "referenced": bool(self._flags & _REFERENCED),
-                               "sample rate": self.rate("samples",
-                                                        self.counters.get("samples", 0)),
-                               "travel limit": f"{self._travel * 1e3:g} mm",
-                               "velocity limit": f"{self._speed:g} m/s"}
-        if self._last_seq is not None and not self.lockstep:
-            out["age of last sample"] = f"{(self.now_ns() - self._last_stamp_ns) * 1e-6:.2f} ms"
-        if self._device is not None:
-            out |= {"device": self._identity, **self._device.counters}
-        if self._reader is not None:
-            out["reconnect attempts"] = self._reader.reconnects
-        return out
+        age = f"{(self.now_ns() - self._last_stamp_ns) * 1e-6:.2f} ms"
+        device, reader = self._device, self._reader
+        return {"state": self.life_cycle_state(), "referenced": bool(self._flags & _REFERENCED),
+                "sample rate": self.rate("samples", self.counters["samples"]),
+                "travel limit": f"{self._travel * 1e3:g} mm",
+                "velocity limit": f"{self._speed:g} m/s",
+                **({"age of last sample": age}
+                   if self._last_seq is not None and not self.lockstep else {}),
+                **({"device": self._identity, **device.counters} if device is not None else {}),
+                **({"reconnect attempts": reader.reconnects} if reader is not None else {})}
 
     def _publish_joint_state(self) -> None:
         if self._last_seq is None:
             return
-        sec, nanosec = divmod(self._last_stamp_ns, 1_000_000_000)
         state = JointState(name=[self.axis], position=[self._last_position])
-        state.header.stamp.sec, state.header.stamp.nanosec = sec, nanosec
+        state.header.stamp.sec, state.header.stamp.nanosec = divmod(
+            self._last_stamp_ns, 1_000_000_000)
         self._joint_states.publish(state)
 
     def waiting_for(self) -> tuple[str, int] | None:

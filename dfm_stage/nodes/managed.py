@@ -41,6 +41,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         LoopNode.__init__(self, **kwargs)
         self.simulated: bool = self.settings["device"] == SIM
         self.active = False
+        self._device: Any = None
         self._counted: dict[str, float] = {}
 
     def check_settings(self, values: dict[str, Any]) -> None:
@@ -62,6 +63,9 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
 
     def cleanup(self) -> None:
         """Give the device back."""
+        if self._device is not None:
+            self._device.close()
+            self._device = None
 
     # Life cycle
 

@@ -64,14 +64,15 @@ class Setting:
         if isinstance(parameter, Option):
             return cls(prefix + parameter.name, parameter.default, parameter.description,
                        parameter.unit, choices=parameter.choices, live=live)
-        value = parameter.default if default is None else default
-        return cls(prefix + parameter.name, float(value), parameter.description, parameter.unit,
-                   parameter.low, parameter.high, live=live)
+        return cls(prefix + parameter.name,
+                   float(parameter.default if default is None else default),
+                   parameter.description, parameter.unit, parameter.low, parameter.high, live=live)
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what `ros2 param describe` shows."""
-        unit = f" [{self.unit}]" if self.unit else ""
-        out = ParameterDescriptor(description=self.description + unit, read_only=not self.live)
+        out = ParameterDescriptor(
+            description=self.description + (f" [{self.unit}]" if self.unit else ""),
+            read_only=not self.live)
         if isinstance(self.default, float):
             out.floating_point_range = [FloatingPointRange(
                 from_value=max(self.low, -_WIDEST), to_value=min(self.high, _WIDEST), step=0.0)]
@@ -137,11 +138,9 @@ class Settings:
             raise SettingError(f"{node.get_name()}: parameter {setting.name} must be {words} "
                                f"({remedy})") from error
         except InvalidParameterValueException as error:
-            given = node._parameter_overrides[setting.name].value
-            why = setting.complaint(given) or str(error)
+            why = setting.complaint(node._parameter_overrides[setting.name].value) or str(error)
             raise SettingError(f"{node.get_name()}: parameter {why}") from error
-        reason = setting.complaint(value)
-        if reason:
+        if reason := setting.complaint(value):
             raise SettingError(f"{node.get_name()}: parameter {reason}")
         return value
 
@@ -151,8 +150,7 @@ class Settings:
             setting = self._table.get(change.name)
             if setting is None:
                 continue
-            reason = setting.complaint(change.value)
-            if reason:
+            if reason := setting.complaint(change.value):
                 return SetParametersResult(successful=False, reason=reason)
             proposed[change.name] = change.value
         try:

@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Any
 
 import rclpy
@@ -29,7 +28,7 @@ from dfm_stage.middleware.shared_memory import (
     avoiding_dead_ports,
     sign_notes,
 )
-from dfm_stage.nodes.base import LoopNode
+from dfm_stage.nodes.base import PRIORITY, LoopNode
 
 BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 """How often this process began anew, in its environment."""
@@ -116,8 +115,7 @@ class StopRequest:
         self.install()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None,
-                 traceback: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -143,7 +141,8 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
     except ExternalShutdownException:
         pass
     except (DfmError, InvalidParameterTypeException) as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
+        # rclpy adds where in its own source, over several lines
+        print(f"error: {' '.join(str(error).partition(', at /')[0].split())}", file=sys.stderr)
         return 2
     finally:
         if node is not None:
@@ -176,7 +175,7 @@ def _spin(node: LoopNode, stop: StopRequest) -> bool:
     executor.add_node(node)
     quiet_collector()
     if not isinstance(executor, SingleThreadedExecutor):  # that keeps the processors full
-        node.take_process()
+        node.realtime.take(node.settings[PRIORITY.name], time.monotonic())
     ports, look = PortWatch(), time.monotonic()
     while rclpy.ok():
         # spin() of this executor forgets timers while no message comes
@@ -203,6 +202,3 @@ def _begin_anew() -> None:
                 os.set_inheritable(int(name), False)
     os.execv(sys.executable, sys.orig_argv)  # noqa: S606 what started this
 
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).partition(", at /")[0].split())

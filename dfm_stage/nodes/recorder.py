@@ -113,19 +113,19 @@ class Recorder(LoopNode):
         if not self._open:
             return
         for name, types in self.get_topic_names_and_types():
-            if "/_" in name:  # hidden, as ROS 2 calls it: the inner topics of actions
-                continue
-            if (name not in self._topics and name not in self._refused and len(types) == 1
-                    and self._wanted.fullmatch(name) and not self._unwanted.fullmatch(name)):
-                offers = self.get_publishers_info_by_topic(name)
-                if offers:
-                    self._record(name, types[0], offers)
+            # with /_ it is hidden, as ROS 2 calls it: the inner topics of actions
+            if ("/_" not in name and name not in self._topics and name not in self._refused
+                    and len(types) == 1 and self._wanted.fullmatch(name)
+                    and not self._unwanted.fullmatch(name)
+                    and (offers := self.get_publishers_info_by_topic(name))):
+                self._record(name, types[0], offers)
 
     def _record(self, name: str, type_name: str, offers: list[Any]) -> None:
+        profiles = [each.qos_profile for each in offers]
         try:
             package, _, kind = type_name.partition("/msg/")
             message_type = getattr(importlib.import_module(f"{package}.msg"), kind)
-            topic = self._bag.add_topic(name, type_name, [_offer(each) for each in offers],
+            topic = self._bag.add_topic(name, type_name, [_offer(each) for each in profiles],
                                         str(offers[0].topic_type_hash),
                                         definition_text(type_name))
         except (ImportError, AttributeError, DfmError) as error:
@@ -133,19 +133,19 @@ class Recorder(LoopNode):
             self.count("topics_refused")
             self.get_logger().warning(f"{name} ({type_name}) is not recorded: {error}")
             return
-        profiles = [each.qos_profile for each in offers]
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_ALL,
-            reliability=_common(profiles, "reliability", ReliabilityPolicy.RELIABLE,
-                                ReliabilityPolicy.BEST_EFFORT),
-            durability=_common(profiles, "durability", DurabilityPolicy.TRANSIENT_LOCAL,
-                               DurabilityPolicy.VOLATILE))
-        has_header = next(iter(message_type.get_fields_and_field_types().values()),
-                          "") == "std_msgs/Header"
-        is_config = type_name == "std_msgs/msg/String" and name.endswith("/config")
-        write = self._writer(topic, has_header, is_config)
-        subscription = self._tap.create_subscription(message_type, name, write, qos, raw=True)
-        self._topics[name] = subscription
+            reliability=ReliabilityPolicy.RELIABLE
+            if all(each.reliability == ReliabilityPolicy.RELIABLE for each in profiles)
+            else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL
+            if all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in profiles)
+            else DurabilityPolicy.VOLATILE)
+        first = next(iter(message_type.get_fields_and_field_types().values()), "")
+        write = self._writer(topic, first == "std_msgs/Header", is_config=(
+            type_name == "std_msgs/msg/String" and name.endswith("/config")))
+        self._topics[name] = subscription = self._tap.create_subscription(
+            message_type, name, write, qos, raw=True)
         self._taps.append((subscription.handle.take_message, message_type, write))
 
     def _fetch(self) -> None:
@@ -266,12 +266,7 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
                        f"{error}") from None
 
 
-def _common(profiles: list[Any], policy: str, strong: Any, weak: Any) -> Any:
-    return strong if all(getattr(each, policy) == strong for each in profiles) else weak
-
-
-def _offer(info: Any) -> QosProfile:
-    qos = info.qos_profile
+def _offer(qos: QoSProfile) -> QosProfile:
     return QosProfile(
         history=HistoryPolicy(qos.history).short_key, depth=qos.depth,
         reliability=ReliabilityPolicy(qos.reliability).short_key,

@@ -34,10 +34,6 @@ class _Stage(CoupledPlant):
         super().__init__(model, seed)
         self.inputs = [0.0] * len(self.plants)
 
-    def step(self) -> None:
-        """Hold the inputs for one sample period."""
-        self.advance(self.inputs)
-
 
 class _Axis:
     """The wires of one axis."""
@@ -49,8 +45,9 @@ class _Axis:
         self.topic = f"{prefix}sim/drive"
         self.counts: Publisher = node.link_publisher("sim/position_counts", prefix)
         self.truth: Publisher = node.link_publisher("plant", prefix)
-        self.current = (node.link_publisher("sim/current", prefix)
-                        if _measures_current(self.plant.model) else None)
+        model = self.plant.model
+        self.current = (node.link_publisher("sim/current", prefix) if model.drive == "current"
+                        or "coil_resistance" in model.base else None)
         self.answered = -1
         self.driven = 0
         node.link_subscription("sim/drive", self._on_drive, prefix)
@@ -63,15 +60,15 @@ class _Axis:
             self.answered = drive.measurement_seq
         else:
             self._node.count("late_drives")
-        usable = drive.enabled and math.isfinite(drive.voltage)
-        self.stage.inputs[self._index] = drive.voltage if usable else 0.0
+        self.stage.inputs[self._index] = (
+            drive.voltage if drive.enabled and math.isfinite(drive.voltage) else 0.0)
         if self._node.lockstep:
             self._node.step_when_answered()
 
     def watch(self, samples: int) -> bool:
         """Take the coil's input away after `samples` without a drive; return whether it did."""
-        held = self.stage.inputs[self._index]
-        if not held or (self._node.seq - self.driven) & 0xFFFFFFFF <= samples:
+        if not self.stage.inputs[self._index] or (
+                (self._node.seq - self.driven) & 0xFFFFFFFF <= samples):
             return False
         self.stage.inputs[self._index] = 0.0
         return True
@@ -182,7 +179,7 @@ class SimPlant(LoopNode):
                     self.count("watchdog_trips")
                     self.get_logger().warning(f"nothing on {axis.topic}: the coil is cut off")
         for stage in self._stages:
-            stage.step()
+            stage.advance(stage.inputs)
         self.seq = (self.seq + 1) & 0xFFFFFFFF
 
     def _publish_samples(self, stamp_ns: int) -> None:
@@ -203,14 +200,8 @@ class SimPlant(LoopNode):
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Return the drive that has not come."""
-        for axis in self._axes:
-            if self._published and axis.answered != self.seq:
-                return axis.topic, self.seq
-        return None
-
-
-def _measures_current(model: Model) -> bool:
-    return model.drive == "current" or "coil_resistance" in model.base
+        return next(((axis.topic, self.seq) for axis in self._axes
+                     if self._published and axis.answered != self.seq), None)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -8,8 +8,10 @@ holds the last position. What would leave a limit (`limits.*`) is refused before
 
 from __future__ import annotations
 
+import array
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,14 +23,16 @@ from dfm_stage.control import inverse_of
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.watch import HELD_UP_S
 from dfm_stage.model import Model, load_model
+from dfm_stage.model.parameter import Parameter
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
-from dfm_stage.nodes.signal_settings import KINDS, signal_settings, specification
 from dfm_stage.share import find_experiment
 from dfm_stage.trajectory import (
+    EXCITATION_KINDS,
     LIMIT_PARAMETERS,
+    REFERENCE_KINDS,
     Excitation,
     Limits,
     Reference,
@@ -40,6 +44,48 @@ from dfm_stage.trajectory import (
 
 RECORDER_SILENT_S = 2.5
 _BACKWARDS = 0x80000000
+KINDS: Mapping[str, Mapping[str, Any]] = {"reference": REFERENCE_KINDS,
+                                          "excitation": EXCITATION_KINDS}
+"""Each setting of each kind is one parameter: `reference.kind`, `reference.amplitude_m`, ...
+Only those that somebody gave count, the others follow the chosen kind's own default."""
+
+
+def signal_settings() -> tuple[Setting, ...]:
+    """Return the settings of every kind of reference and excitation."""
+    out = []
+    for part, kinds in KINDS.items():
+        out.append(Setting(f"{part}.kind", "hold", f"which {part}: " + "; ".join(
+            f"{kind.name} ({kind.description})" for kind in kinds.values()),
+            choices=tuple(kinds), live=True))
+        by_name: dict[str, list[tuple[str, Any]]] = {}
+        for kind in kinds.values():
+            for entry in (*kind.parameters, *kind.options):
+                by_name.setdefault(entry.name, []).append((kind.name, entry))
+        out += [_setting(f"{part}.{name}", entries) for name, entries in by_name.items()]
+    return tuple(out)
+
+
+def specification(part: str, values: Mapping[str, Any], given: set[str]) -> dict[str, Any]:
+    """Return the specification of `part` from parameter values, using only what was given."""
+    out = {"kind": values[f"{part}.kind"]}
+    for name in given:
+        owner, _, key = name.partition(".")
+        if owner == part and key != "kind":
+            value = values[name]
+            out[key] = list(value) if isinstance(value, array.array) else value
+    return out
+
+
+def _setting(name: str, entries: list[tuple[str, Any]]) -> Setting:
+    first = entries[0][1]
+    text = f"{first.description} ({', '.join(kind for kind, _ in entries)})"
+    if isinstance(first, Parameter):
+        return Setting(name, float(first.default), text, first.unit,
+                       min(entry.low for _, entry in entries),
+                       max(entry.high for _, entry in entries), live=True)
+    if isinstance(first.default, tuple):
+        return Setting(name, array.array("d", first.default), text, first.unit, live=True)
+    return Setting(name, first.default, text, choices=first.choices, live=True)
 
 
 @dataclass
@@ -113,21 +159,18 @@ class TrajectoryGenerator(LoopNode):
     def start_work(self) -> None:
         """Refuse an experiment that cannot be run; start it where that is wanted."""
         self._make_run()
-        if self.settings["autostart"] and self._asked_for_something():
-            self._autostart = self.create_timer(0.05, self._start_when_open, clock=self.steady)
-
-    def _asked_for_something(self) -> bool:
         values = self.settings.values
-        return bool(values["experiment"]) or any(values[f"{part}.kind"] != "hold"
-                                                 for part in KINDS)
+        if values["autostart"] and (values["experiment"] or any(
+                values[f"{part}.kind"] != "hold" for part in KINDS)):
+            self._autostart = self.create_timer(0.05, self._start_when_open, clock=self.steady)
 
     # Parameters
 
     def check_settings(self, values: dict[str, Any]) -> None:
         """Refuse a signal that cannot be made."""
-        given = {name for name, value in values.items() if value != self.settings[name]}
         if not values["experiment"]:
-            self._signals(values, self.settings.given | given)
+            self._signals(values, self.settings.given | {
+                name for name, value in values.items() if value != self.settings[name]})
 
     def _signals(self, values: dict[str, Any], given: set[str],
                  experiment: str = "") -> tuple[str, Reference, Excitation, list[float]]:
@@ -175,19 +218,18 @@ class TrajectoryGenerator(LoopNode):
         name, reference, excitation, voltage = self._signals(
             self.settings.values, self.settings.given, experiment)
         name = name or "parameters"
-        metadata = {"experiment": name, "reference": reference.metadata(),
-                    "excitation": excitation.metadata()}
         return ActiveRun(name, reference.position.tolist(), reference.velocity.tolist(),
-                         reference.acceleration.tolist(), voltage, metadata,
-                         self._files(excitation), goal)
+                         reference.acceleration.tolist(), voltage,
+                         {"experiment": name, "reference": reference.metadata(),
+                          "excitation": excitation.metadata()}, self._files(excitation), goal)
 
     def _files(self, excitation: Excitation) -> dict[str, str]:
         """Return what the recorder is to attach to the bag: a voltage that came from a file."""
         if excitation.kind != "csv":
             return {}
-        rows = "".join(f"{k * excitation.sample_period_s:.9g},{volts!r}\n"
-                       for k, volts in enumerate(excitation.voltage.tolist()))
-        return {f"{self.axis}_excitation.csv": f"time_s,excitation_v\n{rows}"}
+        return {f"{self.axis}_excitation.csv": "time_s,excitation_v\n" + "".join(
+            f"{k * excitation.sample_period_s:.9g},{volts!r}\n"
+            for k, volts in enumerate(excitation.voltage.tolist()))}
 
     def config(self) -> dict[str, Any]:
         """Return what signal is, or was last, running and where in the record it starts."""

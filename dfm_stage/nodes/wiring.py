@@ -70,11 +70,6 @@ LATCHED_FROM_MANY_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIA
                                    durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def publisher_qos(lockstep: bool) -> QoSProfile:
-    """Return the quality of service of a loop publisher."""
-    return LOCKSTEP_QOS if lockstep else PUBLISHER_QOS
-
-
 def subscriber_qos(link: Link, node_kind: str, lockstep: bool) -> QoSProfile:
     """Return the quality of service of a loop subscription."""
     if lockstep:

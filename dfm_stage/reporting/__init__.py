@@ -6,6 +6,7 @@ from dfm_stage.reporting.figures import (
     Drawing,
     Response,
     bode_figure,
+    log_labels,
     statistics,
     thinned,
     time_figure,
@@ -15,6 +16,6 @@ from dfm_stage.reporting.table import Table
 
 __all__ = [
     "Drawing", "Page", "Quantity", "ReportError", "Response", "Table", "bode_figure",
-    "display_unit", "format_number", "format_quantity", "new_figure", "page_style",
+    "display_unit", "format_number", "format_quantity", "log_labels", "new_figure", "page_style",
     "statistics", "thinned", "time_figure",
 ]

@@ -73,8 +73,7 @@ def bode_figure(responses: Sequence[Response], *, unit: str = "m/V",
         top.set_ylabel(f"magnitude ({shown})")
         bottom.set(xlabel="frequency (Hz)", ylabel="phase (°)")
         bottom.yaxis.set_major_locator(MultipleLocator(90.0))
-        _log_labels(top.yaxis)
-        _log_labels(bottom.xaxis)
+        log_labels(top.yaxis, bottom.xaxis)
         top.legend(loc="best")
         figure.align_ylabels()
     return Drawing(figure, _bode_table(responses, factor, shown))
@@ -173,8 +172,8 @@ def _colours(count: int) -> list[str]:
     return [SERIES[i % len(SERIES)] for i in range(count)]
 
 
-def _log_labels(axis: Any) -> None:
-    from matplotlib.ticker import NullFormatter
-
-    axis.set_major_formatter(lambda value, _: superscript_power(value))
-    axis.set_minor_formatter(NullFormatter())
+def log_labels(*axes: Any) -> None:
+    """Write the powers of ten of logarithmic axes as plain text, and nothing between them."""
+    for axis in axes:
+        axis.set_major_formatter(lambda value, _: superscript_power(value))
+        axis.set_minor_formatter("")

@@ -38,10 +38,11 @@ class Loop:
         for _ in range(samples):
             sample = self.plant.sample()
             self.position.append(sample.position_m)
-            self.node._on_reference(SimpleNamespace(
+            self.node._on_ahead(self.node._references, SimpleNamespace(
                 seq=self.k, position=self.reference[0], velocity=self.reference[1],
                 acceleration=self.reference[2]))
-            self.node._on_excitation(SimpleNamespace(seq=self.k, voltage=self.added))
+            self.node._on_ahead(self.node._excitations, SimpleNamespace(
+                seq=self.k, voltage=self.added))
             self.node._on_measurement(SimpleNamespace(
                 seq=self.k, stamp_ns=self.k, position=sample.reading_m))
             self.k += 1

@@ -10,8 +10,8 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from dfm_stage.cli import batch, diagnose_batch, example
-from dfm_stage.cli.batch import Job, Outcome, run_batch
+from dfm_stage.cli import diagnose_batch, example
+from dfm_stage.cli.diagnose_batch import Job, Outcome, run_batch
 from dfm_stage.diagnosis.errors import DiagnosisError
 
 
@@ -22,7 +22,7 @@ def test_as_many_at_once_as_asked_and_every_run_once(monkeypatch: pytest.MonkeyP
         together.wait()
         return Outcome(job.run, 0, 0.0)
 
-    monkeypatch.setattr(batch, "work", slow)
+    monkeypatch.setattr(diagnose_batch, "work", slow)
     jobs = [Job(f"run{k}", ()) for k in range(6)]
     assert sorted(each.run for each in run_batch(jobs, 3)) == [job.run for job in jobs]
 
@@ -30,9 +30,9 @@ def test_as_many_at_once_as_asked_and_every_run_once(monkeypatch: pytest.MonkeyP
 def test_a_run_that_fails_is_named_and_the_others_go_on(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         capsys: pytest.CaptureFixture[str]) -> None:
-    real = batch.work
-    monkeypatch.setattr(batch, "work", lambda job: real(job) if "gone" in job.run else Outcome(
-        job.run, 0, 0.5))
+    real = diagnose_batch.work
+    monkeypatch.setattr(diagnose_batch, "work", lambda job: real(job) if "gone" in job.run else
+                        Outcome(job.run, 0, 0.5))
     code = diagnose_batch.main(["b/second", "a/gone.csv", "--model", "paper_stage", "--out",
                                 str(tmp_path / "out"), "--options=--no-report"])
     assert code == 1
@@ -71,7 +71,7 @@ def test_a_cluster_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch) -> No
             asked.append("closed")
 
         def map(self, function: object, jobs: list[Job], pure: bool) -> list[Job]:
-            assert function is batch.work
+            assert function is diagnose_batch.work
             assert not pure  # the same run may be asked for twice
             return jobs
 

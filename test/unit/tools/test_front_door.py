@@ -39,8 +39,8 @@ def call(*words: str, **changes: str) -> subprocess.CompletedProcess[str]:
 def test_the_list_has_every_name_with_a_line(asked: list[str]) -> None:
     listed = call("./run", *asked)
     assert listed.returncode == 0
-    nodes, tools = door.known_names()
-    for name in (*nodes, *tools, "test", "shell"):
+    known = door.commands()
+    for name in (*known.NODES, *known.TOOLS, "test", "shell"):
         assert any(
             line.split()[:1] == [name] and len(line.split()) > 2
             for line in listed.stdout.splitlines()
