@@ -12,9 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.model import Model
 from dfm_stage.model.parameter import Option, Parameter, ParameterError, nearest
@@ -85,8 +83,7 @@ class Law(ABC):
         return None
 
     @classmethod
-    def response(cls, _plan: Any, _frequency_hz: NDArray[np.float64],
-                 _sample_period_s: float) -> NDArray[np.complex128]:
+    def response(cls, _plan: Any, _frequency_hz: Array, _sample_period_s: float) -> Complex:
         """Return the law from -y to u at frequencies (F,), V/m, complex (F,)."""
         raise ControlError(f"{cls.name}: this law has no frequency response")
 

@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.stage import sample_model
 from dfm_stage.model import Model
@@ -15,7 +15,6 @@ from dfm_stage.model import Model
 if TYPE_CHECKING:
     import control
 
-Complex = NDArray[np.complex128]
 _CLOSE = 1e-6   # relative: far above rounding, far below what a measurement tells apart
 
 
