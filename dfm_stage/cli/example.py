@@ -80,7 +80,7 @@ def _write_dspace(record: Record, path: Path) -> None:
     import scipy.io
 
     from dfm_stage.files import write_whole
-    from dfm_stage.recording.errors import write_error
+    from dfm_stage.recording.errors import writing
 
     axis = record.axis()
     signals = [{"Name": f'"Model Root/Stage/{name}"', "Data": values}
@@ -88,8 +88,6 @@ def _write_dspace(record: Record, path: Path) -> None:
     content = io.BytesIO()
     scipy.io.savemat(content, {path.stem: {"X": {"Name": "Time", "Data": record.time},
                                            "Y": signals}})
-    try:
+    with writing(path):
         write_whole(path, content.getvalue())
-    except OSError as error:
-        raise write_error(path, error) from None
 
