@@ -82,8 +82,7 @@ def inverse_input(stage: Sampled, reference: ArrayLike) -> Array:
     h = stage.sample_period_s
     # zeros decay as the inverse, poles as the stage does
     rates = -np.log(np.clip(np.abs(np.concatenate((_zeros(stage), [0.5]))), 1e-12, None))
-    slowest = float(np.min(np.abs(rates)))
-    length = math.log(1.0 / _DIED_OUT) / max(slowest, 1e-12)
+    length = math.log(1.0 / _DIED_OUT) / max(float(np.min(np.abs(rates))), 1e-12)
     if length > _LONGEST:
         raise ControlError("feedforward: the inverse of this model never dies out; give damping "
                            "to its modes")
@@ -159,8 +158,8 @@ class EffectInput:
         """Return the input that goes beside the linear one, at this point of the movement."""
         x, v = position_m, velocity_m_s
         linear = self._m * acceleration_m_s2 + self._c * v + self._k * x
-        sign = min(1.0, max(-1.0, v / _SLOW_M_S))
-        needed, share = linear - self._constant + self._friction * sign, 1.0
+        needed, share = linear - self._constant, 1.0
+        needed += self._friction * min(1.0, max(-1.0, v / _SLOW_M_S))
         for force, values in self._hooks:
             alone = force(x, v, 0.0, values)
             needed -= alone

@@ -108,10 +108,6 @@ class LqrSpec:
         """Return all parameters by name."""
         return asdict(self)
 
-    def changed(self, **values: Any) -> LqrSpec:
-        """Return a copy with other values."""
-        return replace(self, **values)
-
 
 @dataclass(frozen=True)
 class KalmanDesign:
@@ -256,9 +252,8 @@ class LqrDesign:
     def margins_on(self, stage: Sampled) -> Margins:
         """Return the margins with another stage, or the same."""
         f = frequency_grid(stage)
-        poles = np.linalg.eigvals(self.closed_loop(stage))
         return loop_margins(f, stage.response(f) * self.response(f),
-                            bool(np.max(np.abs(poles)) < 1.0))
+                            bool(np.max(np.abs(np.linalg.eigvals(self.closed_loop(stage)))) < 1.0))
 
     def steady_error(self, stage: Sampled, reference_m: float, force_n: float = 0.0) -> float:
         """Return r - y of `stage` at rest on a constant reference under a constant force, m.
@@ -320,9 +315,9 @@ def design_lqr(model: Model, spec: LqrSpec | None = None,
         gain = np.append(gain, -_against_force(stage, gain))
         start = np.append(start, 0.0)
         shape = np.vstack((shape, np.zeros((1, 3))))
-    unknown = Margins(False, math.nan, math.nan, math.nan, math.nan)
     design = LqrDesign(spec, stage, observer, gain, float(-full[n]) if spec.lqr_integral else 0.0,
-                       reference_gain, shape, start, unknown)
+                       reference_gain, shape, start,
+                       Margins(False, math.nan, math.nan, math.nan, math.nan))
     found = design.margins_on(stage)
     if not found.stable:
         raise ControlError(f"lqr: the loop with model {model.name} is not stable; weigh the "

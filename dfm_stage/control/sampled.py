@@ -107,8 +107,7 @@ def loop_margins(frequency_hz: Array, loop: Complex, stable: bool) -> Margins:
     size, angle = np.abs(loop), np.unwrap(np.angle(loop))
     crossings = np.flatnonzero((size[:-1] >= 1.0) != (size[1:] >= 1.0))
     turns = (angle + math.pi) / (2.0 * math.pi)
-    through = np.flatnonzero(np.floor(turns[:-1]) != np.floor(turns[1:]))
-    at = 1.0 / size[through]
+    at = 1.0 / size[np.flatnonzero(np.floor(turns[:-1]) != np.floor(turns[1:]))]
     lost = np.degrees(np.abs((angle[crossings] + 2.0 * math.pi) % (2.0 * math.pi) - math.pi))
     return Margins(
         stable=stable,

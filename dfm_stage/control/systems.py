@@ -98,8 +98,7 @@ def _modes(poles: Complex, residues: Complex) -> list[tuple[float, float, float]
 def _require_same(system: Any, modes: list[tuple[float, float, float]], lag: float) -> None:
     """Hold the modes against the system; a numerator with an s or a feedthrough shows here."""
     corner = max(math.sqrt(max(k, c * c, 1e-12)) for _, c, k in modes)
-    omega = np.geomspace(1e-2 * corner, 1e2 * corner, 60)
-    s = 1j * omega
+    s = 1j * np.geomspace(1e-2 * corner, 1e2 * corner, 60)
     ours = sum(b / (s * s + c * s + k) for b, c, k in modes) / (1.0 + lag * s)
     theirs = np.asarray(system(s)).ravel()
     if np.max(np.abs(ours - theirs) / np.abs(theirs)) > _CLOSE:

@@ -187,8 +187,8 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
         (f"{_states_of(model)} are states of the design model; the filter reckons "
         f"with {spec.lqr_force_noise_n:g} N of unknown force, which keeps a modulus margin of "
         f"{least:.2f} with any parameter {_UNCERTAINTY:.0%} off"))
-    limit = command_limit(model, output_limit_v)
-    parameters = {"mode": "lqr", "model": model_name, "output_limit_v": limit, **spec.to_dict()}
+    parameters = {"mode": "lqr", "model": model_name,
+                  "output_limit_v": command_limit(model, output_limit_v), **spec.to_dict()}
     covers = EffectInput(model).covers
     if covers and model_name:
         parameters["feedforward"] = "model"

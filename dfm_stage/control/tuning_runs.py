@@ -140,8 +140,7 @@ class GainRaising(TuningRun):
         if (y > self._extreme) == self._rising:
             self._extreme, self._at = y, self._k
             return
-        last = self._extremes[-1][1] if self._extremes else math.nan
-        swing = abs(self._extreme - last) if self._extremes else abs(self._extreme)
+        swing = abs(self._extreme - (self._extremes[-1][1] if self._extremes else 0.0))
         if abs(y - self._extreme) > max(0.1 * swing, 1e-6):
             self._extremes.append((self._at, self._extreme))
             self._rising = not self._rising

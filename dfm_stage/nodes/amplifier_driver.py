@@ -13,7 +13,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from dfm_stage.drivers.amplifier_worker import AmplifierWorker
 from dfm_stage.drivers.device import (
     AmplifierDevice,
     AmplifierStatus,
@@ -22,6 +21,7 @@ from dfm_stage.drivers.device import (
 )
 from dfm_stage.drivers.errors import DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
+from dfm_stage.drivers.threads import AmplifierWorker
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import LOOP_HEALTH, Publisher
 from dfm_stage.nodes.managed import ManagedNode, device_settings

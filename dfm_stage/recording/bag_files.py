@@ -58,8 +58,8 @@ def _apply_metadata(path: Path, bag: BagFiles) -> None:
 
     file = path / METADATA_FILE
     try:
-        tree = YAML(typ="safe").load(file.read_text(encoding="utf-8"))
-        information = dict(tree["rosbag2_bagfile_information"])
+        information = dict(YAML(typ="safe").load(file.read_text(encoding="utf-8"))[
+            "rosbag2_bagfile_information"])
     except FileNotFoundError:
         bag.losses.append(Loss(f"{path}: has no {METADATA_FILE}; the .mcap files were read in "
                                f"the order of their names"))

@@ -247,8 +247,7 @@ class BagWriter:
             raise self.error
 
     def _start_chunk(self, chunk: Chunk) -> None:
-        missing = len(self._topics) + 1 - len(chunk.indexes)
-        chunk.indexes += [bytearray() for _ in range(missing)]
+        chunk.indexes += [bytearray() for _ in range(len(self._topics) + 1 - len(chunk.indexes))]
 
     def _queue(self, job: Callable[[], None]) -> None:
         self._jobs.append(lambda: self._do(job))

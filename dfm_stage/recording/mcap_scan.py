@@ -256,9 +256,8 @@ def _chunk_at(at: int, head: bytes, file_size: int) -> ChunkPlace | None:
     if length != _CHUNK_FIXED + name_length + size:
         return None
     offset = at + RECORD_HEAD.size + _CHUNK_FIXED + name_length
-    compression = head[41:41 + name_length].decode("ascii", "replace")
-    return ChunkPlace(offset, size, compression, uncompressed, crc, start_ns, end_ns,
-                      offset + size > file_size)
+    return ChunkPlace(offset, size, head[41:41 + name_length].decode("ascii", "replace"),
+                      uncompressed, crc, start_ns, end_ns, offset + size > file_size)
 
 
 def _index_in(head: bytes, length: int) -> tuple[int, int] | None:

@@ -105,8 +105,8 @@ def parse_schema(text: str, type_name: str) -> dict[str, list[Field]]:
 
 def ament_share_folders() -> list[Path]:
     """Return the share folder of every prefix in AMENT_PREFIX_PATH."""
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return [Path(prefix) / "share" for prefix in prefixes if prefix]
+    return [Path(prefix) / "share" for prefix in
+            os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
 
 def definition_text(type_name: str, share_folders: Sequence[Path] | None = None) -> str:

@@ -110,8 +110,7 @@ def _fill_missing_stamps(index: Ints, stamps: Ints) -> Ints:
 
 def _without_clock_steps(index: Ints, stamps: Ints, name: str, notes: list[str]) -> Ints:
     advance, samples = np.diff(stamps), np.diff(index)
-    usual = float(np.median(advance / samples))
-    excess = advance - np.round(usual * samples).astype(np.int64)
+    excess = advance - np.round(float(np.median(advance / samples)) * samples).astype(np.int64)
     step = np.where((advance < 0) | (excess > _CLOCK_STEP_NS), excess, 0)
     places = np.flatnonzero(step)
     if not len(places):
@@ -197,11 +196,10 @@ def applied_input(grid: SampleGrid, topic: Topic) -> AppliedInput:
         notes.append(f"{topic.name}: its stamps are {usual * 1e-9:.4g} s away from those of the "
                      f"measurements; the clocks differ, or every answer is late")
         sent, delay = sent - round(usual), delay - usual
-    newest = np.maximum.accumulate(index)
-    repeated = np.concatenate(([False], index[1:] <= newest[:-1]))
+    repeated = np.concatenate(([False], index[1:] <= np.maximum.accumulate(index)[:-1]))
     moved = repeated | ~inside | (delay > period_ns)
-    stamps = np.maximum.accumulate(grid.stamps_ns)
-    index[moved] = np.searchsorted(stamps, sent[moved], side="right") - 1
+    index[moved] = np.searchsorted(np.maximum.accumulate(grid.stamps_ns), sent[moved],
+                                   side="right") - 1
     late = int((inside & ~repeated & (delay > period_ns)).sum())
     if late:
         notes.append(f"{topic.name}: {late} answers came more than a period late and were put "
@@ -209,10 +207,9 @@ def applied_input(grid: SampleGrid, topic: Topic) -> AppliedInput:
     values = np.full(grid.count, np.nan)
     usable = (index >= 0) & (index < grid.count)
     order = np.argsort(index[usable], kind="stable")
-    places, settings = index[usable][order], voltage[usable][order]
-    values[places] = settings
-    lost = np.flatnonzero(np.diff(seq) != 1)
-    return AppliedInput(_hold(values, index, lost, topic.name, notes), answers, window, notes)
+    values[index[usable][order]] = voltage[usable][order]
+    held = _hold(values, index, np.flatnonzero(np.diff(seq) != 1), topic.name, notes)
+    return AppliedInput(held, answers, window, notes)
 
 
 def _hold(values: FloatArray, index: Ints, lost: Ints, name: str,

@@ -165,8 +165,7 @@ def _record(table: Table, options: Options, fingerprint: str) -> Record:
             warnings.append(f"{table.where(int(bad[0]))}{more}: {name} is empty or not finite; "
                             f"those samples count as missing")
             usable[bad] = False
-    rows = np.flatnonzero(usable)
-    base = _time_base(table, choice, columns, rows, options)
+    base = _time_base(table, choice, columns, np.flatnonzero(usable), options)
     axes = {name: _axis(name, sources, columns, base, warnings, len(choice.axes) > 1)
             for name, sources in choice.axes.items()}
     warnings += base.notes

@@ -99,8 +99,7 @@ def _advance(time: FloatArray) -> Ints:
     steps = np.diff(time)
     period = float(np.median(steps))
     advance = np.ones(len(steps), np.int64)
-    uneven = np.abs(steps - period) > 0.5 * period
-    if not uneven.any():
+    if not (np.abs(steps - period) > 0.5 * period).any():
         return advance
     first = min(_PHASE_SAMPLES, len(time))
     phase = float(np.median(time[:first] - period * np.arange(first)))
@@ -214,8 +213,7 @@ def resample(values: FloatArray, base: TimeBase) -> tuple[FloatArray, float]:
     nodes = base.index + base.jitter / base.period
     targets = base.index.astype(np.float64)
     cubic = _interpolate(nodes, values, targets, 4)
-    quintic = _interpolate(nodes, values, targets, 6)
-    return cubic, float(np.sqrt(np.mean((cubic - quintic)**2)))
+    return cubic, float(np.sqrt(np.mean((cubic - _interpolate(nodes, values, targets, 6))**2)))
 
 
 def _interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,

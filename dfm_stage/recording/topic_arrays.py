@@ -50,8 +50,8 @@ class TopicArrays:
     empty_rows: list[tuple[int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        columns = [*_RECORD_COLUMNS, *self.plan.fixed]
-        sizes = [column.stored_dtype.itemsize * column.count * self.rows for column in columns]
+        sizes = [column.stored_dtype.itemsize * column.count * self.rows
+                 for column in (*_RECORD_COLUMNS, *self.plan.fixed)]
         places = np.cumsum([0] + [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes])
         self._arena = np.empty(int(places[-1]), np.uint8)
         self._bases = places[:-1].astype(np.int64)

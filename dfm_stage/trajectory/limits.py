@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -189,18 +189,20 @@ def _driven(voltage: Array, limits: Limits, model: Model) -> list[Candidate]:
 
     if math.isfinite(limits.current_a):
         _require_current(model.base, model.drive == "current")
-    for use in model.effects:
-        if EFFECTS[use.name].couples:
-            model = model.without_effect(use.name)
-    found = Simulator(model).run(voltage)
-    dt = model.sample_period
-    acceleration = np.diff(found.velocity, prepend=found.velocity[:1]) / dt
+    found = Simulator(uncoupled(model)).run(voltage)
+    acceleration = np.diff(found.velocity, prepend=found.velocity[:1]) / model.sample_period
     return [("position", found.position, limits.travel_m, "m"),
             ("velocity", found.velocity, limits.velocity_m_s, "m/s"),
             ("acceleration", acceleration, limits.acceleration_m_s2, "m/s^2"),
             ("force", found.force, limits.force_n, "N"),
             ("voltage", voltage, limits.voltage_v, "V"),
             ("current", found.current, limits.current_a, "A")]
+
+
+def uncoupled(model: Model) -> Model:
+    """Return a one-axis model without what the motion of its neighbour does to it."""
+    return replace(model, effects=tuple(use for use in model.effects
+                                        if not EFFECTS[use.name].couples))
 
 
 def _larger(stated: Array, difference: Array) -> Array:

@@ -152,9 +152,8 @@ def spiral(values: Values, timing: Timing) -> Movement:
     w = 2.0 * math.pi * rate
     angle = w * dt * (index % turn) + math.radians(values.number("phase_deg"))
     c, si = np.cos(angle), np.sin(angle)
-    steady = (s >= 1.0) & (s <= turns)
     return (values.number("center_m") + r * c, dr * c - r * w * si,
-            (ddr - r * w * w) * c - 2.0 * dr * w * si, steady, period, 0)
+            (ddr - r * w * w) * c - 2.0 * dr * w * si, (s >= 1.0) & (s <= turns), period, 0)
 
 
 def _area(s: Array) -> Array:
@@ -206,8 +205,7 @@ def segments(distance_m: float, velocity_m_s: float, acceleration_m_s2: float,
             speed_up_s = 2.0 * jerk_s
     constant_s = max(0.0, speed_up_s - 2.0 * jerk_s)
     times = np.array([jerk_s, constant_s, jerk_s, cruise_s, jerk_s, constant_s, jerk_s])
-    sign = math.copysign(j, distance_m)
-    return times, sign * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+    return times, math.copysign(j, distance_m) * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
 
 
 def point_to_point(values: Values, timing: Timing) -> Movement:

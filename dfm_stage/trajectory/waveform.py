@@ -206,8 +206,8 @@ def multisine(values: Values, timing: Timing, suffix: str) -> Waveform:
     spectrum[lines] = np.exp(2j * math.pi * rng.random(lines.size))
     omega = 2.0 * math.pi * np.arange(spectrum.size) / (period * timing.sample_period_s)
     unit = np.fft.irfft(spectrum, period)
-    rms = math.sqrt(float(np.mean(unit**2)))
-    scale = scale_of(values, suffix, float(np.max(np.abs(unit))), rms)
+    scale = scale_of(values, suffix, float(np.max(np.abs(unit))),
+                     math.sqrt(float(np.mean(unit**2))))
     one = (scale * unit, scale * np.fft.irfft(1j * omega * spectrum, period),
            -scale * np.fft.irfft(omega**2 * spectrum, period))
     wave = _faded(_repeated(one, timing.count), _fade_in(timing, ramp))

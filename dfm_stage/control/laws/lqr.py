@@ -78,8 +78,7 @@ class Lqg(Law):
     @classmethod
     def plan(cls, setup: Setup) -> LqrPlan:
         """Return the design on the model."""
-        model = setup.need_model("mode lqr")
-        return LqrPlan(_designed(model, LqrSpec.from_mapping(setup.values),
+        return LqrPlan(_designed(setup.need_model("mode lqr"), LqrSpec.from_mapping(setup.values),
                                  setup.sample_period_s), setup.output_limit_v)
 
     @classmethod

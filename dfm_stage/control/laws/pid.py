@@ -132,9 +132,8 @@ class Pid(Law):
             ki_h, leak, aw = self._ki_h, self._leak, self._aw
             decay, per_dt, slew = self._decay, self._per_dt, self._slew_h
         else:
-            usable = 0.0 < dt_s < math.inf
             ki_h, leak, aw, decay, per_dt, slew = self._coefficients(
-                min(dt_s, _LONGEST * self._period) if usable else self._period)
+                min(dt_s, _LONGEST * self._period) if 0.0 < dt_s < math.inf else self._period)
         last = self._last
         weighted = self._c * reference_m - position_m
         derivative = self._derivative if last is None else (
