@@ -22,7 +22,7 @@ from dfm_stage.drivers.emulators.pty_port import PtyPort
 from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
 from dfm_stage.drivers.encoders.qsb_d import QsbD
 from dfm_stage.drivers.qsb_protocol import BAUD, TICKS_PER_SECOND
-from dfm_stage.drivers.quantiser import SigmaDelta
+from dfm_stage.drivers.threads import SigmaDelta
 from dfm_stage.harness import HarnessError, RunResult
 from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
 from dfm_stage.model import Plant, load_model

@@ -1,22 +1,28 @@
 """Controllers, one sample per call, and the methods that choose their parameters."""
 
 from dfm_stage.control.errors import ControlError
-from dfm_stage.control.feedforward import inverse_input, periodic_input
+from dfm_stage.control.feedforward import (
+    EffectInput,
+    feedforward_gains,
+    inverse_input,
+    inverse_of,
+    periodic_input,
+)
 from dfm_stage.control.gains import PID_PARAMETERS, PidGains
 from dfm_stage.control.guard import GUARD_PARAMETERS, Guard
-from dfm_stage.control.kalman import KalmanDesign, kalman
 from dfm_stage.control.law import Law, Setup
 from dfm_stage.control.laws import DEFAULT_LAW, LAWS, OPEN_LOOP, laws_with, modes
 from dfm_stage.control.laws.lqr import Lqg
 from dfm_stage.control.laws.pid import Pid
 from dfm_stage.control.learning import Learner, LearningDesign, design_learning, neighbours
-from dfm_stage.control.lqr import LQR_PARAMETERS, LqrDesign, LqrSpec, design_lqr
-from dfm_stage.control.model_feedforward import (
-    EffectInput,
-    feedforward_gains,
-    inverse_of,
+from dfm_stage.control.lqr import (
+    LQR_PARAMETERS,
+    KalmanDesign,
+    LqrDesign,
+    LqrSpec,
+    design_lqr,
+    kalman,
 )
-from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.parameter_file import parameter_text, read_parameters, write_text
 from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
@@ -25,6 +31,7 @@ from dfm_stage.control.shaping import Notch, ReferenceShaper, shape, shaper
 from dfm_stage.control.stage import (
     LinearStage,
     Sampled,
+    highest_mode,
     linear_stage,
     sample_model,
     sample_stage,

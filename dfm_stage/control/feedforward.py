@@ -1,9 +1,23 @@
-"""The input that moves a sampled stage along a known reference: stable inversion.
+"""Feedforward from the inverse of a whole model: its linear stage, and its effects beside it.
 
-U = R / G on the unit circle. Sampling a stage with more poles than zeros gives zeros near or
-outside the unit circle (Astrom, Hagander and Sternby, Automatica 20(1), 1984), so a causal inverse
-does not exist or grows; the inverse on the circle is bounded and uses the reference ahead of time
-instead, delay included (Devasia, Chen and Paden, IEEE Trans. Autom. Control 41(7), 1996).
+The linear part is exact for a reference of constant acceleration (`on_reference`, the regulator
+equations), delay, amplifier lag, sampling and second mode included; where the whole reference is
+known ahead, `inverse_of` is exact for any (`inverse_input`). Effects act at the driven point. With
+F the force of an actuator of constant force constant and f_i(x, v, F) those of the effects, all
+linear in F, the linear stage feels what it has to if
+
+    F + sum f_i(x, v, F) + f_0 - F_c sgn(v) = m a + c v + k x
+
+which gives F in one step, from where the reference will be once the input has come through delay
+and lag: springs, drags, a force constant that changes with position, a constant force, friction.
+Friction with memory (pre-sliding) counts with the force it settles to; hysteresis, creep and
+disturbances are left to the feedback.
+
+`inverse_input` is stable inversion: U = R / G on the unit circle. Sampling a stage with more poles
+than zeros gives zeros near or outside the unit circle (Astrom, Hagander and Sternby, Automatica
+20(1), 1984), so a causal inverse does not exist or grows; the inverse on the circle is bounded and
+uses the reference ahead of time instead, delay included (Devasia, Chen and Paden, IEEE Trans.
+Autom. Control 41(7), 1996).
 Where the reference repeats this is exact. Else it is continued smoothly to rest and held there
 until the answer has died out, so that the circle closes without a trace.
 """
@@ -13,14 +27,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
-from dfm_stage.control.stage import Sampled
+from dfm_stage.control.gains import PidGains
+from dfm_stage.control.lqr import on_reference
+from dfm_stage.control.stage import Sampled, linear_stage, sample_model
+from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.effect import Effect
 
-Array = NDArray[np.float64]
 _DIED_OUT = 1e-7        # share left of the answer: below one count of an encoder
 _LONGEST = 2_000_000    # samples: bounds memory and time
+_SLOW_M_S = 1e-4    # below this velocity friction is fed forward in proportion, against chatter
 
 
 def periodic_input(stage: Sampled, reference: ArrayLike) -> Array:
@@ -63,8 +82,7 @@ def inverse_input(stage: Sampled, reference: ArrayLike) -> Array:
     h = stage.sample_period_s
     # zeros decay as the inverse, poles as the stage does
     rates = -np.log(np.clip(np.abs(np.concatenate((_zeros(stage), [0.5]))), 1e-12, None))
-    slowest = float(np.min(np.abs(rates)))
-    length = math.log(1.0 / _DIED_OUT) / max(slowest, 1e-12)
+    length = math.log(1.0 / _DIED_OUT) / max(float(np.min(np.abs(rates))), 1e-12)
     if length > _LONGEST:
         raise ControlError("feedforward: the inverse of this model never dies out; give damping "
                            "to its modes")
@@ -83,15 +101,14 @@ def _checked(reference: ArrayLike) -> Array:
     return r
 
 
-def _zeros(stage: Sampled) -> NDArray[np.complex128]:
+def _zeros(stage: Sampled) -> Complex:
     """Return the finite zeros of the sampled stage, shape (q,)."""
     from scipy.linalg import eigvals
 
     n = stage.b.size
     pencil = np.block([[stage.a, stage.b[:, None]], [stage.c[None], np.zeros((1, 1))]])
     found = eigvals(pencil, np.diag(np.append(np.ones(n), 0.0)))
-    found = np.asarray(found[np.isfinite(found)], dtype=np.complex128)
-    return np.asarray(found[(np.abs(found) < 1e6) & (np.abs(found) > 1e-6)])
+    return np.asarray(found[np.isfinite(found) & (np.abs(found) < 1e6) & (np.abs(found) > 1e-6)])
 
 
 def _stop(r: Array, samples: int) -> Array:
@@ -109,3 +126,97 @@ def _smooth(first: float, last: float, samples: int) -> Array:
     u = np.arange(1, samples + 1, dtype=np.float64) / samples
     return np.asarray(first + (last - first) * u**4 * (35.0 - 84.0 * u + 70.0 * u**2
                                                        - 20.0 * u**3))
+
+
+class EffectInput:
+    """What the effects of a model take beyond its linear part, V (or A).
+
+    `any` is false for a linear model. `covers` are the names of the effects that count.
+    """
+
+    def __init__(self, model: Model) -> None:
+        base = model.effective_base()
+        self._m, self._c = base["mass"], base.get("damping", 0.0)
+        self._k, self._gain = base.get("stiffness", 0.0), base["force_constant"]
+        stage = linear_stage(model)
+        self.ahead_s = stage.delay_s + stage.lag_s + 0.5 * model.sample_period
+        used = [(EFFECTS[use.name], tuple(use.parameters[p.name]
+                                          for p in EFFECTS[use.name].parameters))
+                for use in model.effects]
+        self._hooks = [(effect.force, values) for effect, values in used if effect.force]
+        self._constant = base.get("constant_force", 0.0)
+        self._friction = sum(values[0] for effect, values in used if _rubs(effect))
+        self.covers = tuple(effect.name for effect, _ in used if effect.force or _rubs(effect)
+                            or effect.adds_to == "constant_force")
+
+    @property
+    def any(self) -> bool:
+        """Whether there is anything to add."""
+        return bool(self.covers)
+
+    def at(self, position_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
+        """Return the input that goes beside the linear one, at this point of the movement."""
+        x, v = position_m, velocity_m_s
+        linear = self._m * acceleration_m_s2 + self._c * v + self._k * x
+        needed, share = linear - self._constant, 1.0
+        needed += self._friction * min(1.0, max(-1.0, v / _SLOW_M_S))
+        for force, values in self._hooks:
+            alone = force(x, v, 0.0, values)
+            needed -= alone
+            share += force(x, v, 1.0, values) - alone
+        return (needed / share - linear) / self._gain
+
+    def ahead(self, position_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
+        """Return what to give at this sample, for where the reference is once it acts, V or A."""
+        v, a, t = velocity_m_s, acceleration_m_s2, self.ahead_s
+        return self.at(position_m + t * (v + 0.5 * t * a), v + t * a, a)
+
+
+def _rubs(effect: Effect) -> bool:
+    """Whether an effect is dry friction, or cannot be told from it where the motion is large."""
+    alike = {effect.name, *(name for each in effect.classes for name in each.members)}
+    return any(EFFECTS[name].adds_to == "dry_friction" for name in alike & set(EFFECTS))
+
+
+def feedforward_gains(stage: Sampled, gains: PidGains | None = None) -> tuple[float, float, float]:
+    """Return the input per position, velocity and acceleration that holds a stage on a reference.
+
+    With a PID beside it, whose proportional and derivative part see the weighted reference, what
+    they would take off is included.
+
+    Raises
+    ------
+    ControlError
+        If the stage cannot be held on a reference.
+    """
+    position, velocity, acceleration = (float(each) for each in on_reference(stage)[1])
+    if gains is None:
+        return position, velocity, acceleration
+    short = gains.kd * (1.0 - gains.derivative_weight)
+    late = gains.derivative_filter_s + 0.5 * stage.sample_period_s
+    return (position + gains.kp * (1.0 - gains.setpoint_weight), velocity + short,
+            acceleration - short * late)
+
+
+def inverse_of(model: Model, position: ArrayLike, velocity: ArrayLike,
+               acceleration: ArrayLike, *, repeats: bool = False) -> Array:
+    """Return the input (N,), V (or A), that moves a model along a reference known ahead.
+
+    Position, velocity and acceleration have shape (N,), in SI. They are one period of a movement
+    that `repeats`; else the stage has been at rest on the first value before.
+
+    Raises
+    ------
+    ControlError
+        As `inverse_input`.
+    """
+    x, v, a = (np.asarray(each, dtype=np.float64) for each in (position, velocity, acceleration))
+    out = (periodic_input if repeats else inverse_input)(sample_model(model), x)
+    effects = EffectInput(model)
+    if not effects.any:
+        return out
+    extra = np.array([effects.at(*each) for each in zip(x.tolist(), v.tolist(), a.tolist(),
+                                                        strict=True)])
+    t = np.arange(x.size) * model.sample_period
+    period = x.size * model.sample_period if repeats else None
+    return np.asarray(out + np.interp(t + effects.ahead_s, t, extra, period=period))

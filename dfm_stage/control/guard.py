@@ -54,11 +54,8 @@ class Guard:
     def reset(self) -> None:
         """Allow output again."""
         self.tripped = ""
-        self._before = math.nan
-        self._moved = math.nan
-        self._outside = 0
-        self._side = 0
-        self._time = 0
+        self._before = self._moved = math.nan
+        self._outside = self._side = self._time = 0
         self._swings: deque[int] = deque(maxlen=_SWINGS)
 
     def check(self, position_m: float, output_v: float, output_limit_v: float,

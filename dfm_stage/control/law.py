@@ -10,17 +10,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.model import Model
 from dfm_stage.model.parameter import Option, Parameter, ParameterError, nearest
-
-if TYPE_CHECKING:
-    from dfm_stage.control.tuning_runs import TuningRun
 
 Entry = Parameter | Option
 OUTPUT_LIMIT = Parameter("output_limit_v", 10.0, "V", "largest absolute output", 1e-9, 1e6)
@@ -80,13 +75,12 @@ class Law(ABC):
         return cls(plan, sample_period_s)
 
     @classmethod
-    def tuning_run(cls, _values: Mapping[str, Any], _sample_period_s: float) -> TuningRun | None:
-        """Return what is to run in place of this law, None if it is to run itself."""
+    def tuning_run(cls, _values: Mapping[str, Any], _sample_period_s: float) -> Any:
+        """Return the `TuningRun` that is to run in place of this law, None if there is none."""
         return None
 
     @classmethod
-    def response(cls, _plan: Any, _frequency_hz: NDArray[np.float64],
-                 _sample_period_s: float) -> NDArray[np.complex128]:
+    def response(cls, _plan: Any, _frequency_hz: Array, _sample_period_s: float) -> Complex:
         """Return the law from -y to u at frequencies (F,), V/m, complex (F,)."""
         raise ControlError(f"{cls.name}: this law has no frequency response")
 

@@ -15,18 +15,18 @@ learn at the frequencies where it would not shrink, and refuses where these are 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.stage import Sampled, sample_model
-from dfm_stage.model import Model
+from dfm_stage.model import EFFECTS, Model
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Law = Callable[[Array], Complex]
 _WIDTH = 0.25       # of the cutoff, over which the low-pass falls: a smooth edge rings little
 _WORSE = 3.0        # times the best error: noise alone does not reach that
@@ -115,13 +115,13 @@ def _most_robust(learning: Complex, through: Sequence[Complex]) -> tuple[Complex
 def neighbours(model: Model, share: float = 0.1) -> list[Sampled]:
     """Return what the stage may be instead of a one-axis model: each parameter up and down.
 
-    Mass, stiffness, damping, force constant and delay, and those of a second mode, one at a time
-    by `share` of their value.
+    Mass, stiffness, damping, force constant and delay, and those of effects that are part of the
+    linear stage, such as a second mode, one at a time by `share` of their value.
     """
     names = [name for name in ("mass", "stiffness", "damping", "force_constant", "delay")
              if model.base.get(name)]
-    if model.effect("second_mode"):
-        names += [f"second_mode.{name}" for name in ("frequency", "share", "damping_ratio")]
+    names += [f"{use.name}.{name}" for use in model.effects if EFFECTS[use.name].stamp
+              for name in use.parameters]
     values = model.parameters()
     return [sample_model(model.with_parameters({name: values[name] * factor}))
             for name in names for factor in (1.0 - share, 1.0 + share)]
@@ -168,12 +168,13 @@ class Learner:
         if self.stopped:
             return self.signal
         rms = float(np.sqrt(np.mean(e**2)))
-        if self.errors and rms > _WORSE * min(self.errors):
-            self.stopped = (f"pass {len(self.errors) + 1} has {rms / min(self.errors):.1f} times "
+        least = min(self.errors, default=math.inf)
+        if rms > _WORSE * least:
+            self.stopped = (f"pass {len(self.errors) + 1} has {rms / least:.1f} times "
                             "the error of the best one")
             self.signal = self.best
             return self.signal
-        if not self.errors or rms <= min(self.errors):
+        if rms <= least:
             self.best = self.signal
         self.errors.append(rms)
         d = self.design

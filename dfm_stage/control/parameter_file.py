@@ -65,8 +65,7 @@ def read_parameters(path: str | os.PathLike[str], axis: str, node: str = "contro
     if not any(isinstance(each, Mapping) for each in content.values()):
         return dict(content) if node == "controller" else {}
     found: dict[str, Any] = {}
-    names = ("/**", node, f"/**/{node}", f"/stage/{axis}/{node}")
-    for name in names:
+    for name in ("/**", node, f"/**/{node}", f"/stage/{axis}/{node}"):
         section = content.get(name)
         if isinstance(section, Mapping) and isinstance(section.get("ros__parameters"), Mapping):
             found |= section["ros__parameters"]

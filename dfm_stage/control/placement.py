@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, TypeVar
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
@@ -13,6 +14,7 @@ from dfm_stage.control.sampled import Margins, margins
 from dfm_stage.control.stage import Sampled, sample_model, sample_stage
 from dfm_stage.model import Model
 
+Design = TypeVar("Design")
 _FILTER_RATIO = 8.0     # of the derivative filter's corner to the bandwidth: costs 7 degrees there
 
 
@@ -136,14 +138,14 @@ def pid_with_margin(base: Mapping[str, float] | Model, modulus_margin: float = 0
     spring = math.sqrt(values.get("stiffness", 0.0) / values["mass"])
     damper = values.get("damping", 0.0) / values["mass"] / (2.0 * damping_ratio + integral_ratio)
     low = 1.02 * max(spring, damper, 1e-4 / sample_period_s) / (2.0 * math.pi)
-    best = _if_stable(design, low)
+    best = if_stable(design, low)
     if best is None or best.margins.modulus < modulus_margin:
         raise ControlError(f"no bandwidth above the stage's own {low:.3g} Hz keeps a modulus "
                            f"margin of {modulus_margin:g}; lower the margin or the delay")
     high = 0.25 / sample_period_s
     while high / low > 1.01:
         middle = math.sqrt(low * high)
-        found = _if_stable(design, middle)
+        found = if_stable(design, middle)
         if found is not None and found.margins.modulus >= modulus_margin:
             low, best = middle, found
         else:
@@ -151,9 +153,10 @@ def pid_with_margin(base: Mapping[str, float] | Model, modulus_margin: float = 0
     return best
 
 
-def _if_stable(design: Callable[[float], PidDesign], bandwidth_hz: float) -> PidDesign | None:
+def if_stable(design: Callable[..., Design], *arguments: Any) -> Design | None:
+    """Return the design, None where there is none that is stable."""
     try:
-        return design(bandwidth_hz)
+        return design(*arguments)
     except ControlError:
         return None
 

@@ -14,11 +14,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dfm_stage.arrays import Array
 from dfm_stage.control.errors import ControlError
 
-Array = NDArray[np.float64]
 _GROWTH = 2.0   # exponent of the largest growth between two restarts
 
 

@@ -6,13 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.gains import PidGains
 from dfm_stage.control.stage import Sampled
-
-Array = NDArray[np.float64]
-
 
 StateSpace = tuple[Array, Array, Array, float]
 
@@ -42,7 +39,7 @@ def closed_loop(stage: Sampled, law: StateSpace) -> Array:
                      [np.outer(b, stage.c), a]])
 
 
-def closed_loop_poles(stage: Sampled, gains: PidGains) -> NDArray[np.complex128]:
+def closed_loop_poles(stage: Sampled, gains: PidGains) -> Complex:
     """Return the eigenvalues of stage and unlimited PID in the z-plane, shape (n + 2,), with a
     notch (n + 4,)."""
     poles = np.linalg.eigvals(closed_loop(stage, pid_system(gains, stage.sample_period_s)))
@@ -50,7 +47,7 @@ def closed_loop_poles(stage: Sampled, gains: PidGains) -> NDArray[np.complex128]
 
 
 def controller_response(gains: PidGains, frequency_hz: Array,
-                        sample_period_s: float) -> NDArray[np.complex128]:
+                        sample_period_s: float) -> Complex:
     """Return the law of `Pid` from -y to u at frequencies of shape (F,), V/m, complex (F,)."""
     h, tf = sample_period_s, gains.derivative_filter_s
     z = np.exp(2j * math.pi * np.asarray(frequency_hz) * h)
@@ -80,7 +77,7 @@ class Margins:
     crossover_hz: float
 
 
-def loop_gain(stage: Sampled, gains: PidGains) -> tuple[Array, NDArray[np.complex128]]:
+def loop_gain(stage: Sampled, gains: PidGains) -> tuple[Array, Complex]:
     """Return frequencies (F,), Hz, and the loop gain (F,) of stage and PID at these."""
     f = frequency_grid(stage)
     return f, stage.response(f) * controller_response(gains, f, stage.sample_period_s)
@@ -104,14 +101,13 @@ def frequency_grid(stage: Sampled) -> Array:
     return np.unique(f[(f >= nyquist * 1e-5) & (f <= nyquist)])
 
 
-def loop_margins(frequency_hz: Array, loop: NDArray[np.complex128], stable: bool) -> Margins:
+def loop_margins(frequency_hz: Array, loop: Complex, stable: bool) -> Margins:
     """Return the margins of a loop gain (F,) with negative feedback, given at frequencies (F,)."""
     f = frequency_hz
     size, angle = np.abs(loop), np.unwrap(np.angle(loop))
     crossings = np.flatnonzero((size[:-1] >= 1.0) != (size[1:] >= 1.0))
     turns = (angle + math.pi) / (2.0 * math.pi)
-    through = np.flatnonzero(np.floor(turns[:-1]) != np.floor(turns[1:]))
-    at = 1.0 / size[through]
+    at = 1.0 / size[np.flatnonzero(np.floor(turns[:-1]) != np.floor(turns[1:]))]
     lost = np.degrees(np.abs((angle[crossings] + 2.0 * math.pi) % (2.0 * math.pi) - math.pi))
     return Margins(
         stable=stable,

@@ -6,11 +6,10 @@ import math
 from collections import deque
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dfm_stage.arrays import Array
 from dfm_stage.control.errors import ControlError
-
-Array = NDArray[np.float64]
 
 
 def shaper(frequency_hz: float, damping_ratio: float, sample_period_s: float,

@@ -1,4 +1,4 @@
-"""The linear part of a model as control sees it: checked, and sampled.
+"""The linear part of a model as control sees it: checked, sampled, and its highest mode.
 
 `LinearPart` and `Sampled` are the model's own (`dfm_stage.model.linear`): modes, damping,
 back-EMF, coil, lags, creep and whatever an effect adds to the linear part is in them, nonlinear
@@ -7,14 +7,17 @@ forces are not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+
+import numpy as np
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.model import Model
 from dfm_stage.model.linear import LinearPart, Sampled, linear_part
 
-__all__ = ["LinearStage", "Sampled", "command_limit", "linear_stage", "sample_model",
-           "sample_stage"]
+__all__ = ["LinearStage", "Sampled", "command_limit", "highest_mode", "linear_stage",
+           "sample_model", "sample_stage"]
 LinearStage = LinearPart
 
 
@@ -65,3 +68,20 @@ def sample_model(model: Model, sample_period_s: float | None = None) -> Sampled:
 def command_limit(model: Model, output_limit_v: float) -> float:
     """Return the largest command that has an effect: the limit, or the model's own."""
     return min(output_limit_v, model.effective_base()["command_limit"])
+
+
+def highest_mode(model: Model) -> tuple[float, float]:
+    """Return frequency (Hz) and damping ratio of the fastest vibration of a one-axis model.
+
+    Raises
+    ------
+    ControlError
+        As `linear_stage`, or if nothing in it vibrates.
+    """
+    stage = linear_stage(model)
+    poles = np.linalg.eigvals(stage.a[:stage.motion, :stage.motion])
+    fastest = max(poles[poles.imag > 0.0], key=abs, default=None)
+    if fastest is None:
+        raise ControlError(f"model {model.name} has no mode: it has no spring, or one so damped "
+                           "that nothing vibrates")
+    return float(abs(fastest)) / (2.0 * math.pi), max(0.0, float(-fastest.real / abs(fastest)))

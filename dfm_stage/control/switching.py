@@ -13,12 +13,11 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from dfm_stage.control.errors import ControlError
+from dfm_stage.control.feedforward import EffectInput
 from dfm_stage.control.law import OUTPUT_LIMIT, Entry, Law, Setup, checked
 from dfm_stage.control.laws import LAWS, OPEN_LOOP, Laws, modes
-from dfm_stage.control.model_feedforward import EffectInput
-from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.shaping import ReferenceShaper, shaper
-from dfm_stage.control.stage import command_limit
+from dfm_stage.control.stage import command_limit, highest_mode
 from dfm_stage.control.tuning_runs import TuningRun
 from dfm_stage.model import Model
 from dfm_stage.model.parameter import Option, Parameter
@@ -141,13 +140,11 @@ class LawSet:
         self.by_name: dict[str, Law] = {}
         self.run: TuningRun | None = None
         self._kinds = laws
-        self._forward_v = 0.0
         self._shaper: ReferenceShaper | None = None
         self._point: Point | tuple[float, float, float] = Point()
-        self._law_v = 0.0
         self._in_control: Law | None = None
+        self._forward_v = self._law_v = self._fade_from_v = 0.0
         self._fade = self._fade_samples = 0
-        self._fade_from_v = 0.0
         self._plan = plan._replace(shaping=(), laws={})
         self._take(plan)
         self._start_tuning(values)
@@ -195,11 +192,9 @@ class LawSet:
         `reference` has position, velocity and acceleration; `samples` have passed since the last
         call; without `allowed` no law is in force.
         """
-        if self._shaper is None:
-            point = (reference.position, reference.velocity, reference.acceleration)
-        else:
-            point = self._shaper.step(reference.position, reference.velocity,
-                                      reference.acceleration)
+        point = (reference.position, reference.velocity, reference.acceleration)
+        if self._shaper is not None:
+            point = self._shaper.step(*point)
         self._point = point
         if self._effects is not None:
             self._forward_v = self._effects.ahead(*point)
@@ -231,10 +226,9 @@ class LawSet:
         followers = self._all if law is None else self._others
         if followers:
             r, v, a = self._point
-            forward = self._forward_v
             if math.isfinite(law_v + r + position_m + v + a):
                 for each in followers:
-                    each.track(law_v, r, position_m, v, a, forward)
+                    each.track(law_v, r, position_m, v, a, self._forward_v)
         if self._observers:
             self._observed(voltage)
         return law is not None and law.saturated

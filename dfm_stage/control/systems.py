@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.stage import sample_model
 from dfm_stage.model import Model
@@ -15,7 +15,6 @@ from dfm_stage.model import Model
 if TYPE_CHECKING:
     import control
 
-Complex = NDArray[np.complex128]
 _CLOSE = 1e-6   # relative: far above rounding, far below what a measurement tells apart
 
 
@@ -99,8 +98,7 @@ def _modes(poles: Complex, residues: Complex) -> list[tuple[float, float, float]
 def _require_same(system: Any, modes: list[tuple[float, float, float]], lag: float) -> None:
     """Hold the modes against the system; a numerator with an s or a feedthrough shows here."""
     corner = max(math.sqrt(max(k, c * c, 1e-12)) for _, c, k in modes)
-    omega = np.geomspace(1e-2 * corner, 1e2 * corner, 60)
-    s = 1j * omega
+    s = 1j * np.geomspace(1e-2 * corner, 1e2 * corner, 60)
     ours = sum(b / (s * s + c * s + k) for b, c, k in modes) / (1.0 + lag * s)
     theirs = np.asarray(system(s)).ravel()
     if np.max(np.abs(ours - theirs) / np.abs(theirs)) > _CLOSE:

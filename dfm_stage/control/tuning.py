@@ -8,27 +8,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
+from dfm_stage.control.feedforward import EffectInput, feedforward_gains, inverse_of
 from dfm_stage.control.gains import PidGains
 from dfm_stage.control.law import Law
 from dfm_stage.control.learning import neighbours
 from dfm_stage.control.lqr import LqrDesign, LqrSpec, design_lqr
-from dfm_stage.control.model_feedforward import (
-    EffectInput,
-    feedforward_gains,
-    inverse_of,
-)
-from dfm_stage.control.modes import highest_mode
-from dfm_stage.control.placement import pid_with_margin
+from dfm_stage.control.placement import if_stable, pid_with_margin
 from dfm_stage.control.sampled import Margins, frequency_grid, loop_gain, margins
-from dfm_stage.control.stage import command_limit, sample_model
+from dfm_stage.control.stage import command_limit, highest_mode, sample_model
 from dfm_stage.control.switching import law_of, response_of
 from dfm_stage.control.ziegler_nichols import Ultimate, ultimate, ziegler_nichols
-from dfm_stage.model import Model, Plant
+from dfm_stage.model import EFFECTS, Model, Plant
 
-Array = NDArray[np.float64]
 FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
 # Integral weight in s, at an error weight of _ERROR_M: its pole is then well below the others.
 _INTEGRAL = 0.08
@@ -176,8 +170,8 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
         found = _fastest(model, modulus_margin, lqr_force_noise_n=noise, **switches)
         if found is None:
             continue
-        others = [found.margins_on(each) for each in around]
-        worst = min(each.modulus if each.stable else 0.0 for each in others)
+        worst = min(each.modulus if each.stable else 0.0
+                    for each in map(found.margins_on, around))
         if worst > least:
             best, least = found, worst
     if best is None:
@@ -193,21 +187,22 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
         (f"{_states_of(model)} are states of the design model; the filter reckons "
         f"with {spec.lqr_force_noise_n:g} N of unknown force, which keeps a modulus margin of "
         f"{least:.2f} with any parameter {_UNCERTAINTY:.0%} off"))
-    limit = command_limit(model, output_limit_v)
-    parameters = {"mode": "lqr", "model": model_name, "output_limit_v": limit, **spec.to_dict()}
-    effects = EffectInput(model)
-    if effects.any and model_name:
+    parameters = {"mode": "lqr", "model": model_name,
+                  "output_limit_v": command_limit(model, output_limit_v), **spec.to_dict()}
+    covers = EffectInput(model).covers
+    if covers and model_name:
         parameters["feedforward"] = "model"
-        covered = ", ".join(effects.covers)
-        reasons += (f"the input that {covered} takes for the reference is added", (
-            "margins and filter are those of the model's linear part"))
-    bandwidth = _bandwidth(*_loop(parameters, model))
-    return _tuned("lqr", model, parameters, (best.margins, bandwidth), reasons)
+        reasons += (f"the input that {', '.join(covers)} takes for the reference is added",
+                    "margins and filter are those of the model's linear part")
+    return _tuned("lqr", model, parameters,
+                  (best.margins, _bandwidth(*_loop(parameters, model))), reasons)
 
 
 def _states_of(model: Model) -> str:
-    mode = " and second mode" if model.effect("second_mode") else ""
-    return f"delay{',' if mode else ' and'} amplifier lag{mode}"
+    """Name what is in the design model beside the stage's first mode."""
+    *others, last = ["delay", "amplifier lag", *(
+        use.name.replace("_", " ") for use in model.effects if EFFECTS[use.name].stamp)]
+    return f"{', '.join(others)} and {last}"
 
 
 def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | None:
@@ -217,12 +212,9 @@ def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | No
     for _ in range(14):
         middle = 0.5 * (low + high)
         error = math.exp(middle)
-        try:
-            found: LqrDesign | None = design_lqr(model, LqrSpec(
-                lqr_error_m=error, **spec,
-                lqr_integral_m_s=_INTEGRAL * error * math.sqrt(error / _ERROR_M)))
-        except ControlError:
-            found = None
+        found = if_stable(design_lqr, model, LqrSpec(
+            lqr_error_m=error, **spec,
+            lqr_integral_m_s=_INTEGRAL * error * math.sqrt(error / _ERROR_M)))
         if found is not None and found.margins.modulus >= modulus_margin:
             best, high = found, middle
         else:
@@ -230,12 +222,12 @@ def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | No
     return best
 
 
-def loop_of(tuned: Tuned, model: Model) -> tuple[Array, NDArray[np.complex128]]:
+def loop_of(tuned: Tuned, model: Model) -> tuple[Array, Complex]:
     """Return frequencies (F,), Hz, and the loop gain L (F,) of what was tuned, on the model."""
     return _loop(tuned.parameters, model)
 
 
-def _loop(parameters: Mapping[str, Any], model: Model) -> tuple[Array, NDArray[np.complex128]]:
+def _loop(parameters: Mapping[str, Any], model: Model) -> tuple[Array, Complex]:
     stage = sample_model(model)
     f = frequency_grid(stage)
     return f, stage.response(f) * response_of(parameters, model, f)
@@ -247,7 +239,7 @@ def pid_margins(model: Model, gains: PidGains) -> tuple[Margins, float]:
     return margins(stage, gains), _bandwidth(*loop_gain(stage, gains))
 
 
-def _bandwidth(f: Array, loop: NDArray[np.complex128]) -> float:
+def _bandwidth(f: Array, loop: Complex) -> float:
     following = np.flatnonzero(np.abs(loop / (1.0 + loop)) >= math.sqrt(0.5))
     return float(f[following[-1]]) if following.size else 0.0
 

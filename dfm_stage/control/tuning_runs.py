@@ -38,6 +38,10 @@ _STEADY_GROWTH = 1e-3   # growth per period at which the swings count as constan
 _REFINEMENTS = 8        # interpolations between two gains; each gains about a digit
 
 
+Level = tuple[float, float, float]
+"""Gain (V/m), growth of the swings (1/s) and their period (s)."""
+
+
 class TuningRun:
     """What both ways have in common; parameters as in `TUNING_PARAMETERS`.
 
@@ -54,9 +58,8 @@ class TuningRun:
         (self._gain, self._factor, self._volts, self._travel,
          self._time_s) = checked(TUNING_PARAMETERS, parameters, "tuning").values()
         self._h = sample_period_s
-        self._k = 0
+        self._k, self._zero = 0, 0.0
         self._rest: list[float] = []
-        self._zero = 0.0
         self.outcome: Ultimate | None = None
         self.failure = ""
 
@@ -106,7 +109,7 @@ class GainRaising(TuningRun):
         super().__init__(sample_period_s, **parameters)
         self._pulse_samples = max(1, round(_PULSE_S / sample_period_s))
         self._pulse = self._pulse_samples
-        self._levels: list[tuple[float, float, float]] = []     # gain, growth 1/s, period s
+        self._levels: list[Level] = []
         self._refined = 0
         self._begin()
 
@@ -137,8 +140,7 @@ class GainRaising(TuningRun):
         if (y > self._extreme) == self._rising:
             self._extreme, self._at = y, self._k
             return
-        last = self._extremes[-1][1] if self._extremes else math.nan
-        swing = abs(self._extreme - last) if self._extremes else abs(self._extreme)
+        swing = abs(self._extreme - (self._extremes[-1][1] if self._extremes else 0.0))
         if abs(y - self._extreme) > max(0.1 * swing, 1e-6):
             self._extremes.append((self._at, self._extreme))
             self._rising = not self._rising
@@ -157,51 +159,50 @@ class GainRaising(TuningRun):
         return growth, 2.0 * float(at[-1] - at[0]) * self._h / (at.size - 1)
 
     def _evaluate(self) -> None:
-        measured = self._growth()
+        measured, swing = self._growth(), 0.0
         if measured is None:                        # died out too fast to be measured
             self._gain *= self._factor
-            self._begin()
-            self._pulse = self._pulse_samples
-            return
-        growth, period = measured
-        self._levels.append((self._gain, growth, period))
-        if abs(growth) * period < _STEADY_GROWTH:
-            self.outcome = Ultimate(self._gain, period)
-            return
-        grown = [each for each in self._levels if each[1] > 0.0]
-        if not grown:
-            self._gain *= self._factor
         else:
-            self._refine(grown)
-        swing = abs(self._extremes[-1][1] - self._extremes[-2][1])
+            growth, period = measured
+            self._levels.append((self._gain, growth, period))
+            if abs(growth) * period < _STEADY_GROWTH:
+                self.outcome = Ultimate(self._gain, period)
+                return
+            self._refine()
+            swing = abs(self._extremes[-1][1] - self._extremes[-2][1])
         self._begin()
         if swing < 0.05 * self._travel:
             self._pulse = self._pulse_samples
 
-    def _refine(self, grown: list[tuple[float, float, float]]) -> None:
-        shrunk = [each for each in self._levels if each[1] <= 0.0]
-        if not shrunk:
+    def _refine(self) -> None:
+        """Go between the last gain at which swings shrank and the first at which they grew."""
+        grown = min((each for each in self._levels if each[1] > 0.0), default=None)
+        shrunk = max((each for each in self._levels if each[1] <= 0.0), default=None)
+        if grown is None:
+            self._gain *= self._factor
+        elif shrunk is None:
             self.failure = (f"the loop oscillates at {self._gain:g} V/m already; start from a "
                             "lower tuning_gain_v_m")
-            return
-        low, high = max(shrunk), min(grown)
-        share = low[1] / (low[1] - high[1])
-        self._gain = low[0] + share * (high[0] - low[0])
-        self._refined += 1
-        if self._refined > _REFINEMENTS:
-            self.outcome = Ultimate(self._gain, low[2] + share * (high[2] - low[2]))
+        else:
+            found = _steady_between(shrunk, grown)
+            self._gain = found.gain_v_m
+            self._refined += 1
+            if self._refined > _REFINEMENTS:
+                self.outcome = found
 
     def _too_far(self, y: float) -> None:
         measured = self._growth()
-        shrunk = [each for each in self._levels if each[1] <= 0.0]
-        if measured is None or measured[0] <= 0.0 or not shrunk:
+        shrunk = max((each for each in self._levels if each[1] <= 0.0), default=None)
+        if measured is None or measured[0] <= 0.0 or shrunk is None:
             super()._too_far(y)
-            return
-        # Growing was the answer sought; the gain lies between this one and the last.
-        low = max(shrunk)
-        share = low[1] / (low[1] - measured[0])
-        self.outcome = Ultimate(low[0] + share * (self._gain - low[0]),
-                                low[2] + share * (measured[1] - low[2]))
+        else:   # growing was the answer sought; the gain lies between this one and the last
+            self.outcome = _steady_between(shrunk, (self._gain, *measured))
+
+
+def _steady_between(low: Level, high: Level) -> Ultimate:
+    """Return where a straight line through the growth at two gains is zero."""
+    share = low[1] / (low[1] - high[1])
+    return Ultimate(low[0] + share * (high[0] - low[0]), low[2] + share * (high[2] - low[2]))
 
 
 class RelayRun(TuningRun):
@@ -213,8 +214,7 @@ class RelayRun(TuningRun):
         self._early = [0.0, 1.0, -1.0]
         self._positions: list[float] = []
         self._outputs: list[float] = []
-        self._before = 0.0
-        self._periods_seen = 0
+        self._before, self._periods_seen = 0.0, 0
 
     def _law(self, y: float) -> float:
         ahead = y + self._early[0] * (y - self._before)
@@ -233,8 +233,8 @@ class RelayRun(TuningRun):
         y, u = np.array(self._positions), np.array(self._outputs)
         try:
             found = oscillation(y, u, self._h, periods=8)
-            before = oscillation(y[:-round(4.0 * found.period_s / self._h)],
-                                 u[:-round(4.0 * found.period_s / self._h)], self._h, periods=8)
+            last = round(4.0 * found.period_s / self._h)
+            before = oscillation(y[:-last], u[:-last], self._h, periods=8)
             steady = abs(found.gain_v_m - before.gain_v_m) < 0.005 * found.gain_v_m
         except ControlError:
             steady = False

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dfm_stage.arrays import Array
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.gains import PidGains
 from dfm_stage.control.sampled import frequency_grid
 from dfm_stage.control.stage import Sampled
 
-Array = NDArray[np.float64]
 Rule = Literal["p", "pi", "pid"]
 _RULES: dict[Rule, tuple[float, float, float]] = {
     # gain / K_u, integral time / P_u (0: none), derivative time / P_u

@@ -12,21 +12,17 @@ class Unwrap:
     """A counter of `modulus` values into a number without end, by the shortest way round."""
 
     def __init__(self, modulus: int = 1 << 32) -> None:
-        self._modulus = modulus
-        self._total: int | None = None
+        self._modulus, self._total = modulus, 0
 
     def __call__(self, raw: int) -> int:
         """Return the number for a raw reading; the first is taken as a signed one."""
-        half = self._modulus // 2
-        if self._total is None:
-            self._total = (raw + half) % self._modulus - half
-        else:
-            self._total += (raw - self._total + half) % self._modulus - half
+        half, before = self._modulus // 2, self._total or 0
+        self._total = before + (raw - before + half) % self._modulus - half
         return self._total
 
     def restart(self) -> None:
         """Forget the past: the device was reset."""
-        self._total = None
+        self._total = 0
 
 
 class ClockMap:
@@ -58,12 +54,10 @@ class ClockMap:
     def restart(self) -> None:
         """Forget everything: the device's clock started anew."""
         self._first: int | None = None
-        self._last_tick = 0
-        self._base_ns = 0
+        self._last_tick = self._base_ns = 0
         self._mins: deque[tuple[float, float]] = deque(maxlen=self._slots)
         self._slot = -1
-        self._offset = 0.0
-        self._slope = 0.0
+        self._offset = self._slope = 0.0
 
     def __call__(self, tick: int, arrival_ns: int) -> int:
         """Return the host's time of `tick`, of which the host learned at `arrival_ns`.

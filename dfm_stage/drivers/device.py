@@ -117,8 +117,8 @@ class AmplifierDevice(Protocol):
 
 def names(kind: str) -> tuple[str, ...]:
     """Return the names of the drivers of a kind, `encoders` or `amplifiers`."""
-    package = importlib.import_module(f"dfm_stage.drivers.{kind}")
-    return tuple(sorted(module.name for module in pkgutil.iter_modules(package.__path__)))
+    return tuple(sorted(module.name for module in pkgutil.iter_modules(
+        importlib.import_module(f"dfm_stage.drivers.{kind}").__path__)))
 
 
 def _create(kind: str, name: str, port: str, options: dict[str, Any]) -> Any:

@@ -68,10 +68,8 @@ class Interlock:
         self.too_old = 0
         self._window_ns = divergence_window_s * 1e9
         self._on_trip = on_trip
-        self.armed = False
-        self.causes = Cause(0)
         self.reasons: dict[Cause, str] = {}
-        self._forget()
+        self.clear()
 
     def _forget(self) -> None:
         self.last_command_s = math.inf

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import time
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import serial
 
 from dfm_stage.drivers.errors import DeviceLostError
-from dfm_stage.drivers.lines import Line, LineBuffer
 
+LONGEST_LINE = 256
 _WRITE_TIMEOUT_S = 0.2
 _PORT_ERRORS = (serial.SerialException, OSError, ValueError, TypeError)
 
@@ -98,6 +100,40 @@ class SerialPort:
 
 def _short(error: Exception) -> str:
     return str(getattr(error, "strerror", None) or error).split("\n")[0]
+
+
+class Line(NamedTuple):
+    """One line without its end; `after` bytes of the same `feed` came after that."""
+
+    text: bytes
+    after: int
+
+
+class LineBuffer:
+    """Splits a byte stream at any of `ends`; empty lines are dropped.
+
+    A line longer than LONGEST_LINE is noise and is thrown away up to its end.
+    """
+
+    def __init__(self, ends: bytes = b"\r\n") -> None:
+        self._end = re.compile(b"[" + re.escape(ends) + b"]")
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[Line]:
+        """Return the lines that are complete now."""
+        lines, begin = [], 0
+        for end in self._end.finditer(data):
+            text = self._rest + data[begin:end.start()]
+            begin, self._rest = end.end(), b""
+            if 0 < len(text) <= LONGEST_LINE:
+                lines.append(Line(text, len(data) - begin))
+        # One byte more than a line may have is enough to know noise by when its end comes.
+        self._rest = (self._rest + data[begin:])[:LONGEST_LINE + 1]
+        return lines
+
+    def clear(self) -> None:
+        """Forget an unfinished line."""
+        self._rest = b""
 
 
 class LineDevice:

@@ -13,10 +13,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from dfm_stage.drivers.amplifier_worker import AmplifierWorker
 from dfm_stage.drivers.device import AmplifierStatus, create_amplifier, names
 from dfm_stage.drivers.errors import DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
+from dfm_stage.drivers.threads import AmplifierWorker
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.base import LOOP_HEALTH, Publisher
 from dfm_stage.nodes.managed import ManagedNode, device_settings

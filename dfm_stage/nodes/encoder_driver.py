@@ -14,8 +14,8 @@ from sensor_msgs.msg import JointState
 
 from dfm_interfaces.msg import Measurement
 from dfm_stage.drivers.device import EncoderSample, create_encoder, names
-from dfm_stage.drivers.encoder_reader import EncoderReader
 from dfm_stage.drivers.errors import RefusedError
+from dfm_stage.drivers.threads import EncoderReader
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting

@@ -22,8 +22,7 @@ from dfm_stage.identification.step_response import StepResponse, step_response
 from dfm_stage.model import Model
 from dfm_stage.model.beam import BladeChain, manipulator_chain
 from dfm_stage.model.flexure import chosen_manipulator
-from dfm_stage.paper.printed import PRINTED
-from dfm_stage.paper.row import Row, derived, ours_only, printed
+from dfm_stage.paper.row import PRINTED, Row, derived, ours_only, printed
 from dfm_stage.recording import AxisRecord
 
 INTERMEDIATE_KG = 0.15
@@ -135,8 +134,8 @@ def beam_theory(model: Model) -> BeamTheory:
     blade = manipulator.blade.mass_per_length * manipulator.blade.length_m
     square, mean = 13.0 / 35.0, 0.5
     share = 2.0 * blade * 0.25 * square + 2.0 * blade * 0.25 * (1.0 + 2.0 * mean + square)
-    stage = model.base["mass"] - 0.25 * INTERMEDIATE_KG - share
-    chain = manipulator_chain(manipulator, stage, INTERMEDIATE_KG)
+    chain = manipulator_chain(manipulator, model.base["mass"] - 0.25 * INTERMEDIATE_KG - share,
+                              INTERMEDIATE_KG)
     first, second = chain.modes(2)
     return BeamTheory(chain, manipulator.stiffness_n_m(), first.omega,
                       second.frequency_hz)

@@ -66,10 +66,9 @@ def decay_figure(position: Array, sample_period: float, decay: RingDown) -> Draw
     """The free decay with its extremes and the fitted envelope (paper: Fig. 7)."""
     figure, axis = new_figure(1, 3.2)
     time = np.arange(position.size - decay.release, dtype=np.float64) * sample_period
-    free = 1e3 * position[decay.release:]
     offset = 1e3 * decay.offset.value
     with page_style():
-        axis.plot(*thinned(time, free), linewidth=1.0, label="measured")
+        axis.plot(*thinned(time, 1e3 * position[decay.release:]), linewidth=1.0, label="measured")
         axis.plot(decay.time_s, 1e3 * decay.extreme_m, "o", markersize=4.0, label="extremes")
         for sign in (1.0, -1.0):
             axis.plot(decay.time_s, offset + sign * 1e3 * decay.envelope_m, "--", color="C2",

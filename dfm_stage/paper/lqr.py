@@ -4,9 +4,8 @@ dynamics, the steady-state error and its cure."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import eigvals
@@ -23,10 +22,8 @@ from dfm_stage.control import (
 from dfm_stage.identification.characterisation import DynamicTest
 from dfm_stage.identification.plant import LinearPlant
 from dfm_stage.model import Model
-from dfm_stage.paper.printed import LQR_A, LQR_B, LQR_C, PRINTED
-from dfm_stage.paper.row import Row, derived, ours_only
-from dfm_stage.paper.stage import Stage, reference_of, true_position
-from dfm_stage.trajectory import Experiment, load_experiment
+from dfm_stage.paper.row import LQR_A, LQR_B, LQR_C, PRINTED, Row, derived, ours_only
+from dfm_stage.paper.stage import Stage, closed_loop, reference_of, true_position
 
 PLACE = "sec. 5"
 STEP_M = 1e-3
@@ -59,10 +56,8 @@ def printed_plant(a: Array = LQR_A, b: Array = LQR_B, c: Array = LQR_C) -> Print
     eigenvalues, vectors = np.linalg.eig(a)
     weights = (c @ vectors) * np.linalg.solve(vectors, b.astype(complex))
     upper = sorted(np.flatnonzero(eigenvalues.imag > 0.0), key=lambda i: eigenvalues[i].imag)
-    size = len(a)
     pencil = np.block([[a, b[:, None]], [c[None], np.zeros((1, 1))]])
-    mask = np.diag([1.0] * size + [0.0])
-    zeros = eigvals(pencil, mask)
+    zeros = eigvals(pencil, np.diag([1.0] * len(a) + [0.0]))
     zeros = zeros[np.isfinite(zeros)]
     return PrintedPlant(
         tuple(float(eigenvalues[i].imag) for i in upper),
@@ -172,8 +167,7 @@ def riccati() -> tuple[Convergence, Array]:
     errors = [[_size(finite_horizon(LQR_A, LQR_B, q, r, end, np.linspace(0.0, t, 51))[0] - limit,
                      limit) / norm for t in HORIZONS_S] for end in ends]
     time = np.linspace(0.0, 4.0, 401)
-    p = finite_horizon(LQR_A, LQR_B, q, r, ends[0], time)
-    gains = feedback_gain(p, LQR_B, r)[:, 0, :]
+    gains = feedback_gain(finite_horizon(LQR_A, LQR_B, q, r, ends[0], time), LQR_B, r)[:, 0, :]
     final = feedback_gain(limit, LQR_B, r)[0]
     return Convergence(np.array(HORIZONS_S), np.array(errors[0]), np.array(errors[1]), time,
                        np.asarray(gains / final)), np.asarray(final)
@@ -204,12 +198,10 @@ def error_dynamics_rows(gain: Array) -> list[Row]:
     sides, inputs = [], []
     for _ in range(20):
         target, x, u = rng.normal(size=4) / size, rng.normal(size=4) / size, rng.normal()
-        r = target - x
         rate = -(LQR_A @ x + LQR_B * u)              # r' with x_ref at rest
-        sides.append(rate - (LQR_A @ r - LQR_A @ target))
+        sides.append(rate - (LQR_A @ (target - x) - LQR_A @ target))
         inputs.append(LQR_B * u)
-    left, right = np.concatenate(sides), np.concatenate(inputs)
-    sign = proportional(right, left)
+    sign = proportional(np.concatenate(inputs), np.concatenate(sides))
     place = np.array([0.0, 0.0, 0.0, STEP_M / LQR_C[3]])
     moving = place + np.array([0.0, 0.0, 1.0, 0.0]) * place[3] * 2.0 * math.pi
     return [
@@ -275,23 +267,17 @@ def regulate(stage: Stage, model: Model, step: Callable[[str], None]) -> Regulat
     laws, disturbed, expected = {}, {}, {}
     for key, (name, spec) in zip(KEYS, LAWS.items(), strict=True):
         step(f"LQR {name}")
-        record = stage.run(_experiment(f"lqr_{key}", JUMP, spec), shifted, model)
+        record = stage.run(closed_loop(f"lqr_{key}", JUMP, DURATION_S, spec), shifted, model)
         laws[name] = true_position(record)
         expected[name] = design_lqr(model, spec).steady_error(sample_model(stiffer), STEP_M,
                                                               ZERO_SHIFT_N)
         if key != "feedforward":
             step(f"LQR {name}, disturbed")
-            disturbed[name] = true_position(stage.run(
-                _experiment(f"lqr_{key}_disturbed", {"kind": "hold"}, spec), pushed, model))
+            disturbed[name] = true_position(stage.run(closed_loop(
+                f"lqr_{key}_disturbed", {"kind": "hold"}, DURATION_S, spec), pushed, model))
     time = record.time
     push = DISTURBANCE_N * np.sin(2.0 * math.pi * DISTURBANCE_HZ * time)
     return Regulation(time, reference_of(record), laws, push, disturbed, expected)
-
-
-def _experiment(name: str, reference: Mapping[str, Any], spec: LqrSpec) -> Experiment:
-    return load_experiment({"name": name, "mode": "lqr", "duration_s": DURATION_S,
-                            "axes": {"x": {"reference": dict(reference)}},
-                            "controller": spec.to_dict()})
 
 
 def regulation_rows(found: Regulation) -> list[Row]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -21,12 +20,10 @@ from dfm_stage.control import (
     ziegler_nichols,
 )
 from dfm_stage.model import Model
-from dfm_stage.paper.printed import PRINTED
-from dfm_stage.paper.row import Row, derived, ours_only, printed
-from dfm_stage.paper.stage import DirectStage, Stage, tracking_error
+from dfm_stage.paper.row import PRINTED, Row, derived, ours_only, printed
+from dfm_stage.paper.stage import DirectStage, Stage, closed_loop, tracking_error
 from dfm_stage.paper.xy import smallest_step
 from dfm_stage.recording import Record
-from dfm_stage.trajectory import Experiment, load_experiment
 
 STEP_M, SINE_M, SINE_HZ = 1e-3, 1e-3, 0.5
 PLACED_HZ = 8.0
@@ -52,14 +49,6 @@ class PidTest:
     sine: Record
     placed: Record
     coarse: Record
-
-
-def closed_loop(name: str, reference: Mapping[str, Any], duration_s: float,
-                gains: PidGains) -> Experiment:
-    """Return an experiment under PID with these gains."""
-    return load_experiment({"name": name, "mode": "pid", "duration_s": duration_s,
-                            "axes": {"x": {"reference": dict(reference)}},
-                            "controller": gains.to_dict()})
 
 
 def run_pid(stage: Stage, model: Model, step: Any) -> PidTest:
@@ -162,8 +151,8 @@ def pid_rows(test: PidTest, model: Model) -> list[Row]:
 def _ultimate_without_delay(model: Model) -> tuple[float, float]:
     """Return the ultimate gain of mass, spring and damper alone (infinite where it has none), and
     how it grows when a loop without delay or lag is sampled ten times faster."""
-    names = ("mass", "damping", "stiffness", "force_constant")
-    bare = {name: model.base[name] for name in names if name in model.base}
+    bare = {name: model.base[name] for name in (
+        "mass", "damping", "stiffness", "force_constant") if name in model.base}
     found = [ultimate(sample_stage(bare, model.sample_period / speed)).gain_v_m
              for speed in (1.0, 10.0, 100.0)]
     growth = found[2] / found[1]

@@ -16,8 +16,7 @@ from dfm_stage.paper.figures import (
     static_figure,
 )
 from dfm_stage.paper.lqr import DISTURBANCE_HZ, DISTURBANCE_N, proportional
-from dfm_stage.paper.printed import PRINTED, TABLE_1
-from dfm_stage.paper.row import Row
+from dfm_stage.paper.row import PRINTED, TABLE_1, Row
 from dfm_stage.paper.stage import reference_of, tracking_error
 from dfm_stage.paper.workflow import Comparison, Findings
 from dfm_stage.reporting import Page, Quantity, Response, format_number

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.control import OPEN_LOOP, Law, law_of
+from dfm_stage.control import OPEN_LOOP, Law, LqrSpec, PidGains, law_of
 from dfm_stage.model import Model, Plant, Simulator
 from dfm_stage.recording import AxisRecord, Provenance, Record
-from dfm_stage.trajectory import Experiment, Reference
+from dfm_stage.trajectory import Experiment, Reference, load_experiment
+from dfm_stage.trajectory.limits import uncoupled
 
 
 class Stage(Protocol):
@@ -45,6 +46,15 @@ def reference_of(record: Record) -> Array:
 def tracking_error(record: Record) -> Array:
     """Return true position less reference, (N,), m."""
     return np.asarray(true_position(record) - reference_of(record))
+
+
+def closed_loop(name: str, reference: Mapping[str, Any], duration_s: float,
+                settings: PidGains | LqrSpec) -> Experiment:
+    """Return an experiment under PID or LQR, whichever the settings are for."""
+    return load_experiment({
+        "name": name, "mode": "pid" if isinstance(settings, PidGains) else "lqr",
+        "duration_s": duration_s, "axes": {"x": {"reference": dict(reference)}},
+        "controller": settings.to_dict()})
 
 
 @dataclass(frozen=True)
@@ -76,24 +86,20 @@ class DirectStage:
                 given = experiment.controller if isinstance(experiment.controller, Mapping) else {}
                 law, _ = law_of({**given, "mode": experiment.mode}, design or one)
                 axes[name] = _closed_loop(one, law, reference, excitation.voltage, seed)
-        count = round(experiment.duration_s / period)
-        return Record(np.asarray(np.arange(count) * period), period, axes,
+        time = np.asarray(np.arange(round(experiment.duration_s / period)) * period)
+        return Record(time, period, axes,
                       Provenance("direct simulation", "simulation", parameters=parameters))
 
 
 def _neighbour(experiment: Experiment, model: Model, name: str) -> Array | None:
     """Return the position of the axis that acts on `name`, itself moved by its input alone."""
-    sources = model.coupling.get(name, {})
-    if not sources:
+    other = next(iter(model.coupling.get(name, {})), None)
+    if other is None:
         return None
-    other = next(iter(sources))
-    alone = model.axis(other)
-    if alone.effect("cross_axis_coupling"):
-        alone = alone.without_effect("cross_axis_coupling")
     voltage = (experiment.excitation(other, model.sample_period).voltage
                if other in experiment.axes else np.zeros(round(experiment.duration_s
                                                                / model.sample_period)))
-    return Simulator(alone).run(voltage).position
+    return Simulator(uncoupled(model.axis(other))).run(voltage).position
 
 
 def _open_loop(model: Model, voltage: Array, seed: int, other: Array | None) -> AxisRecord:

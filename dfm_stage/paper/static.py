@@ -10,8 +10,7 @@ from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.static import StaticTest
 from dfm_stage.model import Model
 from dfm_stage.model.flexure import DoubleParallelogram, FlexureError, chosen_manipulator
-from dfm_stage.paper.printed import PRINTED, TABLE_1
-from dfm_stage.paper.row import Row, derived, ours_only, printed
+from dfm_stage.paper.row import PRINTED, TABLE_1, Row, derived, ours_only, printed
 
 PLACE = "Table 1"
 
@@ -127,10 +126,8 @@ def _spread_percent(test: StaticTest) -> float:
 def mass_and_damping_rows(stiffness: Quantity, omega: Quantity, damping: Quantity,
                           model: Model) -> list[Row]:
     """Return moving mass and viscous damping as the paper's numbers give them, and ours."""
-    k = PRINTED["table1.theory"].value
-    w = PRINTED["response.natural"].value
     c = PRINTED["eq3.damping"].value
-    mass = k / w**2
+    mass = PRINTED["table1.theory"].value / PRINTED["response.natural"].value**2
     ours_mass = stiffness.value / omega.value**2
     spread = math.hypot(stiffness.half_width / stiffness.value,
                         2.0 * omega.half_width / omega.value) * ours_mass

@@ -22,8 +22,7 @@ from dfm_stage.identification.static import StaticTest
 from dfm_stage.identification.step_response import StepResponse
 from dfm_stage.model import Model
 from dfm_stage.paper import dynamics, lqr, pid, static, xy
-from dfm_stage.paper.printed import PRINTED, TABLE_1
-from dfm_stage.paper.row import Row
+from dfm_stage.paper.row import PRINTED, TABLE_1, Row
 from dfm_stage.paper.stage import Stage
 from dfm_stage.recording import Record
 from dfm_stage.trajectory import Experiment
@@ -186,10 +185,9 @@ def _rows(found: Findings, models: Models, gain: Array) -> list[Row]:
 
 def _fastest(found: Findings) -> float:
     """Largest mean speed between two levels of the static test, m/s."""
-    levels = found.static.levels
     period = found.records["static"].sample_period
     return max(abs(b.position_m - a.position_m) / (max(b.start - a.stop, 1) * period)
-               for a, b in pairwise(levels))
+               for a, b in pairwise(found.static.levels))
 
 
 def _transient(record: Record, stepped: StepResponse, response: DynamicTest,

@@ -12,8 +12,7 @@ from dfm_stage.identification.static import StaticTest, static_test
 from dfm_stage.model import Model
 from dfm_stage.model.flexure import FlexureError
 from dfm_stage.model.flexure_xy import XYMechanism, chosen_xy
-from dfm_stage.paper.printed import PRINTED, STANDARD_GRAVITY
-from dfm_stage.paper.row import Row, derived, ours_only, printed
+from dfm_stage.paper.row import PRINTED, STANDARD_GRAVITY, Row, derived, ours_only, printed
 from dfm_stage.recording import Record
 
 PLACE = "sec. 6"

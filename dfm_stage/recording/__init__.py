@@ -1,7 +1,14 @@
 """Recording and reading runs: MCAP bags, CSV files, and the record they all become."""
 
 from dfm_stage.recording.array_files import write_mat
-from dfm_stage.recording.bag import Bag, Ragged, Topic
+from dfm_stage.recording.bag import (
+    MODEL_ATTACHMENT,
+    PARAMETERS_ATTACHMENT,
+    VERSIONS_ATTACHMENT,
+    Bag,
+    Ragged,
+    Topic,
+)
 from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_writer import BagWriter
 from dfm_stage.recording.csv_file import write_csv
@@ -15,11 +22,6 @@ from dfm_stage.recording.errors import (
 )
 from dfm_stage.recording.mcap_scan import Loss
 from dfm_stage.recording.message_definitions import definition_text
-from dfm_stage.recording.names import (
-    MODEL_ATTACHMENT,
-    PARAMETERS_ATTACHMENT,
-    VERSIONS_ATTACHMENT,
-)
 from dfm_stage.recording.read_record import read_record
 from dfm_stage.recording.record import AxisRecord, Provenance, Record
 from dfm_stage.recording.rosbag2_metadata import QosProfile

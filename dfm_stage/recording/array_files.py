@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.files import write_whole
-from dfm_stage.recording.errors import RecordError, write_error
+from dfm_stage.recording.errors import RecordError, writing
 from dfm_stage.recording.record import FloatArray, Record
 from dfm_stage.recording.table import columns_of
 
-_PERIODS = ("sample_period", "sample_time", "ts", "dt")
-_RATES = ("sample_rate", "sampling_rate", "fs")
+# Names of the sample period and of the rate, with the power that makes it a period.
+_PERIODS = {**dict.fromkeys(("sample_period", "sample_time", "ts", "dt"), 1),
+            **dict.fromkeys(("sample_rate", "sampling_rate", "fs"), -1)}
 
 
 class ArrayTable:
@@ -27,8 +28,7 @@ class ArrayTable:
     """
 
     def __init__(self, path: Path, kind: str, arrays: Mapping[str, Any]) -> None:
-        self.path = path
-        self.kind = kind
+        self.path, self.kind = path, kind
         self.warnings: list[str] = []
         self.sample_period = _sample_period(arrays)
         self._columns = dict(_columns(arrays))
@@ -42,12 +42,11 @@ class ArrayTable:
 
     def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """Return columns as floats; raises RecordError if they differ in length."""
-        chosen = {name: self._columns[name] for name in names}
-        lengths = {name: len(values) for name, values in chosen.items()}
-        if len(set(lengths.values())) > 1:
+        chosen = {name: self._columns[name].astype(np.float64) for name in names}
+        if len(set(map(len, chosen.values()))) > 1:
             raise RecordError("the arrays differ in length: " + ", ".join(
-                f"{name} {length}" for name, length in lengths.items()), self.path)
-        return {name: values.astype(np.float64) for name, values in chosen.items()}
+                f"{name} {len(values)}" for name, values in chosen.items()), self.path)
+        return chosen
 
 
 def load_npz(path: Path) -> ArrayTable:
@@ -91,10 +90,8 @@ def write_mat(record: Record, path: str | os.PathLike[str]) -> None:
 
     content = io.BytesIO()
     scipy.io.savemat(content, dict(columns_of(record)), oned_as="column", do_compression=True)
-    try:
+    with writing(path):
         write_whole(path, content.getvalue())
-    except OSError as error:
-        raise write_error(Path(path), error) from error
 
 
 def _line(error: Exception) -> str:
@@ -137,11 +134,7 @@ def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray[Any, A
 
 def _sample_period(arrays: Mapping[str, Any]) -> float | None:
     for name, value in arrays.items():
-        array = np.asarray(value)
-        if array.size == 1 and array.dtype.kind in "iuf":
-            number = float(array.reshape(-1)[0])
-            if name.lower() in _PERIODS and number > 0:
-                return number
-            if name.lower() in _RATES and number > 0:
-                return 1.0 / number
+        array, power = np.asarray(value), _PERIODS.get(name.lower())
+        if power and array.size == 1 and array.dtype.kind in "iuf" and array.item() > 0:
+            return float(array.item()) ** power
     return None

@@ -15,6 +15,12 @@ from dfm_stage.recording.mcap_scan import Loss
 
 Array: TypeAlias = NDArray[Any]
 
+# Names by which the writer and the reader of a bag know things.
+MODEL_ATTACHMENT = "model.yaml"
+PARAMETERS_ATTACHMENT = "parameters.yaml"
+VERSIONS_ATTACHMENT = "versions.json"
+DROPPED_KEY = "messages_dropped"     # custom data of metadata.yaml: messages the recorder lost
+
 
 @dataclass(frozen=True)
 class Ragged:

@@ -37,11 +37,8 @@ def find_files(path: Path) -> BagFiles:
         return BagFiles([path])
     if not path.is_dir():
         raise BagReadError(f"{path}: there is no such file or folder")
-    found = sorted(path.glob("*.mcap"), key=_natural)
-    bag = BagFiles(found)
-    information = _information(path, bag)
-    if information is not None:
-        _apply(information, path, bag)
+    bag = BagFiles(sorted(path.glob("*.mcap"), key=_natural))
+    _apply_metadata(path, bag)
     if not bag.files:
         others = [item.name for item in path.iterdir() if item.suffix in (".db3", ".zstd")]
         if others:
@@ -55,24 +52,21 @@ def _natural(path: Path) -> list[Any]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
 
 
-def _information(path: Path, bag: BagFiles) -> dict[str, Any] | None:
+def _apply_metadata(path: Path, bag: BagFiles) -> None:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     file = path / METADATA_FILE
     try:
-        tree = YAML(typ="safe").load(file.read_text(encoding="utf-8"))
-        information = tree["rosbag2_bagfile_information"]
-        if not isinstance(information, dict):
-            raise TypeError("not a table")
+        information = dict(YAML(typ="safe").load(file.read_text(encoding="utf-8"))[
+            "rosbag2_bagfile_information"])
     except FileNotFoundError:
         bag.losses.append(Loss(f"{path}: has no {METADATA_FILE}; the .mcap files were read in "
                                f"the order of their names"))
-        return None
     except (OSError, ValueError, YAMLError, KeyError, TypeError):
         bag.losses.append(Loss(f"{file}: is damaged and was not used"))
-        return None
-    return information
+    else:
+        _apply(information, path, bag)
 
 
 def _apply(information: dict[str, Any], path: Path, bag: BagFiles) -> None:
@@ -97,9 +91,6 @@ def _apply(information: dict[str, Any], path: Path, bag: BagFiles) -> None:
     custom = information.get("custom_data")
     if isinstance(custom, dict):
         bag.custom_data = {str(key): str(value) for key, value in custom.items()}
-    present = [file for file in listed if file.is_file()]
-    for file in listed:
-        if file not in present:
-            bag.losses.append(Loss(f"{file}: is listed in {METADATA_FILE} and missing"))
-    if present:
-        bag.files = present
+    bag.losses += [Loss(f"{file}: is listed in {METADATA_FILE} and missing")
+                   for file in listed if not file.is_file()]
+    bag.files = [file for file in listed if file.is_file()] or bag.files

@@ -10,7 +10,7 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -21,14 +21,13 @@ import numpy as np
 from mcap.records import Channel
 from numpy.typing import NDArray
 
-from dfm_stage.recording.bag import Bag, Topic
+from dfm_stage.recording.bag import DROPPED_KEY, Bag, Topic
 from dfm_stage.recording.bag_files import BagFiles, find_files
 from dfm_stage.recording.chunk_data import DamagedError, expand, survey_chunk
 from dfm_stage.recording.decode_plan import Plan, compile_plan
 from dfm_stage.recording.errors import BagReadError, DefinitionError, NotInBagError
 from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
 from dfm_stage.recording.message_definitions import full_name, parse_schema
-from dfm_stage.recording.names import DROPPED_KEY
 
 if TYPE_CHECKING:
     from dfm_stage.recording.topic_arrays import TopicArrays
@@ -60,22 +59,17 @@ def read_bag(path: str | os.PathLike[str], topics: Iterable[str] | None = None, 
     """
     where = Path(path)
     files = find_files(where)
-    count = threads or len(os.sched_getaffinity(0))
     with ExitStack() as stack:
-        pool = stack.enter_context(ThreadPoolExecutor(count))
+        pool = stack.enter_context(ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))))
         sources = []
         for file in files.files:
-            handle = _open(file)
+            try:
+                handle = os.open(file, os.O_RDONLY)
+            except OSError as error:
+                raise BagReadError(f"{file}: cannot be read ({error.strerror})") from error
             stack.callback(os.close, handle)
             sources.append(_Source(handle, scan_file(handle, file)))
         return _Reader(where, files, sources, pool).read(topics)
-
-
-def _open(path: Path) -> int:
-    try:
-        return os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise BagReadError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 @dataclass
@@ -88,37 +82,24 @@ class _Source:
         default_factory=lambda: np.full(CHANNEL_IDS, _UNWANTED, np.int32))
 
 
-@dataclass(frozen=True)
-class _Task:
-    """One chunk, and the rows that each topic number gets from it: {slot: (first, count)}."""
-
-    source: _Source
-    chunk: ChunkPlace
-    rows: Mapping[int, tuple[int, int]]
+Wanted = tuple[str, str, Plan]
+"""A topic to read, before its size is known: name, type and how to decode it."""
+Rows = Mapping[int, tuple[int, int]]
+"""The rows that each topic number gets from a chunk: {slot: (first, count)}."""
 
 
 @dataclass
-class _Wanted:
-    """A topic to read, before its size is known."""
-
-    name: str
-    type_name: str
-    plan: Plan
-
-
 class _Reader:
-    def __init__(self, path: Path, files: BagFiles, sources: list[_Source],
-                 pool: ThreadPoolExecutor) -> None:
-        self.path = path
-        self.files = files
-        self.sources = sources
-        self.pool = pool
-        self.left_out: dict[str, str] = {}
-        self.damaged: set[int] = set()
-        self.chunk_losses: dict[tuple[str, int], Loss] = {}
-        self.miscounted: list[ChunkPlace] = []
-        self.wanted: list[_Wanted] = []
-        self.arrays: list[TopicArrays] = []
+    path: Path
+    files: BagFiles
+    sources: list[_Source]
+    pool: ThreadPoolExecutor
+    left_out: dict[str, str] = field(default_factory=dict)
+    damaged: set[int] = field(default_factory=set)
+    chunk_losses: dict[tuple[str, int], Loss] = field(default_factory=dict)
+    miscounted: list[ChunkPlace] = field(default_factory=list)
+    wanted: list[Wanted] = field(default_factory=list)
+    arrays: list[TopicArrays] = field(default_factory=list)
 
     def read(self, topics: Iterable[str] | None) -> Bag:
         self.survey()
@@ -196,35 +177,17 @@ class _Reader:
                 if patterns is not None and not any(fnmatch.fnmatchcase(name, pattern)
                                                     for pattern in patterns):
                     continue
-                wanted = self.understand(source.scan, channel)
-                if wanted is None:
+                try:
+                    wanted = understood(source.scan, channel)
+                    number = numbers.setdefault(name, len(numbers))
+                    if wanted != [*self.wanted, wanted][number]:
+                        raise DefinitionError("its later part has another message definition")
+                except DefinitionError as reason:
+                    self.left_out[name] = str(reason)
                     continue
-                if name not in numbers:
-                    numbers[name] = len(self.wanted)
+                if number == len(self.wanted):
                     self.wanted.append(wanted)
-                elif self.wanted[numbers[name]] != wanted:
-                    self.left_out[name] = "its later part has another message definition"
-                    continue
-                source.slots[channel.id] = numbers[name]
-
-    def understand(self, scan: FileScan, channel: Channel) -> _Wanted | None:
-        schema = scan.schemas.get(channel.schema_id)
-        reason = None
-        if schema is None:
-            reason = "its message definition is missing"
-        elif channel.message_encoding != "cdr":
-            reason = f"its messages are encoded as {channel.message_encoding}, not cdr"
-        elif schema.encoding != "ros2msg":
-            reason = f"its definition is written in {schema.encoding}, not ros2msg"
-        else:
-            try:
-                name = full_name(schema.name)
-                definitions = parse_schema(schema.data.decode("utf-8", "replace"), name)
-                return _Wanted(channel.topic, name, compile_plan(definitions, name))
-            except DefinitionError as error:
-                reason = f"its definition cannot be parsed: {error}"
-        self.left_out[channel.topic] = reason
-        return None
+                source.slots[channel.id] = number
 
     def decode(self) -> None:
         from dfm_stage.recording.topic_arrays import TopicArrays
@@ -238,52 +201,46 @@ class _Reader:
                     for channel, count in (chunk.counts or {}).items():
                         counts[int(source.slots[channel])] += count
                 del counts[_UNWANTED]
-                tasks.append(_Task(source, chunk, {slot: (totals[slot], count)
-                                                   for slot, count in counts.items()}))
+                if counts:
+                    tasks.append((source, chunk, {slot: (totals[slot], count)
+                                                  for slot, count in counts.items()}))
                 totals.update(counts)
-        self.arrays = [TopicArrays(wanted.name, wanted.type_name, wanted.plan, totals[slot])
+        self.arrays = [TopicArrays(*wanted, totals[slot])
                        for slot, wanted in enumerate(self.wanted)]
-        list(self.pool.map(self.decode_chunk, [task for task in tasks if task.rows]))
+        list(self.pool.map(lambda task: self.decode_chunk(*task), tasks))
 
-    def decode_chunk(self, task: _Task) -> None:
+    def decode_chunk(self, source: _Source, chunk: ChunkPlace, rows: Rows) -> None:
         from dfm_stage.recording.record_kernels import locate
 
         try:
-            data = expand(task.source.handle, task.chunk)
+            data = expand(source.handle, chunk)
         except DamagedError as reason:
-            self.lose_chunk(task.source, task.chunk, str(reason))
-            for slot, (first, count) in task.rows.items():
+            self.lose_chunk(source, chunk, str(reason))
+            for slot, (first, count) in rows.items():
                 self.arrays[slot].empty_rows.append((first, first + count))
             return
-        n_slots = len(self.arrays)
-        counts = np.zeros(n_slots, np.int64)
-        for slot, (_, count) in task.rows.items():
-            counts[slot] = count
+        counts = np.array([rows.get(slot, (0, 0))[1] for slot in range(len(self.arrays))])
         ends = np.cumsum(counts)
-        cursors = ends - counts
-        offsets = np.empty(int(counts.sum()), np.int64)
-        whole, surplus = locate(data, task.source.slots, cursors, ends, offsets)
+        cursors, offsets = ends - counts, np.empty(int(counts.sum()), np.int64)
+        whole, surplus = locate(data, source.slots, cursors, ends, offsets)
         if surplus or (cursors != ends).any():
-            self.miscounted.append(task.chunk)
+            self.miscounted.append(chunk)
             return
-        self.note_rest(task.source, task.chunk, len(data) - whole, whole)
-        for slot, (first, count) in task.rows.items():
+        self.note_rest(source, chunk, len(data) - whole, whole)
+        for slot, (first, count) in rows.items():
             self.arrays[slot].decode(data, offsets[ends[slot] - count:ends[slot]], first)
 
     def result(self) -> Bag:
-        losses = [*self.files.losses,
-                  *(loss for source in self.sources for loss in source.scan.losses),
-                  *(self.chunk_losses[key] for key in sorted(self.chunk_losses))]
-        topics = {}
-        for arrays in self.arrays:
-            topics[arrays.name] = arrays.finish()
-            if arrays.bad_rows:
-                count = len(arrays.bad_rows)
-                losses.append(Loss(f"{arrays.name}: {count} messages do not fit the definition of "
-                                   f"{arrays.type_name} and were left out", messages=count))
-        present = {arrays.name: topics[arrays.name].message_count + len(arrays.bad_rows)
-                   for arrays in self.arrays}
         scans = [source.scan for source in self.sources]
+        losses = [*self.files.losses, *(loss for scan in scans for loss in scan.losses),
+                  *(self.chunk_losses[key] for key in sorted(self.chunk_losses))]
+        topics, present = {}, {}
+        for arrays in self.arrays:
+            topic, bad = arrays.finish(), len(arrays.bad_rows)
+            topics[arrays.name], present[arrays.name] = topic, topic.message_count + bad
+            if bad:
+                losses.append(Loss(f"{arrays.name}: {bad} messages do not fit the definition of "
+                                   f"{arrays.type_name} and were left out", messages=bad))
         losses += missing_messages(present, topics.values(), self.files, scans)
         return Bag(self.path, topics,
                    {item.name: item.data for scan in scans for item in scan.attachments},
@@ -291,17 +248,32 @@ class _Reader:
                    losses, self.left_out)
 
 
+def understood(scan: FileScan, channel: Channel) -> Wanted:
+    """Return how to read a channel; raises DefinitionError with the reason if it cannot be."""
+    schema = scan.schemas.get(channel.schema_id)
+    if schema is None:
+        raise DefinitionError("its message definition is missing")
+    if channel.message_encoding != "cdr":
+        raise DefinitionError(f"its messages are encoded as {channel.message_encoding}, not cdr")
+    if schema.encoding != "ros2msg":
+        raise DefinitionError(f"its definition is written in {schema.encoding}, not ros2msg")
+    try:
+        name = full_name(schema.name)
+        definitions = parse_schema(schema.data.decode("utf-8", "replace"), name)
+    except DefinitionError as error:
+        raise DefinitionError(f"its definition cannot be parsed: {error}") from error
+    return channel.topic, name, compile_plan(definitions, name)
+
+
 def missing_messages(present: Mapping[str, int], topics: Iterable[Topic], files: BagFiles,
-                     scans: Iterable[FileScan]) -> list[Loss]:
+                     scans: Sequence[FileScan]) -> list[Loss]:
     """Return what the bag promises and does not hold, topic by topic."""
     losses = []
     promised: Counter[str] = Counter()
-    complete = True
-    for scan in scans:
-        if scan.statistics is None:
-            complete = False
-            continue
-        for channel, count in scan.statistics.channel_message_counts.items():
+    told = [(scan, scan.statistics) for scan in scans if scan.statistics is not None]
+    complete = len(told) == len(scans)
+    for scan, statistics in told:
+        for channel, count in statistics.channel_message_counts.items():
             if channel in scan.channels:
                 promised[scan.channels[channel].topic] += count
     for name, count in (promised if complete else files.expected).items():

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.recording.bag import Bag, Topic
-from dfm_stage.recording.errors import RecordError, in_file
-from dfm_stage.recording.names import (
+from dfm_stage.recording.bag import (
     MODEL_ATTACHMENT,
     PARAMETERS_ATTACHMENT,
     VERSIONS_ATTACHMENT,
+    Bag,
+    Topic,
 )
-from dfm_stage.recording.plausibility import doubts
+from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.record import AxisRecord, FloatArray, Provenance, Record
 from dfm_stage.recording.sample_grid import (
     AppliedInput,
@@ -141,9 +141,7 @@ def _read_axis(bag: Bag, name: str, topic_name: str, run: _Run,
     notes = list(grid.notes)
     arrays = {"position": on_grid(grid, np.flatnonzero(grid.rows >= 0),
                                   measurement["position"][grid.rows[grid.rows >= 0]])}
-    note = jitter_note(grid, arrays["position"], "m", topic_name)
-    if note:
-        notes.append(note)
+    notes += jitter_note(grid, arrays["position"], "m", topic_name)
     if "flags" in measurement:
         flags = measurement["flags"][grid.rows[grid.rows >= 0]]
         notes += [f"{topic_name}: {int((flags & bit > 0).sum())} samples are flagged {meaning}"
@@ -167,14 +165,11 @@ def _read_axis(bag: Bag, name: str, topic_name: str, run: _Run,
 
 
 def _amplifier_notes(source: Topic, applied: AppliedInput) -> list[str]:
-    notes = []
     off = int((~source["enabled"][applied.in_window]).sum())
-    if off:
-        notes.append(f"{source.name}: the output was off in {off} messages")
-    faults = source["faults"][applied.in_window]
-    if faults.any():
-        notes.append(f"{source.name}: {int((faults > 0).sum())} messages report faults")
-    return notes
+    faults = int((source["faults"][applied.in_window] > 0).sum())
+    return [f"{source.name}: {what}" for count, what in (
+        (off, f"the output was off in {off} messages"),
+        (faults, f"{faults} messages report faults")) if count]
 
 
 def _other_arrays(bag: Bag, prefix: str, grid: SampleGrid, source: Topic) -> dict[str, FloatArray]:
@@ -201,9 +196,7 @@ def _other_arrays(bag: Bag, prefix: str, grid: SampleGrid, source: Topic) -> dic
 
 def _on_one_time_base(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Record:
     """Bring the axes onto one time base and cut it to where everything is known."""
-    warnings = [*map(str, bag.losses), *run.notes]
-    for axis in axes:
-        warnings += axis.notes
+    warnings = [*map(str, bag.losses), *run.notes, *(note for axis in axes for note in axis.notes)]
     period, origin = axes[0].grid.period_s, int(axes[0].grid.stamps_ns[0])
     shifts = []
     for axis in axes:
@@ -231,14 +224,12 @@ def _on_one_time_base(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Reco
                                       axis, warnings)
               for axis, part in zip(axes, cut, strict=True)}
     first = start + keep.start - shifts[0]
-    record = Record(
+    return Record(
         period * np.arange(keep.stop - keep.start), period, result,
         Provenance(str(bag.path), "bag", "", int(axes[0].grid.stamps_ns[first]),
                    run.texts.get(MODEL_ATTACHMENT), run.parameters,
                    {str(key): str(value) for key, value in run.versions.items()}),
         warnings)
-    warnings += doubts(record)
-    return record
 
 
 def _kept(valid: NDArray[np.bool_], period: float, gaps: str, warnings: list[str]) -> slice:
@@ -248,12 +239,9 @@ def _kept(valid: NDArray[np.bool_], period: float, gaps: str, warnings: list[str
         raise RecordError("fewer than 3 samples have both a position and an input")
     first, last = int(known[0]), int(known[-1]) + 1
     tail = len(valid) - last
-    if first:
-        warnings.append(f"the first {first} samples ({first * period:.4g} s) have no input yet "
-                        f"and were left out")
-    if tail > 2:
-        warnings.append(f"the last {tail} samples ({tail * period:.4g} s) have no input any more "
-                        f"and were left out")
+    warnings += [f"the {which} {count} samples ({count * period:.4g} s) have no input {when} and "
+                 "were left out" for which, count, when, least in (
+                     ("first", first, "yet", 0), ("last", tail, "any more", 2)) if count > least]
     after = np.flatnonzero(np.diff(known) > 1)
     if len(after):
         places = ", ".join(f"{(known[k] + 1 - first) * period:.6g} s "

@@ -27,10 +27,10 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
 from dfm_stage.files import write_whole
-from dfm_stage.recording.errors import BagWriteError, write_error
+from dfm_stage.recording.bag import DROPPED_KEY
+from dfm_stage.recording.errors import BagWriteError, writing
 from dfm_stage.recording.mcap_sink import Chunk, McapSink
 from dfm_stage.recording.message_definitions import full_name
-from dfm_stage.recording.names import DROPPED_KEY
 from dfm_stage.recording.rosbag2_metadata import (
     BagInformation,
     QosProfile,
@@ -79,11 +79,9 @@ class BagWriter:
                  ros_distro: str = "jazzy", custom_data: Mapping[str, str] | None = None) -> None:
         self.directory = Path(directory)
         self.file_path = self.directory / f"{self.directory.resolve().name}_0.mcap"
-        try:
+        with writing(self.directory):
             self.directory.parent.mkdir(parents=True, exist_ok=True)
             self.directory.mkdir()
-        except OSError as error:
-            raise write_error(self.directory, error) from error
         self._information = BagInformation(self.file_path.name, ros_distro=ros_distro,
                                            custom_data=dict(custom_data or {}))
         try:
@@ -96,18 +94,14 @@ class BagWriter:
         self._backlog_limit = backlog_bytes
         self._topics: list[TopicEntry] = []
         self._schemas: dict[str, Schema] = {}
-        self.message_count = 0
-        self.lost = 0
+        self.message_count = self.lost = self._waiting_bytes = 0
         self.error: BagWriteError | None = None
-        self._waiting_bytes = 0
         self._chunk = Chunk()
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
         self._done = threading.Condition(self._lock)
         self._jobs: list[Callable[[], None]] = []
-        self._busy = False
-        self._flush_now = False
-        self._closing = False
+        self._busy = self._flush_now = self._closing = False
         self._process = os.getpid()
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
         self._thread.start()
@@ -137,15 +131,13 @@ class BagWriter:
             data = definition_text.encode()
             schema = self._schemas.get(type_name)
             if schema is None:
-                schema = Schema(id=len(self._schemas) + 1, data=data, encoding="ros2msg",
-                                name=type_name)
-                self._schemas[type_name] = schema
+                schema = self._schemas[type_name] = Schema(
+                    id=len(self._schemas) + 1, data=data, encoding="ros2msg", name=type_name)
                 self._queue(lambda: self._sink.write_schema(schema))
             elif schema.data != data:
                 raise BagWriteError(f"{self.directory}: {type_name} has two definitions; "
                                     f"the processes run different versions of it")
-            entry = TopicEntry(name, type_name, tuple(qos_profiles), type_hash)
-            self._topics.append(entry)
+            self._topics.append(TopicEntry(name, type_name, tuple(qos_profiles), type_hash))
             topic_id = len(self._topics)
             profiles = [profile.to_dict() for profile in qos_profiles]
             channel = Channel(
@@ -176,15 +168,16 @@ class BagWriter:
             argument is impossible.
         """
         with self._lock:
-            if self.error is not None or self._closing:
-                self._refuse()
-            chunk = self._chunk
-            records = chunk.records
+            if self.error is not None and not self._closing:
+                self.message_count += 1
+                self.lost += 1
+            self._check_open()
+            records = self._chunk.records
             try:
                 head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, _MESSAGE_FIXED_BYTES + len(data),
                                           topic_id, sequence & 0xFFFFFFFF, log_time_ns,
                                           publish_time_ns)
-                chunk.indexes[topic_id] += _INDEX_ENTRY.pack(log_time_ns, len(records))
+                self._chunk.indexes[topic_id] += _INDEX_ENTRY.pack(log_time_ns, len(records))
             except (struct.error, IndexError) as error:
                 raise BagWriteError(f"{self.directory}: message of topic {topic_id} at "
                                     f"{log_time_ns} ns refused: {error}") from error
@@ -215,9 +208,7 @@ class BagWriter:
         with self._lock:
             self._flush_now = True
             self._work.notify()
-            while self._flush_now or self._busy or self._jobs:
-                if not self._thread.is_alive():
-                    break
+            while (self._flush_now or self._busy or self._jobs) and self._thread.is_alive():
                 self._done.wait(FLUSH_PERIOD_S)
             if self.error is not None:
                 raise self.error
@@ -255,15 +246,8 @@ class BagWriter:
         if self.error is not None:
             raise self.error
 
-    def _refuse(self) -> None:
-        if not self._closing:
-            self.message_count += 1
-            self.lost += 1
-        self._check_open()
-
     def _start_chunk(self, chunk: Chunk) -> None:
-        missing = len(self._topics) + 1 - len(chunk.indexes)
-        chunk.indexes += [bytearray() for _ in range(missing)]
+        chunk.indexes += [bytearray() for _ in range(len(self._topics) + 1 - len(chunk.indexes))]
 
     def _queue(self, job: Callable[[], None]) -> None:
         self._jobs.append(lambda: self._do(job))
@@ -347,8 +331,6 @@ class BagWriter:
 
     def _write_metadata_yaml(self) -> None:
         path = self.directory / "metadata.yaml"
-        text = yaml_text({"rosbag2_bagfile_information": self._information.to_dict()})
-        try:
-            write_whole(path, text)
-        except OSError as error:
-            raise write_error(path, error) from error
+        with writing(path):
+            write_whole(path, yaml_text(
+                {"rosbag2_bagfile_information": self._information.to_dict()}))

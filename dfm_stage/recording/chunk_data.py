@@ -66,10 +66,9 @@ def _expand_zstd(data: bytes, chunk: ChunkPlace) -> tuple[bytes, bool]:
     size = frame.content_size if known else chunk.uncompressed_size
     if size != chunk.uncompressed_size or size > LARGEST_CHUNK:
         raise DamagedError("has not the size it states")
-    decompressor = getattr(_local, "zstd", None)
-    if decompressor is None:
-        decompressor = _local.zstd = zstandard.ZstdDecompressor()
-    return decompressor.decompress(data, max_output_size=size), bool(frame.has_checksum)
+    if not hasattr(_local, "zstd"):
+        _local.zstd = zstandard.ZstdDecompressor()
+    return _local.zstd.decompress(data, max_output_size=size), bool(frame.has_checksum)
 
 
 def survey_chunk(data: Bytes) -> tuple[dict[int, int], list[tuple[int, bytes]], int]:
@@ -84,11 +83,9 @@ def survey_chunk(data: Bytes) -> tuple[dict[int, int], list[tuple[int, bytes]], 
     counts = np.zeros(1 << 16, np.int64)
     places = np.empty(_MANY_DEFINITIONS, np.int64)
     whole, found = survey(data, counts, places)
-    definitions = [next(records_in(data[at:at + 9 + _length(data, at)].tobytes()))
-                   for at in places[:min(found, _MANY_DEFINITIONS)]]
+    lengths = [int.from_bytes(data[at + 1:at + 9].tobytes(), "little")
+               for at in places[:min(found, _MANY_DEFINITIONS)]]
+    definitions = [next(records_in(data[at:at + 9 + length].tobytes()))
+                   for at, length in zip(places, lengths, strict=False)]
     return ({int(channel): int(counts[channel]) for channel in np.flatnonzero(counts)},
             definitions, int(whole))
-
-
-def _length(data: Bytes, at: int) -> int:
-    return int.from_bytes(data[at + 1:at + 9].tobytes(), "little")

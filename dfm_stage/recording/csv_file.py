@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dfm_stage.files import write_whole
-from dfm_stage.recording.errors import RecordError, write_error
+from dfm_stage.recording.errors import RecordError, writing
 from dfm_stage.recording.record import FloatArray, Record
 from dfm_stage.recording.table import columns_of
 
@@ -71,10 +71,9 @@ class CsvTable:
         """Whether the last cell, which no line end follows, is shorter than all before it, or
         has lost the exponent that most of them have."""
         *others, last = (row.rpartition(self.delimiter)[2].strip().lower() for row in self._rows)
-        if not others:
-            return False
-        return (len(last) < min(map(len, others))
-                or ("e" not in last and 2 * sum("e" in cell for cell in others) > len(others)))
+        return bool(others) and (
+            len(last) < min(map(len, others))
+            or ("e" not in last and 2 * sum("e" in cell for cell in others) > len(others)))
 
     def where(self, row: int) -> str:
         """Return the line a row stands in, counted from 1."""
@@ -103,13 +102,10 @@ class CsvTable:
             cell = cells[place].strip()
             if self.delimiter != "," and cell.count(",") == 1 and "." not in cell:
                 cell = cell.replace(",", ".")
-            if not cell:
-                numbers.append(np.nan)
-            elif _is_number(cell):
-                numbers.append(float(cell))
-            else:
+            if not _is_number(cell or "nan"):
                 raise RecordError(f"{self.where(row)}, column {self.names[place]}: "
                                   f"{cell[:40]!r} is not a number", self.path)
+            numbers.append(float(cell or "nan"))
         return numbers
 
 
@@ -145,14 +141,11 @@ def write_csv(record: Record, path: str | os.PathLike[str]) -> None:
     BagWriteError
         If the file cannot be written.
     """
-    where, columns = Path(path), columns_of(record)
-    lines = [",".join(columns)]
-    lines += [",".join(map(_cell, row)) for row in zip(*(array.tolist() for array in
-                                                         columns.values()), strict=True)]
-    try:
-        write_whole(where, "\n".join(lines) + "\n")
-    except OSError as error:
-        raise write_error(where, error) from error
+    columns = columns_of(record)
+    rows = zip(*(array.tolist() for array in columns.values()), strict=True)
+    with writing(path):
+        write_whole(path, "\n".join((",".join(columns),
+                                     *(",".join(map(_cell, row)) for row in rows), "")))
 
 
 def _cell(value: float) -> str:

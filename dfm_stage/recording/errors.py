@@ -50,7 +50,7 @@ def in_file(path: Path) -> Iterator[None]:
     try:
         yield
     except (RecordError, NotInBagError) as error:
-        if isinstance(error, RecordError) and error.path is not None:
+        if getattr(error, "path", None) is not None:
             raise
         raise RecordError(str(error), path) from None
 
@@ -67,7 +67,11 @@ _REMEDIES = {
 }
 
 
-def write_error(path: Path, error: OSError) -> BagWriteError:
-    """Return the error to raise when the system refuses to write `path`."""
-    reason = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
-    return BagWriteError(f"{path}: {reason}")
+@contextlib.contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Raise a BagWriteError that says what to do where the system refuses to write `path`."""
+    try:
+        yield
+    except OSError as error:
+        reason = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
+        raise BagWriteError(f"{path}: {reason}") from error

@@ -126,15 +126,15 @@ def scan_file(file: int, path: Path) -> FileScan:
     return scan
 
 
+@dataclass
 class _Walk:
     """The walk over the data section."""
 
-    def __init__(self, file: int, scan: FileScan, limit: int) -> None:
-        self.file = file
-        self.scan = scan
-        self.limit = limit
-        self.chunk: ChunkPlace | None = None
-        self.ended = False
+    file: int
+    scan: FileScan
+    limit: int
+    chunk: ChunkPlace | None = None
+    ended: bool = False
 
     def run(self, at: int) -> None:
         scan = self.scan
@@ -142,12 +142,9 @@ class _Walk:
             after = self.record(at)
             if after is None:
                 after = self.search(at + 1)
-                lost = (self.limit if after is None else after) - at
-                scan.lose(f"{lost} bytes from byte {at} on are damaged or cut off and were "
-                          f"skipped", bytes=lost)
+                scan.lose(f"{after - at} bytes from byte {at} on are damaged or cut off and were "
+                          f"skipped", bytes=after - at)
                 self.chunk = None
-                if after is None:
-                    break
             at = after
         if self.ended and not scan.finished:
             scan.lose("the index at the end is damaged or cut off; the file was read without it")
@@ -163,7 +160,12 @@ class _Walk:
         opcode, length = RECORD_HEAD.unpack_from(head)
         end: int = at + RECORD_HEAD.size + length
         if opcode == Opcode.CHUNK:
-            return self.take_chunk(_chunk_at(at, head, self.scan.size))
+            chunk = _chunk_at(at, head, self.scan.size)
+            if chunk is None:
+                return None
+            self.chunk = chunk
+            self.scan.chunks.append(chunk)
+            return min(chunk.offset + chunk.length, self.scan.size)
         if end > self.limit:
             return None
         if opcode == Opcode.MESSAGE:
@@ -186,13 +188,6 @@ class _Walk:
         self.scan.lose(f"a record of the unknown kind {opcode} at byte {at} was skipped",
                        bytes=end - at - RECORD_HEAD.size)
         return True
-
-    def take_chunk(self, chunk: ChunkPlace | None) -> int | None:
-        if chunk is None:
-            return None
-        self.chunk = chunk
-        self.scan.chunks.append(chunk)
-        return min(chunk.offset + chunk.length, self.scan.size)
 
     def take_index(self, index: tuple[int, int] | None) -> bool:
         if index is not None and index[1] and self.chunk is not None:
@@ -219,15 +214,17 @@ class _Walk:
         self.scan.define(record)
         if isinstance(record, Metadata):
             self.scan.metadata.append(record)
-        elif isinstance(record, Attachment) and _attachment_intact(body):
+        elif isinstance(record, Attachment) and (
+                int.from_bytes(body[-4:], "little") in (0, zlib.crc32(body[:-4]))):
             self.scan.attachments.append(record)
         elif isinstance(record, Attachment):
             self.scan.lose(f"the attached file {record.name} is damaged and was left out",
                            bytes=len(body))
         return record is not None
 
-    def search(self, at: int) -> int | None:
-        """Return where the next whole chunk, message index or end of data stands, from `at`."""
+    def search(self, at: int) -> int:
+        """Return where the next whole chunk, message index or end of data stands, from `at`; the
+        limit if there is none."""
         while at < self.limit:
             block = read_at(self.file, at, _SEARCH_BYTES + _PATTERN_BYTES)
             for match in _PATTERN.finditer(block):
@@ -235,7 +232,7 @@ class _Walk:
                         block[match.start():match.start() + _PATTERN_BYTES], at + match.start()):
                     return at + match.start()
             at += _SEARCH_BYTES
-        return None
+        return self.limit
 
     def plausible(self, head: bytes, at: int) -> bool:
         """Return whether the record that begins with `head` can be what its opcode says."""
@@ -259,9 +256,8 @@ def _chunk_at(at: int, head: bytes, file_size: int) -> ChunkPlace | None:
     if length != _CHUNK_FIXED + name_length + size:
         return None
     offset = at + RECORD_HEAD.size + _CHUNK_FIXED + name_length
-    compression = head[41:41 + name_length].decode("ascii", "replace")
-    return ChunkPlace(offset, size, compression, uncompressed, crc, start_ns, end_ns,
-                      offset + size > file_size)
+    return ChunkPlace(offset, size, head[41:41 + name_length].decode("ascii", "replace"),
+                      uncompressed, crc, start_ns, end_ns, offset + size > file_size)
 
 
 def _index_in(head: bytes, length: int) -> tuple[int, int] | None:
@@ -283,11 +279,6 @@ def parse_record(opcode: int, body: bytes) -> McapRecord | None:
     except (McapError, ValueError, struct.error, OverflowError, MemoryError):
         return None
     return record if stream.count == len(body) else None
-
-
-def _attachment_intact(body: bytes) -> bool:
-    crc = int.from_bytes(body[-4:], "little")
-    return crc in (0, zlib.crc32(body[:-4]))
 
 
 def _take_summary(file: int, scan: FileScan) -> int:

@@ -11,7 +11,7 @@ import contextlib
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,12 +36,11 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from dfm_stage.recording.errors import BagWriteError, write_error
+from dfm_stage.recording.errors import BagWriteError, writing
+from dfm_stage.recording.mcap_scan import MAGIC, RECORD_HEAD
 
-MAGIC = b"\x89MCAP0\r\n"
 COMPRESSIONS = ("zstd", "lz4", "none")
 
-_RECORD_HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _INDEX_HEAD = struct.Struct("<BQHI")
 
@@ -96,10 +95,8 @@ class McapSink:
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._end = 0
-        try:
+        with writing(path):
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-        except OSError as error:
-            raise write_error(path, error) from error
         try:
             self._append(MAGIC + _bytes_of(Header("ros2", library)))
         except BagWriteError:
@@ -125,29 +122,28 @@ class McapSink:
     def write_attachment(self, attachment: Attachment) -> None:
         """Write one attachment."""
         data = _bytes_of(attachment)
-        offset = self._append(data)
         self._attachments.append(AttachmentIndex(
-            offset=offset, length=len(data), log_time=attachment.log_time,
+            offset=self._append(data), length=len(data), log_time=attachment.log_time,
             create_time=attachment.create_time, data_size=len(attachment.data),
             name=attachment.name, media_type=attachment.media_type))
 
     def write_metadata(self, name: str, content: dict[str, str]) -> None:
         """Write one metadata record."""
         data = _bytes_of(Metadata(name=name, metadata=content))
-        offset = self._append(data)
-        self._metadata.append(MetadataIndex(offset=offset, length=len(data), name=name))
+        self._metadata.append(MetadataIndex(offset=self._append(data), length=len(data),
+                                            name=name))
 
     def write_chunk(self, chunk: Chunk) -> None:
         """Compress and write one chunk and its message indexes, in one system call."""
         indexes = {channel: index for channel, index in enumerate(chunk.indexes) if index}
-        start_ns, end_ns = _time_range(indexes.values())
-        records = self._compress(chunk.records)
-        compression = self.compression.encode()
+        times = [np.frombuffer(index, dtype="<u8")[::2] for index in indexes.values()]
+        start_ns, end_ns = int(min(map(np.min, times))), int(max(map(np.max, times)))
+        records, compression = self._compress(chunk.records), self.compression.encode()
         head = (_CHUNK_HEAD.pack(start_ns, end_ns, len(chunk.records), zlib.crc32(chunk.records))
                 + struct.pack("<I", len(compression)) + compression
                 + struct.pack("<Q", len(records)))
-        chunk_length = _RECORD_HEAD.size + len(head) + len(records)
-        parts = [_RECORD_HEAD.pack(Opcode.CHUNK, chunk_length - _RECORD_HEAD.size), head, records]
+        chunk_length = RECORD_HEAD.size + len(head) + len(records)
+        parts = [RECORD_HEAD.pack(Opcode.CHUNK, chunk_length - RECORD_HEAD.size), head, records]
         index_offsets = {}
         position = self._end + chunk_length
         for channel, index in indexes.items():
@@ -169,12 +165,11 @@ class McapSink:
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer."""
         start = self._end + len(data_end := _bytes_of(DataEnd(0)))
-        has_messages = self.message_count > 0
         statistics = Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),
             channel_message_counts=self.counts, chunk_count=len(self._chunk_indexes),
             message_count=self.message_count, metadata_count=len(self._metadata),
-            message_start_time=self.start_ns if has_messages else 0,
+            message_start_time=self.start_ns if self.message_count else 0,
             message_end_time=self.end_ns, schema_count=len(self._schemas))
         groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
             (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
@@ -208,14 +203,15 @@ class McapSink:
         """Write all of `data` at the end; return its offset, or leave the file as it was."""
         offset, view = self._end, memoryview(data)
         try:
-            while view:
-                view = view[os.pwrite(self._file, view, self._end):]
-                self._end = offset + len(data) - len(view)
-        except OSError as error:
+            with writing(self.path):
+                while view:
+                    view = view[os.pwrite(self._file, view, self._end):]
+                    self._end = offset + len(data) - len(view)
+        except BagWriteError:
             self._end = offset
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, offset)
-            raise write_error(self.path, error) from error
+            raise
         return offset
 
 
@@ -235,8 +231,3 @@ def _bytes_of(record: McapRecord) -> bytes:
 
 def _content(builder: RecordBuilder) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _time_range(indexes: Iterable[bytearray]) -> tuple[int, int]:
-    times = [np.frombuffer(index, dtype="<u8")[::2] for index in indexes]
-    return min(int(part.min()) for part in times), max(int(part.max()) for part in times)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,11 +74,10 @@ def parse_fields(text: str, type_name: str) -> list[Field]:
         base = kind["base"]
         if base not in PRIMITIVES:
             base = full_name(base if "/" in base else f"{package}/{base}")
-        count = None
-        if match["type"].endswith("]"):
-            count = 0 if kind["bounded"] or kind["count"] is None else int(kind["count"])
-            if count == 0 and kind["count"] is not None and not kind["bounded"]:
-                raise DefinitionError(f"{type_name}, line {number}: an array of no elements")
+        fixed = kind["count"] is not None and not kind["bounded"]
+        count = int(kind["count"]) if fixed else 0 if match["type"].endswith("]") else None
+        if fixed and not count:
+            raise DefinitionError(f"{type_name}, line {number}: an array of no elements")
         fields.append(Field(match["name"], base, count))
     return fields
 
@@ -106,8 +105,8 @@ def parse_schema(text: str, type_name: str) -> dict[str, list[Field]]:
 
 def ament_share_folders() -> list[Path]:
     """Return the share folder of every prefix in AMENT_PREFIX_PATH."""
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return [Path(prefix) / "share" for prefix in prefixes if prefix]
+    return [Path(prefix) / "share" for prefix in
+            os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
 
 def definition_text(type_name: str, share_folders: Sequence[Path] | None = None) -> str:
@@ -130,21 +129,14 @@ def definition_text(type_name: str, share_folders: Sequence[Path] | None = None)
     texts: dict[str, str] = {}
     while wanted:
         name = wanted.pop(0)
-        if name in texts:
-            continue
-        texts[name] = _installed_text(name, folders)
-        wanted += _references(texts[name], name)
+        if name not in texts:
+            texts[name] = _installed_text(name, folders)
+            wanted += (field.base for field in parse_fields(texts[name], name)
+                       if field.base not in PRIMITIVES)
     first, *others = texts.items()
-    parts = [first[1].rstrip("\n") + "\n"]
-    for name, text in others:
-        package, _, short = name.split("/")
-        parts.append(f"{SEPARATOR}\nMSG: {package}/{short}\n" + text.rstrip("\n") + "\n")
-    return "".join(parts)
-
-
-def _references(text: str, type_name: str) -> Iterator[str]:
-    return (field.base for field in parse_fields(text, type_name)
-            if field.base not in PRIMITIVES)
+    return "".join((first[1].rstrip("\n") + "\n", *(
+        f"{SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n" + text.rstrip("\n") + "\n"
+        for name, text in others)))
 
 
 def _installed_text(type_name: str, folders: Sequence[Path]) -> str:

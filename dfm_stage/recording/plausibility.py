@@ -41,9 +41,8 @@ def _spikes(position: FloatArray, unit: str) -> list[str]:
     if not len(places) or usual == 0.0:
         return []
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-    text = (f"the position jumps and comes back at sample {places[0]}{more} "
-            f"({position[places[0]]:.4g} {unit}); empty cells would count as missing samples")
-    return [text]
+    return [(f"the position jumps and comes back at sample {places[0]}{more} "
+             f"({position[places[0]]:.4g} {unit}); empty cells would count as missing samples")]
 
 
 def _axis_doubts(drive: FloatArray, drive_unit: str, position: FloatArray,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +13,16 @@ from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
 from dfm_stage.recording.csv_file import CsvTable
 from dfm_stage.recording.errors import RecordError
-from dfm_stage.recording.fingerprint import fingerprint
 from dfm_stage.recording.mcap_scan import MAGIC
+from dfm_stage.recording.plausibility import doubts
 from dfm_stage.recording.record import Record
 from dfm_stage.recording.table import Options, Table, table_record
 
 GAPS = ("longest", "mask")
+_TABLES: dict[str, Callable[[Path], Table]] = {
+    "npz": load_npz, "mat": load_mat, "csv": CsvTable}
+WHOLE_BYTES = 1 << 23
+_END_BYTES = 1 << 20
 
 
 def read_record(
@@ -63,17 +69,13 @@ def read_record(
             raise RecordError("is a bag, whose topics say what they are; columns and "
                               "units (--time, --input, --output) are for tables", where)
         record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
-        files = sorted(where.glob("*.mcap")) if where.is_dir() else [where]
+        first = min(where.glob("*.mcap")) if where.is_dir() else where
+        record.warnings.extend(doubts(record))
         return replace(record, provenance=replace(record.provenance,
-                                                  fingerprint=fingerprint(files[0])))
-    table: Table
-    if kind == "npz":
-        table = load_npz(where)
-    elif kind == "mat":
-        table = load_mat(where)
-    else:
-        table = CsvTable(where)
-    return table_record(table, options, fingerprint(where))
+                                                  fingerprint=fingerprint(first)))
+    record = table_record(_TABLES[kind](where), options, fingerprint(where))
+    record.warnings.extend(doubts(record))
+    return record
 
 
 def _kind(path: Path) -> str:
@@ -84,10 +86,25 @@ def _kind(path: Path) -> str:
             start = file.read(64)
     except OSError as error:
         raise RecordError(f"cannot be read ({error.strerror})", path) from error
-    if path.suffix == ".mcap" or start.startswith(MAGIC):
-        return "bag"
-    if path.suffix == ".npz" or start.startswith(b"PK\x03\x04"):
-        return "npz"
-    if path.suffix == ".mat" or start.startswith(b"MATLAB "):
-        return "mat"
-    return "csv"
+    return next((kind for kind, suffix, magic in (
+        ("bag", ".mcap", MAGIC), ("npz", ".npz", b"PK\x03\x04"), ("mat", ".mat", b"MATLAB "))
+        if path.suffix == suffix or start.startswith(magic)), "csv")
+
+
+def fingerprint(path: Path) -> str:
+    """Return `sha256:...` of a file's content.
+
+    Of a file beyond WHOLE_BYTES only its size, its first and its last mebibyte are hashed
+    (`sha256-ends:...`); a bag ends in checksums of everything in it.
+    """
+    size = path.stat().st_size
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        if size <= WHOLE_BYTES:
+            digest.update(file.read())
+            return f"sha256:{digest.hexdigest()}"
+        digest.update(str(size).encode())
+        digest.update(file.read(_END_BYTES))
+        file.seek(size - _END_BYTES)
+        digest.update(file.read(_END_BYTES))
+    return f"sha256-ends:{digest.hexdigest()}"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dfm_stage.recording.errors import RecordError
 
 FloatArray: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,10 @@ class AxisRecord:
 
     def slice(self, part: slice) -> AxisRecord:
         """Return the samples in `part`."""
-        return replace(
-            self, input=self.input[part], position=self.position[part],
-            current=None if self.current is None else self.current[part],
-            reference=None if self.reference is None else self.reference[part],
-            extra={name: array[part] for name, array in self.extra.items()})
+        cut = {name: array[part] for name, array in self.arrays().items()}
+        extra = {name: cut.pop(name) for name in self.extra}
+        own: dict[str, Any] = {**cut, "extra": extra}
+        return replace(self, **own)
 
 
 @dataclass(frozen=True)

@@ -31,17 +31,8 @@ class QosProfile:
 
     def to_dict(self) -> dict[str, Yaml]:
         """Return the profile as rosbag2 stores it; every key is required."""
-        return {
-            "history": self.history,
-            "depth": self.depth,
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "deadline": _duration(self.deadline_ns),
-            "lifespan": _duration(self.lifespan_ns),
-            "liveliness": self.liveliness,
-            "liveliness_lease_duration": _duration(self.liveliness_lease_duration_ns),
-            "avoid_ros_namespace_conventions": self.avoid_ros_namespace_conventions,
-        }
+        return {name.removesuffix("_ns"): value if not name.endswith("_ns") else {
+            "sec": value // 10**9, "nsec": value % 10**9} for name, value in vars(self).items()}
 
 
 @dataclass(frozen=True)
@@ -88,10 +79,6 @@ class BagInformation:
         }
 
 
-def _duration(nanoseconds: int) -> dict[str, Yaml]:
-    return {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
-
-
 def _topic(entry: TopicEntry) -> dict[str, Yaml]:
     return {
         "topic_metadata": {
@@ -127,6 +114,4 @@ def _key(key: str) -> str:
 
 
 def _scalar(value: Yaml) -> str:
-    if value is None:
-        return "~"
-    return json.dumps(value, ensure_ascii=False)
+    return "~" if value is None else json.dumps(value, ensure_ascii=False)

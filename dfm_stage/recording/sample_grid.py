@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from dfm_stage.recording.bag import Topic
 from dfm_stage.recording.errors import RecordError
-from dfm_stage.recording.record import FloatArray
+from dfm_stage.recording.record import FloatArray, Ints
 from dfm_stage.recording.time_base import longest_stretch, round_off
-
-Ints = NDArray[np.int64]
 
 _WRAP = 1 << 32
 _LARGEST_JUMP = 1_000_000       # a larger step in the numbers is a restart, not a loss
@@ -112,8 +110,7 @@ def _fill_missing_stamps(index: Ints, stamps: Ints) -> Ints:
 
 def _without_clock_steps(index: Ints, stamps: Ints, name: str, notes: list[str]) -> Ints:
     advance, samples = np.diff(stamps), np.diff(index)
-    usual = float(np.median(advance / samples))
-    excess = advance - np.round(usual * samples).astype(np.int64)
+    excess = advance - np.round(float(np.median(advance / samples)) * samples).astype(np.int64)
     step = np.where((advance < 0) | (excess > _CLOCK_STEP_NS), excess, 0)
     places = np.flatnonzero(step)
     if not len(places):
@@ -140,20 +137,20 @@ def _period(index: Ints, stamps: Ints, nominal_s: float | None, given_s: float |
     return period
 
 
-def jitter_note(grid: SampleGrid, position: FloatArray, unit: str, name: str) -> str | None:
-    """Say how unevenly the samples were taken and what that is worth, None if it is little."""
+def jitter_note(grid: SampleGrid, position: FloatArray, unit: str, name: str) -> list[str]:
+    """Say how unevenly the samples were taken and what that is worth; nothing if it is little."""
     deviation = (grid.steady_ns - grid.steady_ns[0]) * 1e-9
     deviation -= grid.period_s * np.arange(grid.count)
     deviation -= np.median(deviation)
     deviation = deviation[grid.rows >= 0]
     rms = float(np.sqrt(np.mean(deviation**2)))
     if rms <= _JITTER_SHARE * grid.period_s:
-        return None
+        return []
     known = position[grid.rows >= 0]
     velocity = float(np.sqrt(np.mean(np.diff(known)**2))) / grid.period_s if len(known) > 1 else 0
-    return (f"{name}: the stamps wander by {rms:.3g} s rms around even steps of "
-            f"{grid.period_s:.6g} s; samples were taken as even by their numbers, which is worth "
-            f"at most {rms * velocity:.2g} {unit} rms if the sampling itself was that uneven")
+    return [(f"{name}: the stamps wander by {rms:.3g} s rms around even steps of "
+             f"{grid.period_s:.6g} s; samples were taken as even by their numbers, which is worth "
+             f"at most {rms * velocity:.2g} {unit} rms if the sampling itself was that uneven")]
 
 
 def on_grid(grid: SampleGrid, index: Ints, values: FloatArray) -> FloatArray:
@@ -199,11 +196,10 @@ def applied_input(grid: SampleGrid, topic: Topic) -> AppliedInput:
         notes.append(f"{topic.name}: its stamps are {usual * 1e-9:.4g} s away from those of the "
                      f"measurements; the clocks differ, or every answer is late")
         sent, delay = sent - round(usual), delay - usual
-    newest = np.maximum.accumulate(index)
-    repeated = np.concatenate(([False], index[1:] <= newest[:-1]))
+    repeated = np.concatenate(([False], index[1:] <= np.maximum.accumulate(index)[:-1]))
     moved = repeated | ~inside | (delay > period_ns)
-    stamps = np.maximum.accumulate(grid.stamps_ns)
-    index[moved] = np.searchsorted(stamps, sent[moved], side="right") - 1
+    index[moved] = np.searchsorted(np.maximum.accumulate(grid.stamps_ns), sent[moved],
+                                   side="right") - 1
     late = int((inside & ~repeated & (delay > period_ns)).sum())
     if late:
         notes.append(f"{topic.name}: {late} answers came more than a period late and were put "
@@ -211,25 +207,20 @@ def applied_input(grid: SampleGrid, topic: Topic) -> AppliedInput:
     values = np.full(grid.count, np.nan)
     usable = (index >= 0) & (index < grid.count)
     order = np.argsort(index[usable], kind="stable")
-    places, settings = index[usable][order], voltage[usable][order]
-    values[places] = settings
-    lost = np.flatnonzero(np.diff(seq) != 1)
-    return AppliedInput(_hold(values, index, lost, topic.name, notes), answers, window, notes)
+    values[index[usable][order]] = voltage[usable][order]
+    held = _hold(values, index, np.flatnonzero(np.diff(seq) != 1), topic.name, notes)
+    return AppliedInput(held, answers, window, notes)
 
 
 def _hold(values: FloatArray, index: Ints, lost: Ints, name: str,
           notes: list[str]) -> FloatArray:
     """Let each value stand until the next one, except across messages that are missing."""
-    known = np.flatnonzero(~np.isnan(values))
+    fresh = ~np.isnan(values)
+    known = np.flatnonzero(fresh)
     if not len(known):
         return values
-    source = np.zeros(len(values), np.int64)
-    source[known] = known
-    np.maximum.accumulate(source, out=source)
-    held = values[source]
-    held[:known[0]] = np.nan
+    held = values[np.maximum.accumulate(np.where(fresh, np.arange(len(values)), 0))]
     held[known[-1] + 1:] = np.nan
-    fresh = ~np.isnan(values)
     for k in lost:
         unknown = np.arange(max(index[k] + 1, 0), min(index[k + 1], len(values)))
         held[unknown[~fresh[unknown]]] = np.nan

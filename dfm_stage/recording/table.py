@@ -9,25 +9,60 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.recording.errors import RecordError, in_file
-from dfm_stage.recording.plausibility import doubts
-from dfm_stage.recording.record import AxisRecord, FloatArray, Provenance, Record
+from dfm_stage.recording.record import AxisRecord, FloatArray, Ints, Provenance, Record
 from dfm_stage.recording.time_base import (
     TimeBase,
     average_held,
     find_time_base,
-    longest_stretch,
+    kept_stretch,
     resample,
 )
-from dfm_stage.recording.units import Unit, suffix_of, unit_of
 
 DEFAULT_AXIS = "x"
 _QUANTITY = re.compile(r"(?:(?P<axis>\w+)_)?(?P<quantity>input|position|current|reference)")
 _KINDS = {"position": "a position", "input": "an input", "current": "a current (A)",
           "reference": "a reference"}
 _SHOWN = 8
+
+
+@dataclass(frozen=True)
+class Unit:
+    """`factor` times a value in this unit is the value in `base`; other units are carried."""
+
+    base: str
+    factor: float = 1.0
+
+
+def _scaled(base: str, **names: float) -> dict[str, Unit]:
+    return {name: Unit(base, factor) for name, factor in names.items()}
+
+
+UNITS: dict[str, Unit] = {
+    **_scaled("s", s=1.0, sec=1.0, ms=1e-3, us=1e-6, ns=1e-9),
+    **_scaled("m", m=1.0, cm=1e-2, mm=1e-3, um=1e-6, nm=1e-9, pm=1e-12),
+    **_scaled("V", v=1.0, kv=1e3, mv=1e-3, uv=1e-6),
+    **_scaled("A", a=1.0, ma=1e-3, ua=1e-6),
+    **{name: Unit(name) for name in ("rad", "mrad", "urad", "deg", "arcsec", "counts")},
+}
+CASED = {"N": Unit("N"), "mN": Unit("N", 1e-3), "Nm": Unit("N m")}
+
+
+def unit_of(name: str) -> Unit | None:
+    """Return the unit of that name (`um`, `μm`, `mV`, ...), None if it is not known."""
+    plain = name.strip().replace("µ", "u").replace("μ", "u")
+    return CASED.get(plain) or UNITS.get(plain.lower())
+
+
+def suffix_of(column: str) -> tuple[str, Unit | None]:
+    """Split a column name into (rest, unit): `x_position_um` or `position [um]`."""
+    bracket = re.fullmatch(r"(.*?)\s*[\[(]([^\])]+)[\])]\s*", column)
+    rest, _, suffix = column.rpartition("_")
+    if bracket:
+        rest, suffix = bracket[1], bracket[2]
+    unit = unit_of(suffix) if rest else None
+    return (rest.strip(), unit) if unit else (column.strip(), None)
 
 
 class Table(Protocol):
@@ -130,20 +165,16 @@ def _record(table: Table, options: Options, fingerprint: str) -> Record:
             warnings.append(f"{table.where(int(bad[0]))}{more}: {name} is empty or not finite; "
                             f"those samples count as missing")
             usable[bad] = False
-    rows = np.flatnonzero(usable)
-    base = _time_base(table, choice, columns, rows, options)
-    axes = {}
-    for name, sources in choice.axes.items():
-        axes[name] = _axis(name, sources, columns, base, warnings, len(choice.axes) > 1)
+    base = _time_base(table, choice, columns, np.flatnonzero(usable), options)
+    axes = {name: _axis(name, sources, columns, base, warnings, len(choice.axes) > 1)
+            for name, sources in choice.axes.items()}
     warnings += base.notes
     unused = [name for name in table.names if name and name not in choice.used()]
     if unused and not options.names_columns:
         shown = ", ".join(unused[:_SHOWN]) + (" ..." if len(unused) > _SHOWN else "")
         warnings.append(f"columns not used: {shown}")
-    record = Record(base.time, base.period, axes,
-                    Provenance(str(table.path), table.kind, fingerprint), warnings)
-    warnings += doubts(record)
-    return record
+    return Record(base.time, base.period, axes,
+                  Provenance(str(table.path), table.kind, fingerprint), warnings)
 
 
 def _choose(table: Table, options: Options) -> _Choice:
@@ -232,7 +263,7 @@ def _list(names: Sequence[str]) -> str:
 
 
 def _time_base(table: Table, choice: _Choice, columns: Mapping[str, FloatArray],
-               rows: NDArray[np.int64], options: Options) -> TimeBase:
+               rows: Ints, options: Options) -> TimeBase:
     if choice.time is not None:
         time = columns[choice.time.column][rows] * choice.time.unit.factor
         return find_time_base(time, rows, table.where, options.gaps)
@@ -244,15 +275,12 @@ def _time_base(table: Table, choice: _Choice, columns: Mapping[str, FloatArray],
     return _by_row(rows, period, options.gaps, table.where)
 
 
-def _by_row(rows: NDArray[np.int64], period: float, gaps: str,
+def _by_row(rows: Ints, period: float, gaps: str,
             where: Callable[[int], str]) -> TimeBase:
     """Return the time base of rows that are a period apart each."""
-    after = np.flatnonzero(np.diff(rows) > 1)
-    notes = []
-    if len(after) and gaps == "longest":
-        first, last = longest_stretch(len(rows), after)
-        notes.append(f"the longest stretch without a gap was kept: {last - first} of {len(rows)} "
-                     f"samples, {where(int(rows[first]))} to {where(int(rows[last - 1]))}")
+    notes: list[str] = []
+    if gaps == "longest":
+        first, last = kept_stretch(rows, np.flatnonzero(np.diff(rows) > 1), where, notes)
         rows = rows[first:last]
     return TimeBase(float(rows[0]) * period, period, rows, rows - rows[0], None, notes)
 

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.recording.errors import RecordError
-from dfm_stage.recording.record import FloatArray
+from dfm_stage.recording.record import FloatArray, Ints
 
 EVEN_SHARE = 1e-3           # deviations below this share of a period do not count
 SCATTER_SHARE = 0.1         # with more gaps than this share of the rows there is no sample period
@@ -32,8 +31,8 @@ class TimeBase:
 
     start: float
     period: float
-    rows: NDArray[np.int64]
-    index: NDArray[np.int64]
+    rows: Ints
+    index: Ints
     jitter: FloatArray | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -48,7 +47,7 @@ class TimeBase:
         return np.asarray(self.start + self.period * np.arange(self.length), np.float64)
 
 
-def find_time_base(time: FloatArray, rows: NDArray[np.int64], where: Where,
+def find_time_base(time: FloatArray, rows: Ints, where: Where,
                    gaps: str = "longest") -> TimeBase:
     """Return the even time base of the usable rows of a table.
 
@@ -85,16 +84,14 @@ def find_time_base(time: FloatArray, rows: NDArray[np.int64], where: Where,
         raise RecordError("the gaps are far longer than the record; cut the file, or keep the "
                           "longest stretch (gaps='longest')")
     if len(after) and gaps == "longest":
-        first, last = longest_stretch(len(time), after)
-        notes.append(f"the longest stretch without a gap was kept: {last - first} of {len(time)} "
-                     f"samples, {where(int(rows[first]))} to {where(int(rows[last - 1]))}")
+        first, last = kept_stretch(rows, after, where, notes)
         time, rows, advance = time[first:last], rows[first:last], advance[first:last - 1]
         if len(time) < 3:
             raise RecordError("no stretch without a gap has 3 samples or more")
     return _fit(time, rows, np.concatenate(([0], np.cumsum(advance))), notes)
 
 
-def _advance(time: FloatArray) -> NDArray[np.int64]:
+def _advance(time: FloatArray) -> Ints:
     """Return how many samples each row is further than the one before it, (n - 1,).
 
     Where steps are uneven, a running average of the phase tells a late sample from a lost one.
@@ -102,8 +99,7 @@ def _advance(time: FloatArray) -> NDArray[np.int64]:
     steps = np.diff(time)
     period = float(np.median(steps))
     advance = np.ones(len(steps), np.int64)
-    uneven = np.abs(steps - period) > 0.5 * period
-    if not uneven.any():
+    if not (np.abs(steps - period) > 0.5 * period).any():
         return advance
     first = min(_PHASE_SAMPLES, len(time))
     phase = float(np.median(time[:first] - period * np.arange(first)))
@@ -115,15 +111,24 @@ def _advance(time: FloatArray) -> NDArray[np.int64]:
     return advance
 
 
-def longest_stretch(count: int, after: NDArray[np.int64]) -> tuple[int, int]:
+def longest_stretch(count: int, after: Ints) -> tuple[int, int]:
     """Return (first, one past the last) of the longest stretch when it breaks behind `after`."""
     edges = np.concatenate(([0], after + 1, [count]))
     best = int(np.argmax(np.diff(edges)))
     return int(edges[best]), int(edges[best + 1])
 
 
-def _without_repeats(time: FloatArray, rows: NDArray[np.int64],
-                     where: Where) -> tuple[FloatArray, NDArray[np.int64], list[str]]:
+def kept_stretch(rows: Ints, after: Ints, where: Where, notes: list[str]) -> tuple[int, int]:
+    """Return the `longest_stretch` of rows, and note which that is where there are gaps."""
+    first, last = longest_stretch(len(rows), after)
+    if len(after):
+        notes.append(f"the longest stretch without a gap was kept: {last - first} of {len(rows)} "
+                     f"samples, {where(int(rows[first]))} to {where(int(rows[last - 1]))}")
+    return first, last
+
+
+def _without_repeats(time: FloatArray, rows: Ints,
+                     where: Where) -> tuple[FloatArray, Ints, list[str]]:
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
     if len(back):
@@ -148,8 +153,8 @@ def _and_more(count: int) -> str:
     return f" (and {count - 1} more)" if count > 1 else ""
 
 
-def _gap_note(time: FloatArray, steps: FloatArray, rows: NDArray[np.int64],
-              after: NDArray[np.int64], advance: NDArray[np.int64], where: Where) -> str:
+def _gap_note(time: FloatArray, steps: FloatArray, rows: Ints,
+              after: Ints, advance: Ints, where: Where) -> str:
     missing = int(np.sum(advance[after] - 1))
     places = [f"{where(int(rows[k + 1]))} ({steps[k]:.4g} s at {time[k]:.6g} s)"
               for k in after[:_MANY]]
@@ -157,7 +162,7 @@ def _gap_note(time: FloatArray, steps: FloatArray, rows: NDArray[np.int64],
     return f"{missing} samples are missing before {', '.join(places)}{more}"
 
 
-def _fit(time: FloatArray, rows: NDArray[np.int64], index: NDArray[np.int64],
+def _fit(time: FloatArray, rows: Ints, index: Ints,
          notes: list[str]) -> TimeBase:
     slope, start = np.polyfit(index, time - time[0], 1)
     deviation = time - time[0] - (start + slope * index)
@@ -208,8 +213,7 @@ def resample(values: FloatArray, base: TimeBase) -> tuple[FloatArray, float]:
     nodes = base.index + base.jitter / base.period
     targets = base.index.astype(np.float64)
     cubic = _interpolate(nodes, values, targets, 4)
-    quintic = _interpolate(nodes, values, targets, 6)
-    return cubic, float(np.sqrt(np.mean((cubic - quintic)**2)))
+    return cubic, float(np.sqrt(np.mean((cubic - _interpolate(nodes, values, targets, 6))**2)))
 
 
 def _interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,
@@ -218,14 +222,9 @@ def _interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,
     first = np.clip(np.searchsorted(nodes, targets) - count // 2, 0, len(nodes) - count)
     around = first[:, None] + np.arange(count)
     x, y = nodes[around] - targets[:, None], values[around]
-    result = np.zeros(len(targets))
-    for i in range(count):
-        weight = np.ones(len(targets))
-        for j in range(count):
-            if j != i:
-                weight *= -x[:, j] / (x[:, i] - x[:, j])
-        result += weight * y[:, i]
-    return result
+    apart = x[:, :, None] - x[:, None, :] + np.eye(count)
+    factors = np.where(np.eye(count, dtype=bool), 1.0, -x[:, None, :] / apart)
+    return np.asarray(np.sum(np.prod(factors, axis=2) * y, axis=1))
 
 
 def average_held(values: FloatArray, base: TimeBase) -> FloatArray:

@@ -17,8 +17,6 @@ from dfm_stage.recording.numba_tools import Bytes, Ints
 _RECORD_COLUMNS = (Column("log_time_ns", "i8"), Column("publish_time_ns", "i8"),
                    Column("sequence", "u4"))
 _ALIGNMENT = 64
-
-
 _local = threading.local()
 
 
@@ -35,7 +33,7 @@ class _RaggedPart:
     """What one chunk adds to the ragged columns: bytes of each, and bytes used after each row."""
 
     row: int
-    values: list[NDArray[np.uint8]]
+    values: dict[Column, NDArray[np.uint8]]
     ends: NDArray[np.int64]
 
 
@@ -52,8 +50,8 @@ class TopicArrays:
     empty_rows: list[tuple[int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        columns = [*_RECORD_COLUMNS, *self.plan.fixed]
-        sizes = [column.stored_dtype.itemsize * column.count * self.rows for column in columns]
+        sizes = [column.stored_dtype.itemsize * column.count * self.rows
+                 for column in (*_RECORD_COLUMNS, *self.plan.fixed)]
         places = np.cumsum([0] + [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes])
         self._arena = np.empty(int(places[-1]), np.uint8)
         self._bases = places[:-1].astype(np.int64)
@@ -77,8 +75,9 @@ class TopicArrays:
         if n_texts:
             self._translate(data, entries[:n_texts], row, count, ragged, ends)
         if n_ragged:
-            values = [ragged[index, :ends[index, -1]].copy() for index in range(n_ragged)]
-            self._parts.append(_RaggedPart(row, values, ends))
+            self._parts.append(_RaggedPart(row, {
+                column: ragged[index, :ends[index, -1]].copy()
+                for index, column in enumerate(self.plan.ragged)}, ends))
 
     def _translate(self, data: Bytes, entries: Ints, row: int, count: int,
                    ragged: NDArray[np.uint8], ends: Ints) -> None:
@@ -110,14 +109,13 @@ class TopicArrays:
         keep[self.bad_rows] = False
         for first, after in self.empty_rows:
             keep[first:after] = False
-        whole = bool(keep.all())
-        columns: dict[str, Array | Ragged] = {}
-        for column, base in zip([*_RECORD_COLUMNS, *self.plan.fixed], self._bases, strict=True):
-            view = self._view(column, int(base))
-            columns[column.name] = view if whole else view[keep]
+        part = slice(None) if keep.all() else keep
+        columns: dict[str, Array | Ragged] = {
+            column.name: self._view(column, int(base))[part] for column, base in zip(
+                [*_RECORD_COLUMNS, *self.plan.fixed], self._bases, strict=True)}
         record = [columns.pop(column.name) for column in _RECORD_COLUMNS]
-        for index, column in enumerate(self.plan.ragged):
-            columns[column.name] = self._join(index, column, keep)
+        columns |= {column.name: self._join(index, column, keep)
+                    for index, column in enumerate(self.plan.ragged)}
         texts: Any = np.array([text.decode("utf-8", "replace") for text in self._texts] or [""],
                               dtype=object)
         return Topic(
@@ -131,16 +129,11 @@ class TopicArrays:
         dtype = column.stored_dtype
         lengths = np.zeros(self.rows, np.int64)
         parts = sorted(self._parts, key=lambda part: part.row)
-        total = sum(len(part.values[index]) for part in parts)
-        joined = np.empty(total, np.uint8)
-        at = 0
         for part in parts:
-            ends = part.ends[index]
-            lengths[part.row:part.row + len(ends)] = np.diff(ends, prepend=0)
-            joined[at:at + len(part.values[index])] = part.values[index]
-            at += len(part.values[index])
-            part.values[index] = joined[:0]
-        values = joined.view(dtype)
+            lengths[part.row:part.row + part.ends.shape[1]] = np.diff(part.ends[index], prepend=0)
+        # A column is given back as soon as it is joined: memory holds one of them twice, not all.
+        values = np.concatenate([part.values.pop(column) for part in parts]
+                                or [np.empty(0, np.uint8)]).view(dtype)
         if column.count > 1:
             values = values.reshape(-1, column.count)
         lengths //= dtype.itemsize * column.count

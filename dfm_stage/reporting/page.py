@@ -94,10 +94,9 @@ class Page:
 
     def html(self) -> str:
         """Return the whole page."""
-        made = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
         versions = f"Python {platform.python_version()}, NumPy {np.__version__}"
         foot = {**self._provenance, "Versions": f"dfm_stage {__version__}, {versions}",
-                "Made": made}
+                "Made": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")}
         entries = "".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>"
                           for key, value in foot.items())
         return "\n".join((

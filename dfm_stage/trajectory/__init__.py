@@ -2,7 +2,6 @@
 
 from dfm_stage.model.parameter import Option
 from dfm_stage.trajectory.errors import LimitError, TrajectoryError
-from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
 from dfm_stage.trajectory.experiment import AxisSpec, Experiment, load_experiment
 from dfm_stage.trajectory.kind import Kind
 from dfm_stage.trajectory.limits import (
@@ -12,14 +11,20 @@ from dfm_stage.trajectory.limits import (
     check_limits,
     check_run,
     require_run_within,
-    require_within,
 )
-from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
-from dfm_stage.trajectory.stepped_sine import Segment
+from dfm_stage.trajectory.signals import (
+    EXCITATION_KINDS,
+    REFERENCE_KINDS,
+    Excitation,
+    Reference,
+    make_excitation,
+    make_reference,
+)
+from dfm_stage.trajectory.waveform import Segment
 
 __all__ = [
     "EXCITATION_KINDS", "LIMIT_PARAMETERS", "REFERENCE_KINDS", "AxisSpec", "Excitation",
     "Experiment", "Kind", "LimitError", "Limits", "Option", "Reference", "Segment",
     "TrajectoryError", "Violation", "check_limits", "check_run", "load_experiment",
-    "make_excitation", "make_reference", "require_run_within", "require_within",
+    "make_excitation", "make_reference", "require_run_within",
 ]

@@ -7,11 +7,11 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.model.parameter import Option, Parameter
 from dfm_stage.trajectory.errors import TrajectoryError
-from dfm_stage.trajectory.kind import Array, Timing, Values
+from dfm_stage.trajectory.kind import Movement, Timing, Values
 
 TIME = "time_s"
 _UNITS = {"m": {"_m": 1.0, "_mm": 1e-3, "_um": 1e-6, "_nm": 1e-9}, "v": {"_v": 1.0, "_mv": 1e-3}}
@@ -29,8 +29,7 @@ def csv_parameters(what: str) -> tuple[Parameter, ...]:
             Parameter("scale", 1.0, "", f"factor on every {what}", -1e9, 1e9))
 
 
-def csv_movement(values: Values, timing: Timing
-                 ) -> tuple[Array, Array, Array, NDArray[np.bool_], int, int]:
+def csv_movement(values: Values, timing: Timing) -> Movement:
     """Return position, velocity, acceleration, where the rows are (N,), period and start.
 
     Between the rows runs the spline of fifth degree that starts and ends at rest without
@@ -132,7 +131,7 @@ def _column(values: Values, head: list[str], kind: str, name: str) -> tuple[int,
 
 
 def _numbers(values: Values, rows: list[list[str]], columns: tuple[int, int],
-             name: str) -> NDArray[np.float64]:
+             name: str) -> Array:
     out = np.empty((len(rows), 2))
     if not rows:
         raise values.error("file", f"{name} has no rows below its first")

@@ -15,9 +15,15 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from dfm_stage.model.parameter import nearest
 from dfm_stage.trajectory.errors import TrajectoryError, place
-from dfm_stage.trajectory.excitation import EXCITATION_KINDS, Excitation, make_excitation
-from dfm_stage.trajectory.kind import choose
-from dfm_stage.trajectory.reference import REFERENCE_KINDS, Reference, make_reference
+from dfm_stage.trajectory.kind import Kind, choose
+from dfm_stage.trajectory.signals import (
+    EXCITATION_KINDS,
+    REFERENCE_KINDS,
+    Excitation,
+    Reference,
+    make_excitation,
+    make_reference,
+)
 
 # The mode in which no control law is in force: the excitation is the whole command.
 OPEN_LOOP = "open_loop"
@@ -110,10 +116,7 @@ def load_experiment(source: str | os.PathLike[str] | Mapping[str, Any]) -> Exper
 
 
 def _experiment(content: Mapping[str, Any], source: str) -> Experiment:
-    for key in content:
-        if key not in _KEYS:
-            raise TrajectoryError(f"an experiment has no entry {key!r}, {nearest(key, _KEYS)}",
-                                  str(key))
+    _require_known(content, _KEYS)
     name = _text(content, "name")
     if not name:
         raise TrajectoryError("name is missing; give the experiment one")
@@ -149,37 +152,41 @@ def _axes(content: Mapping[str, Any], mode: str, source: str) -> dict[str, AxisS
     if not isinstance(axes, Mapping) or not axes:
         raise TrajectoryError("axes is missing; give at least axes: {x: {reference: {...}}}",
                               "axes")
-    specs = {}
-    for axis, given in axes.items():
-        where = f"axes.{axis}"
-        if not isinstance(axis, str) or not axis.isidentifier():
-            raise TrajectoryError(f"an axis needs a plain name such as x, not {axis!r}", "axes")
-        entry = {} if given is None else given
-        if not isinstance(entry, Mapping):
-            raise TrajectoryError(f"{where} must hold reference and/or excitation, not {entry!r}",
-                                  where)
-        for key in entry:
-            if key not in ("reference", "excitation"):
-                raise TrajectoryError(f"{where} has no entry {key!r}, "
-                                      f"{nearest(key, ('reference', 'excitation'))}",
-                                      f"{where}.{key}")
-        if "reference" in entry:
-            choose(entry["reference"], REFERENCE_KINDS, f"{where}.reference")
-        if "excitation" in entry:
-            choose(entry["excitation"], EXCITATION_KINDS, f"{where}.excitation")
-        if mode == OPEN_LOOP and "reference" in entry:
-            raise TrajectoryError(f"{where}.reference has no effect with mode: open_loop; remove "
-                                  "it or choose another mode", f"{where}.reference")
-        specs[axis] = AxisSpec(*(_specification(entry[part], source) if part in entry else None
-                                 for part in ("reference", "excitation")))
-    return specs
+    return {axis: _axis(axis, {} if given is None else given, mode, source)
+            for axis, given in axes.items()}
 
 
-def _specification(given: Any, source: str) -> dict[str, Any]:
-    plain: dict[str, Any] = _plain(given)
-    if "file" in plain:
-        plain["file"] = _beside(plain["file"], source)
-    return plain
+def _axis(axis: object, entry: object, mode: str, source: str) -> AxisSpec:
+    """Return what one axis is asked to do, in the order of what is checked first."""
+    where = f"axes.{axis}"
+    if not isinstance(axis, str) or not axis.isidentifier():
+        raise TrajectoryError(f"an axis needs a plain name such as x, not {axis!r}", "axes")
+    if not isinstance(entry, Mapping):
+        raise TrajectoryError(f"{where} must hold reference and/or excitation, not {entry!r}",
+                              where)
+    _require_known(entry, tuple(_PARTS), where)
+    plain = {}
+    for part, kinds in _PARTS.items():
+        if part in entry:
+            choose(entry[part], kinds, f"{where}.{part}")
+            plain[part] = _plain(entry[part])
+            if "file" in plain[part]:
+                plain[part]["file"] = _beside(plain[part]["file"], source)
+    if mode == OPEN_LOOP and "reference" in entry:
+        raise TrajectoryError(f"{where}.reference has no effect with mode: open_loop; remove "
+                              "it or choose another mode", f"{where}.reference")
+    return AxisSpec(**plain)
+
+
+_PARTS: dict[str, Mapping[str, Kind[Any]]] = {"reference": REFERENCE_KINDS,
+                                              "excitation": EXCITATION_KINDS}
+
+
+def _require_known(entry: Mapping[Any, Any], known: tuple[str, ...], where: str = "") -> None:
+    for key in entry:
+        if key not in known:
+            raise TrajectoryError(f"{where or 'an experiment'} has no entry {key!r}, "
+                                  f"{nearest(key, known)}", f"{where}.{key}".lstrip("."))
 
 
 def _duration(content: Mapping[str, Any]) -> float:

@@ -10,11 +10,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.model.parameter import Option, Parameter, ParameterError, nearest
 from dfm_stage.trajectory.errors import TrajectoryError, place
 
-Array = NDArray[np.float64]
 Signal = TypeVar("Signal")
+Movement = tuple[Array, Array, Array, NDArray[np.bool_], int, int]
+"""Position, velocity, acceleration, what counts (N,); samples of the period and of the start."""
 MOST_SAMPLES = 20_000_000
 _WHOLE = 1e-6
 
@@ -51,11 +53,6 @@ class Timing:
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
             raise TrajectoryError(f"seed must be a whole number from 0, not {seed!r}", "seed")
         return Timing(float(sample_period_s), count, int(seed))
-
-    @property
-    def time_s(self) -> Array:
-        """Sample times, shape (N,), s."""
-        return np.arange(self.count, dtype=np.float64) * self.sample_period_s
 
 
 @dataclass(frozen=True)

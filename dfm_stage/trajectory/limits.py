@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from dfm_stage.model import Model
+from dfm_stage.arrays import Array
+from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.parameter import Parameter
 from dfm_stage.trajectory.errors import LimitError, place
-from dfm_stage.trajectory.excitation import Excitation
-from dfm_stage.trajectory.kind import Array
-from dfm_stage.trajectory.reference import Reference
+from dfm_stage.trajectory.signals import Excitation, Reference
 
 LIMIT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("travel_m", 7.7e-3, "m", "furthest from zero", 0.0, 1e3),
@@ -27,7 +26,6 @@ LIMIT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("current_a", 0.0, "A", "largest current; needs a model with coil_resistance or a "
               "current drive", 0.0, 1e6),
 )
-_COUPLING = "cross_axis_coupling"
 _REMEDIES = {
     "position": "make the movement smaller or move its middle",
     "velocity": "make the movement slower or smaller",
@@ -142,23 +140,13 @@ def check_run(reference: Reference, excitation: Excitation | None, limits: Limit
     return _earliest(candidates, reference.sample_period_s)
 
 
-def require_within(reference: Reference, limits: Limits,
-                   base: Mapping[str, float] | None = None, where: str = "reference") -> None:
-    """Raise LimitError naming the first violation, if there is one."""
-    _refuse(check_limits(reference, limits, base), where)
-
-
 def require_run_within(reference: Reference, excitation: Excitation | None, limits: Limits,
                        model: Model | None = None, *, open_loop: bool = False,
                        where: str = "") -> None:
     """Raise LimitError naming the first violation of `check_run`, if there is one."""
-    _refuse(check_run(reference, excitation, limits, model, open_loop=open_loop), where,
-            "; it was not started")
-
-
-def _refuse(violation: Violation | None, where: str, end: str = "") -> None:
+    violation = check_run(reference, excitation, limits, model, open_loop=open_loop)
     if violation:
-        raise LimitError(place(where, f"{violation}; {violation.remedy}{end}"))
+        raise LimitError(place(where, f"{violation}; {violation.remedy}; it was not started"))
 
 
 def _movement(reference: Reference, limits: Limits) -> list[Candidate]:
@@ -183,35 +171,38 @@ def _electric(force: Array, velocity: Array, base: Mapping[str, float], limits: 
     voltage = force / gain + emf + added
     out: list[Candidate] = [("voltage", voltage, limits.voltage_v, "V")]
     if math.isfinite(limits.current_a):
-        if base.get("drive"):
-            out.append(("current", voltage, limits.current_a, "A"))
-        elif base.get("coil_resistance", 0.0) > 0.0:
-            out.append(("current", (voltage - emf) / base["coil_resistance"], limits.current_a,
-                        "A"))
-        else:
-            raise LimitError("a current limit needs base.coil_resistance or a current drive; "
-                             "give it or limit the voltage")
+        _require_current(base, bool(base.get("drive")))
+        current = voltage if base.get("drive") else (voltage - emf) / base["coil_resistance"]
+        out.append(("current", current, limits.current_a, "A"))
     return out
+
+
+def _require_current(base: Mapping[str, float], driven: bool) -> None:
+    if not driven and not base.get("coil_resistance", 0.0) > 0.0:
+        raise LimitError("a current limit needs base.coil_resistance or a current drive; give it "
+                         "or limit the voltage")
 
 
 def _driven(voltage: Array, limits: Limits, model: Model) -> list[Candidate]:
     """What the model says an excitation does to the stage in open loop, a neighbour at rest."""
     from dfm_stage.model import Simulator
 
-    if math.isfinite(limits.current_a) and model.drive == "voltage" and (
-            not model.base.get("coil_resistance")):
-        raise LimitError("a current limit needs base.coil_resistance or a current drive; give it "
-                         "or limit the voltage")
-    alone = model.without_effect(_COUPLING) if model.effect(_COUPLING) else model
-    found = Simulator(alone).run(voltage)
-    dt = model.sample_period
-    acceleration = np.diff(found.velocity, prepend=found.velocity[:1]) / dt
+    if math.isfinite(limits.current_a):
+        _require_current(model.base, model.drive == "current")
+    found = Simulator(uncoupled(model)).run(voltage)
+    acceleration = np.diff(found.velocity, prepend=found.velocity[:1]) / model.sample_period
     return [("position", found.position, limits.travel_m, "m"),
             ("velocity", found.velocity, limits.velocity_m_s, "m/s"),
             ("acceleration", acceleration, limits.acceleration_m_s2, "m/s^2"),
             ("force", found.force, limits.force_n, "N"),
             ("voltage", voltage, limits.voltage_v, "V"),
             ("current", found.current, limits.current_a, "A")]
+
+
+def uncoupled(model: Model) -> Model:
+    """Return a one-axis model without what the motion of its neighbour does to it."""
+    return replace(model, effects=tuple(use for use in model.effects
+                                        if not EFFECTS[use.name].couples))
 
 
 def _larger(stated: Array, difference: Array) -> Array:

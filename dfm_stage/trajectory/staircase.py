@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.model.parameter import Option, Parameter
-from dfm_stage.trajectory.kind import Array, Timing, Values
+from dfm_stage.trajectory.kind import Movement, Timing, Values
 from dfm_stage.trajectory.waveform import smooth_step
 
 
@@ -31,8 +30,7 @@ def staircase_options(suffix: str, unit: str) -> tuple[Option, ...]:
     )
 
 
-def staircase(values: Values, timing: Timing,
-              suffix: str) -> tuple[Array, Array, Array, NDArray[np.bool_], int, int]:
+def staircase(values: Values, timing: Timing, suffix: str) -> Movement:
     """Return position, rate and curvature (N,), where a level is held (N,), period and start.
 
     A jump has no derivatives: rate and curvature are zero there. The period is in samples, 0 if

@@ -3,41 +3,31 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from dfm_stage.arrays import Array
 from dfm_stage.model.parameter import Option, Parameter
-from dfm_stage.trajectory.kind import Array, Timing, Values
-from dfm_stage.trajectory.waveform import RAMP, amplitude_parameters
+from dfm_stage.trajectory.kind import Timing, Values
+from dfm_stage.trajectory.waveform import (
+    RAMP,
+    Segment,
+    Waveform,
+    amplitude_parameters,
+    band,
+    scale_of,
+    smooth_step,
+)
 
-
-@dataclass(frozen=True)
-class Segment:
-    """Samples `first` to `end` (not included) at one frequency, to be measured from `settled`."""
-
-    frequency_hz: float
-    first: int
-    settled: int
-    end: int
-
-    def to_list(self) -> list[float]:
-        """As a bag keeps it."""
-        return [self.frequency_hz, self.first, self.settled, self.end]
-
-
-def stepped_sine_parameters(suffix: str, unit: str, amplitude: float) -> tuple[Parameter, ...]:
-    """Return the parameter table of a stepped sine in `unit`."""
-    return (*amplitude_parameters(suffix, unit, amplitude),
-            Parameter("low_hz", 1.0, "Hz", "lowest frequency", 1e-6),
-            Parameter("high_hz", 70.0, "Hz", "highest frequency", 1e-6),
-            Parameter("count", 20.0, "", "number of frequencies, evenly spaced in logarithm",
-                      1.0, 1e5),
-            Parameter("settle_s", 2.0, "s", "time at each frequency before it is measured", 0.0),
-            Parameter("measure_s", 2.0, "s", "time over which it is measured", 1e-6),
-            RAMP)
-
-
+STEPPED_SINE_PARAMETERS = (
+    *amplitude_parameters("v", "V", 0.08),
+    Parameter("low_hz", 1.0, "Hz", "lowest frequency", 1e-6),
+    Parameter("high_hz", 70.0, "Hz", "highest frequency", 1e-6),
+    Parameter("count", 20.0, "", "number of frequencies, evenly spaced in logarithm", 1.0, 1e5),
+    Parameter("settle_s", 2.0, "s", "time at each frequency before it is measured", 0.0),
+    Parameter("measure_s", 2.0, "s", "time over which it is measured", 1e-6),
+    RAMP,
+)
 STEPPED_SINE_OPTIONS = (
     Option("frequencies_hz", (), "frequencies in order, instead of low, high and count",
            unit="Hz"),
@@ -46,11 +36,10 @@ STEPPED_SINE_OPTIONS = (
 )
 
 
-def stepped_sine(values: Values, timing: Timing,
-                 suffix: str) -> tuple[Array, tuple[Segment, ...], int]:
-    """Return the signal (N,), its segments that fit into it whole, and the samples of the ramp.
+def stepped_sine(values: Values, timing: Timing) -> Waveform:
+    """A sin(phi) with phi continuous; what is left of the time after the last frequency is zero.
 
-    A sin(phi) with phi continuous; what is left of the time after the last frequency is zero.
+    Its segments are those that fit into it whole.
     """
     listed = values.numbers("frequencies_hz")
     frequencies = listed if listed.size else _spaced(values)
@@ -77,16 +66,12 @@ def stepped_sine(values: Values, timing: Timing,
         raise values.error("measure_s", f"one frequency takes {length * timing.sample_period_s:g} "
                                         "s, longer than the whole signal; lengthen duration_s")
     if ramp:
-        u = np.minimum(np.arange(timing.count) / ramp, 1.0)
-        signal *= u**3 * (10.0 + u * (6.0 * u - 15.0))
-    rms = values.number(f"rms_{suffix}")
-    signal *= rms * math.sqrt(2.0) if rms > 0.0 else values.number(f"amplitude_{suffix}")
-    return signal, tuple(segments), ramp
+        signal *= smooth_step(np.arange(timing.count) / ramp)[0]
+    signal *= scale_of(values, "v", 1.0, math.sqrt(0.5))
+    return Waveform(signal, ramp_samples=ramp, crest_factor=math.sqrt(2.0),
+                    segments=tuple(segments))
 
 
 def _spaced(values: Values) -> Array:
-    low, high = values.number("low_hz"), values.number("high_hz")
-    if low > high:
-        raise values.error("low_hz", f"low_hz = {low:g} Hz is above high_hz = {high:g} Hz")
-    frequencies = np.geomspace(low, high, values.whole("count"))
+    frequencies = np.geomspace(*band(values), values.whole("count"))
     return np.asarray(frequencies if values.flag("rising") else frequencies[::-1])

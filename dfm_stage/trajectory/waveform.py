@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Lines
 from dfm_stage.model.parameter import Option, Parameter
-from dfm_stage.trajectory.kind import Array, Timing, Values
-
-Lines = NDArray[np.int64]
+from dfm_stage.trajectory.kind import Timing, Values
 
 
 def _no_lines() -> Lines:
@@ -19,22 +17,38 @@ def _no_lines() -> Lines:
 
 
 @dataclass(frozen=True)
+class Segment:
+    """Samples `first` to `end` (not included) at one frequency, to be measured from `settled`."""
+
+    frequency_hz: float
+    first: int
+    settled: int
+    end: int
+
+    def to_list(self) -> list[float]:
+        """As a bag keeps it."""
+        return [self.frequency_hz, self.first, self.settled, self.end]
+
+
+@dataclass(frozen=True)
 class Waveform:
-    """A signal of shape (N,) with its rate and curvature (first and second derivative).
+    """A signal of shape (N,) with its rate and curvature (first and second derivative), which are
+    empty for voltages with jumps; `segments` are those of a stepped sine.
 
     `period_samples` is 0 where the signal does not repeat on the sample grid. `excited_lines` and
     `detection_lines` are harmonic numbers of 1 / (period_samples * sample_period).
     """
 
     value: Array
-    rate: Array
-    curvature: Array
+    rate: Array = field(default_factory=lambda: np.zeros(0))
+    curvature: Array = field(default_factory=lambda: np.zeros(0))
     period_samples: int = 0
     periods: int = 0
     ramp_samples: int = 0
     excited_lines: Lines = field(default_factory=_no_lines)
     detection_lines: Lines = field(default_factory=_no_lines)
     crest_factor: float = math.nan
+    segments: tuple[Segment, ...] = ()
 
 
 def smooth_step(u: Array) -> tuple[Array, Array, Array]:
@@ -120,7 +134,7 @@ def sine(values: Values, timing: Timing, suffix: str) -> Waveform:
     index = np.arange(timing.count) % period if period else np.arange(timing.count)
     omega = 2.0 * math.pi * frequency
     angle = omega * (index * timing.sample_period_s) + math.radians(values.number("phase_deg"))
-    amplitude = _amplitude(values, suffix, 1.0, math.sqrt(0.5))
+    amplitude = scale_of(values, suffix, 1.0, math.sqrt(0.5))
     wave = (amplitude * np.sin(angle), amplitude * omega * np.cos(angle),
             -amplitude * omega**2 * np.sin(angle))
     ramp = values.samples(values.number("ramp_s"), "ramp_s", timing)
@@ -157,7 +171,7 @@ def chirp(values: Values, timing: Timing, suffix: str) -> Waveform:
         omega = two_pi * low * np.exp(growth * t)
         angle = (omega - two_pi * low) / growth
         omega_rate = growth * omega
-    amplitude = _amplitude(values, suffix, 1.0, math.sqrt(0.5))
+    amplitude = scale_of(values, suffix, 1.0, math.sqrt(0.5))
     sweep = (amplitude * np.sin(angle), amplitude * omega * np.cos(angle),
              amplitude * (omega_rate * np.cos(angle) - omega**2 * np.sin(angle)))
     if ramp:
@@ -192,8 +206,8 @@ def multisine(values: Values, timing: Timing, suffix: str) -> Waveform:
     spectrum[lines] = np.exp(2j * math.pi * rng.random(lines.size))
     omega = 2.0 * math.pi * np.arange(spectrum.size) / (period * timing.sample_period_s)
     unit = np.fft.irfft(spectrum, period)
-    rms = math.sqrt(float(np.mean(unit**2)))
-    scale = _amplitude(values, suffix, float(np.max(np.abs(unit))), rms)
+    scale = scale_of(values, suffix, float(np.max(np.abs(unit))),
+                     math.sqrt(float(np.mean(unit**2))))
     one = (scale * unit, scale * np.fft.irfft(1j * omega * spectrum, period),
            -scale * np.fft.irfft(omega**2 * spectrum, period))
     wave = _faded(_repeated(one, timing.count), _fade_in(timing, ramp))
@@ -207,9 +221,7 @@ Triple = tuple[Array, Array, Array]
 
 def _choose_lines(values: Values, seconds: float,
                   rng: np.random.Generator) -> tuple[Lines, Lines]:
-    low, high = values.number("low_hz"), values.number("high_hz")
-    if low > high:
-        raise values.error("low_hz", f"low_hz = {low:g} Hz is above high_hz = {high:g} Hz")
+    low, high = band(values)
     first = max(1, math.ceil(low * seconds * (1.0 - 1e-9)))
     lines = np.arange(first, math.floor(high * seconds * (1.0 + 1e-9)) + 1, dtype=np.int64)
     odd = values.flag("odd")
@@ -231,6 +243,14 @@ def _choose_lines(values: Values, seconds: float,
     return np.delete(lines, left_out), lines[left_out]
 
 
+def band(values: Values) -> tuple[float, float]:
+    """Return the edges of a band of frequencies, Hz, the lower one first."""
+    low, high = values.number("low_hz"), values.number("high_hz")
+    if low > high:
+        raise values.error("low_hz", f"low_hz = {low:g} Hz is above high_hz = {high:g} Hz")
+    return low, high
+
+
 def _below_nyquist(values: Values, name: str, timing: Timing) -> None:
     nyquist = 0.5 / timing.sample_period_s
     if values.number(name) >= nyquist * (1.0 - 1e-12):
@@ -238,7 +258,8 @@ def _below_nyquist(values: Values, name: str, timing: Timing) -> None:
                                  f"sample rate, {nyquist:g} Hz")
 
 
-def _amplitude(values: Values, suffix: str, peak: float, rms: float) -> float:
+def scale_of(values: Values, suffix: str, peak: float, rms: float) -> float:
+    """Return the factor that gives a signal of this peak and RMS the amplitude asked for."""
     wanted_rms = values.number(f"rms_{suffix}")
     return wanted_rms / rms if wanted_rms > 0.0 else values.number(f"amplitude_{suffix}") / peak
 

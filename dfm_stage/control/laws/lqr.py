@@ -15,8 +15,8 @@ from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.law import Law, Setup
 from dfm_stage.control.lqr import SPEC_PARAMETERS, LqrDesign, LqrSpec, design_lqr
@@ -78,8 +78,7 @@ class Lqg(Law):
     @classmethod
     def plan(cls, setup: Setup) -> LqrPlan:
         """Return the design on the model."""
-        model = setup.need_model("mode lqr")
-        return LqrPlan(_designed(model, LqrSpec.from_mapping(setup.values),
+        return LqrPlan(_designed(setup.need_model("mode lqr"), LqrSpec.from_mapping(setup.values),
                                  setup.sample_period_s), setup.output_limit_v)
 
     @classmethod
@@ -88,11 +87,9 @@ class Lqg(Law):
         return cls(*plan)
 
     @classmethod
-    def response(cls, plan: Any, frequency_hz: NDArray[np.float64],
-                 _sample_period_s: float) -> NDArray[np.complex128]:
+    def response(cls, plan: LqrPlan, frequency_hz: Array, _sample_period_s: float) -> Complex:
         """Return the law from -y to u at frequencies (F,), V/m, complex (F,)."""
-        response: NDArray[np.complex128] = plan.design.response(frequency_hz)
-        return response
+        return plan.design.response(frequency_hz)
 
     def __init__(self, design: LqrDesign, output_limit_v: float = 10.0,
                  bumpless_s: float = 0.1) -> None:
@@ -118,11 +115,6 @@ class Lqg(Law):
         self._period = h
 
     @property
-    def sample_period_s(self) -> float:
-        """The sample period, s."""
-        return self._period
-
-    @property
     def force_n(self) -> float:
         """The estimated force at the last sample, N."""
         return float(self._next[-1]) if self._drifts else 0.0
@@ -146,12 +138,7 @@ class Lqg(Law):
         if self._go_on == self._go_on:
             self._continue_at(self._go_on - forward_v, law)
         wanted = law + self.integral_v + self._offset
-        limit = self._limit
-        output = wanted
-        if wanted > limit:
-            output = limit
-        elif wanted < -limit:
-            output = -limit
+        output = min(self._limit, max(-self._limit, wanted))
         self.saturated = output != wanted
         error = reference_m - position_m
         if self._ki and (wanted - output) * error <= 0.0 and self._short * error <= 0.0:
@@ -161,8 +148,7 @@ class Lqg(Law):
         self._next = after
         self.output_v = self._law_output = output
         self._forward, self._asked = forward_v, output + forward_v
-        if self.fault:
-            self.fault = ""
+        self.fault = ""
         return self._asked
 
     def applied(self, output_v: float) -> None:
@@ -264,8 +250,7 @@ class Lqg(Law):
         return x
 
     def _faulted(self, x: Any) -> float:
-        self.fault = "reference or measurement is not a finite number"
-        self.saturated = False
+        self.fault, self.saturated = "reference or measurement is not a finite number", False
         self.output_v = self._law_output = self._asked = self._forward = 0.0
         self._next = self.design.filter.A @ x
         return 0.0

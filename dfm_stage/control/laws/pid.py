@@ -22,16 +22,13 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
+from dfm_stage.control.feedforward import feedforward_gains
 from dfm_stage.control.gains import GAIN_PARAMETERS, PidGains
 from dfm_stage.control.law import OUTPUT_LIMIT, Law, Setup
-from dfm_stage.control.model_feedforward import feedforward_gains
-from dfm_stage.control.modes import highest_mode
 from dfm_stage.control.sampled import controller_response
-from dfm_stage.control.stage import sample_model
+from dfm_stage.control.stage import highest_mode, sample_model
 from dfm_stage.control.tuning_runs import TUNING_PARAMETERS, GainRaising, RelayRun, TuningRun
 from dfm_stage.model.parameter import Option
 
@@ -101,8 +98,7 @@ class Pid(Law):
                                         for each in TUNING_PARAMETERS}) if make else None
 
     @classmethod
-    def response(cls, plan: Any, frequency_hz: NDArray[np.float64],
-                 sample_period_s: float) -> NDArray[np.complex128]:
+    def response(cls, plan: Any, frequency_hz: Array, sample_period_s: float) -> Complex:
         """Return the law from -y to u at frequencies (F,), V/m, complex (F,)."""
         return controller_response(plan, frequency_hz, sample_period_s)
 
@@ -119,19 +115,11 @@ class Pid(Law):
         """The gains in force."""
         return self._gains
 
-    @property
-    def sample_period_s(self) -> float:
-        """The nominal sample period, s."""
-        return self._period
-
     def reset(self) -> None:
         """Forget everything but the gains."""
-        self.integral_v = 0.0
-        self.output_v = 0.0
+        self.integral_v = self.output_v = self._derivative = self._shortfall = 0.0
         self.saturated = False
         self.fault = ""
-        self._derivative = 0.0
-        self._shortfall = 0.0
         self._last: tuple[float, float, float, float, float] | None = None
         if self._notch is not None:
             self._notch.reset()
@@ -144,16 +132,12 @@ class Pid(Law):
             ki_h, leak, aw = self._ki_h, self._leak, self._aw
             decay, per_dt, slew = self._decay, self._per_dt, self._slew_h
         else:
-            usable = 0.0 < dt_s < math.inf
             ki_h, leak, aw, decay, per_dt, slew = self._coefficients(
-                min(dt_s, _LONGEST * self._period) if usable else self._period)
+                min(dt_s, _LONGEST * self._period) if 0.0 < dt_s < math.inf else self._period)
         last = self._last
         weighted = self._c * reference_m - position_m
-        if last is None:
-            derivative = self._derivative
-        else:
-            derivative = (decay * self._derivative
-                          + (weighted - self._c * last[0] + last[1]) * per_dt)
+        derivative = self._derivative if last is None else (
+            decay * self._derivative + (weighted - self._c * last[0] + last[1]) * per_dt)
         forward = (self._fp * reference_m + self._fv * velocity_m_s
                    + self._fa * acceleration_m_s2 + forward_v)
         integral = self.integral_v
@@ -164,18 +148,9 @@ class Pid(Law):
         wanted += forward
         if wanted - wanted != 0.0:
             return self._faulted()
-        limit = self._limit
-        output = wanted
-        if wanted > limit:
-            output = limit
-        elif wanted < -limit:
-            output = -limit
+        output = min(self._limit, max(-self._limit, wanted))
         if slew:
-            before = self.output_v
-            if output > before + slew:
-                output = before + slew
-            elif output < before - slew:
-                output = before - slew
+            output = min(self.output_v + slew, max(self.output_v - slew, output))
         short = output - wanted
         error = reference_m - position_m
         if not (self._clamping and (short * error < 0.0 or self._shortfall * error < 0.0)):
@@ -192,8 +167,7 @@ class Pid(Law):
         self._last = (reference_m, position_m, velocity_m_s, acceleration_m_s2, forward_v)
         self.saturated = short != 0.0
         self.output_v = output
-        if self.fault:
-            self.fault = ""
+        self.fault = ""
         return output
 
     def applied(self, output_v: float) -> None:

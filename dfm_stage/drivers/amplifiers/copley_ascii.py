@@ -15,8 +15,7 @@ from dfm_stage.drivers.errors import (
     ProtocolError,
     RefusedError,
 )
-from dfm_stage.drivers.lines import Line
-from dfm_stage.drivers.transport import LineDevice, SerialPort
+from dfm_stage.drivers.transport import Line, LineDevice, SerialPort
 
 ATTEMPTS = 3
 ENABLE_S = 0.5
@@ -84,8 +83,8 @@ class CopleyAscii(LineDevice):
                 self.counters["malformed_lines"] += stray.count(b"\r") or 1
             self._lines.clear()
             port.write(command)
-            lines = self._received(_LINE_BITS / port.baud + self._reply_s)
-            replies = (self._understood(line, command) for line in lines)
+            replies = (self._understood(line, command) for line in
+                       self._received(_LINE_BITS / port.baud + self._reply_s))
             if reply := next(filter(None, replies), None):
                 if attempt:  # the answer to the other attempt may still be under way
                     port.drain(0.004, 0.02)
@@ -221,8 +220,7 @@ class CopleyAscii(LineDevice):
         """Ask for status and current in turn, now and then for the rest."""
         self._asked += 1
         turn, index = divmod(self._asked, len(_QUESTIONS) + 1)
-        slow = _SLOW_QUESTIONS[turn % len(_SLOW_QUESTIONS)]
-        question = (*_QUESTIONS, slow)[index]
+        question = (*_QUESTIONS, _SLOW_QUESTIONS[turn % len(_SLOW_QUESTIONS)])[index]
         value = self._get(question)
         if question is Parameter.ACTUAL_CURRENT:
             return AmplifierStatus(current_a=value * self.count_a)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 from dfm_stage.drivers.copley_protocol import (
     AMPERE_PER_COUNT,
+    FATAL_FAULTS,
     POWER_UP_BAUD,
     STATE_OFF,
     STATE_POSITION,
@@ -17,7 +18,7 @@ from dfm_stage.drivers.copley_protocol import (
     Status,
 )
 from dfm_stage.drivers.errors import DriverError
-from dfm_stage.drivers.lines import LONGEST_LINE
+from dfm_stage.drivers.transport import LONGEST_LINE
 
 RATES = {9600: 9600, 19200: 19200, 38400: 38400, 57600: 57604, 115200: 115207}
 DEFAULTS: dict[int, int] = {
@@ -25,11 +26,13 @@ DEFAULTS: dict[int, int] = {
     Parameter.CONTINUOUS_CURRENT: 100, Parameter.PEAK_TIME: 1000, Parameter.STATE: STATE_OFF,
     Parameter.CURRENT_RAMP: 0, Parameter.BAUD: POWER_UP_BAUD,
 }
-_RANGES = {
-    Parameter.PROGRAMMED_CURRENT: (-32768, 32767), Parameter.PEAK_CURRENT: (0, 32767),
-    Parameter.CONTINUOUS_CURRENT: (0, 32767), Parameter.PEAK_TIME: (0, 10000),
-    Parameter.CURRENT_RAMP: (0, 2**31 - 1), Parameter.LATCHED_FAULTS: (0, 2**31 - 1),
-    Parameter.MOTOR_POSITION: (-2**31, 2**31 - 1),
+# What may be written; the other parameters can only be read.
+_ALLOWED: dict[Parameter, Container[int]] = {
+    Parameter.PROGRAMMED_CURRENT: range(-32768, 32768), Parameter.PEAK_CURRENT: range(32768),
+    Parameter.CONTINUOUS_CURRENT: range(32768), Parameter.PEAK_TIME: range(10001),
+    Parameter.CURRENT_RAMP: range(2**31), Parameter.LATCHED_FAULTS: range(2**31),
+    Parameter.MOTOR_POSITION: range(-2**31, 2**31), Parameter.BAUD: RATES,
+    Parameter.STATE: (STATE_OFF, STATE_PROGRAMMED_CURRENT, STATE_POSITION),
 }
 _LINE = re.compile(r"(?:(\d+) )?(?:\.(\w) )?(\w)(?: (.*))?", re.ASCII | re.DOTALL)
 _NAME = re.compile(r"([rf])(0x[0-9a-fA-F]{1,3}|\d{1,3})")
@@ -40,9 +43,7 @@ _IN_FLASH = (Parameter.PROGRAMMED_CURRENT, Parameter.PEAK_CURRENT,
 
 
 class _CommandError(Exception):
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+    """A command that is refused with an error number."""
 
 
 def _whole(text: str) -> int:
@@ -65,23 +66,16 @@ class CopleyAsciiEmulator:
         self.enable_input = True
         self.out: list[bytes] = []
         self._seen = (0.0, False)
-        self.silent_until_break = False
         self.reset(0.0)
 
     def reset(self, now: float) -> None:
         """Start anew from the flash, as on power-up; says nothing."""
         self.ram = dict(self.flash)
-        self.ram[Parameter.BAUD] = POWER_UP_BAUD
-        self.baud = POWER_UP_BAUD
         self.faults = Faults(0)
-        self._begin_line()
+        self.wrong_baud(now)
         self._from_a, self._from_s = 0.0, now
         self._over_since: float | None = None
         self._output_changed(now)
-
-    def _begin_line(self) -> None:
-        self._rest = b""
-        self.silent_until_break = False
 
     # The line
 
@@ -93,9 +87,9 @@ class CopleyAsciiEmulator:
 
     def wrong_baud(self, _now: float) -> None:
         """Bytes at another rate look like a break: back to 9600 baud. The output stays."""
-        self.baud = POWER_UP_BAUD
-        self.ram[Parameter.BAUD] = POWER_UP_BAUD
-        self._begin_line()
+        self.baud = self.ram[Parameter.BAUD] = POWER_UP_BAUD
+        self._rest = b""
+        self.silent_until_break = False
 
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes that have arrived."""
@@ -122,19 +116,21 @@ class CopleyAsciiEmulator:
 
     def inject(self, words: list[str], now: float) -> str:
         """Do what an operator asks: `fault BITS`, `enable on|off`, `reset`."""
-        if words[:1] == ["fault"] and len(words) == 2:
-            self.faults |= Faults(int(words[1], 0))
-            self._output_changed(now)
-            return f"latched faults are {int(self.faults):#x}"
-        if words[:1] == ["enable"] and words[1:] in (["on"], ["off"]):
-            self.enable_input = words[1] == "on"
-            self._output_changed(now)
-            return f"the enable input is {words[1]}"
-        if words == ["reset"]:
-            self.reset(now)
-            return "the drive has restarted"
-        raise DriverError("copley_ascii knows fault BITS, enable on, enable off and reset, not "
-                          f"{' '.join(words)!r}")
+        match words:
+            case ["fault", bits]:
+                self.faults |= Faults(int(bits, 0))
+                done = f"latched faults are {int(self.faults):#x}"
+            case ["enable", "on" | "off" as state]:
+                self.enable_input = state == "on"
+                done = f"the enable input is {state}"
+            case ["reset"]:
+                self.reset(now)
+                done = "the drive has restarted"
+            case _:
+                raise DriverError("copley_ascii knows fault BITS, enable on, enable off and "
+                                  f"reset, not {' '.join(words)!r}")
+        self._output_changed(now)
+        return done
 
     # Commands
 
@@ -142,7 +138,7 @@ class CopleyAsciiEmulator:
         try:
             answer = self._execute(line, now)
         except _CommandError as error:
-            answer = f"e {error.number}"
+            answer = f"e {error}"
         if answer:
             self.out.append(answer.encode() + b"\r")
 
@@ -160,9 +156,7 @@ class CopleyAsciiEmulator:
             return ""
         if code in "gs":
             return self._get_or_set(code, rest or "", now)
-        if code in "cti":
-            raise _CommandError(14)
-        raise _CommandError(3)
+        raise _CommandError(14 if code in "cti" else 3)
 
     def _get_or_set(self, code: str, rest: str, now: float) -> str:
         if not rest:
@@ -189,46 +183,33 @@ class CopleyAsciiEmulator:
             if parameter not in _IN_FLASH:
                 raise _CommandError(15)
             return self.flash[parameter]
-        if parameter is Parameter.BAUD:
-            return RATES[self.baud]
-        if parameter in (Parameter.ACTUAL_CURRENT, Parameter.LIMITED_CURRENT,
-                         Parameter.COMMANDED_CURRENT):
-            return round(self.current(now) / AMPERE_PER_COUNT)
-        measured = {Parameter.BUS_VOLTAGE: 480, Parameter.TEMPERATURE: 31,
-                    Parameter.STATUS: int(self.status(now)),
-                    Parameter.LATCHED_FAULTS: int(self.faults)}
-        if parameter in measured:
-            return measured[parameter]
-        if parameter is Parameter.MOTOR_POSITION:
-            return self._position(now) if self._position else self.ram.get(parameter, 0)
-        return self.ram[parameter]
+        values: dict[int, int] = {
+            Parameter.MOTOR_POSITION: 0, **self.ram, Parameter.BAUD: RATES[self.baud],
+            Parameter.BUS_VOLTAGE: 480, Parameter.TEMPERATURE: 31,
+            Parameter.STATUS: int(self.status(now)), Parameter.LATCHED_FAULTS: int(self.faults),
+            **dict.fromkeys((Parameter.ACTUAL_CURRENT, Parameter.LIMITED_CURRENT,
+                             Parameter.COMMANDED_CURRENT),
+                            round(self.current(now) / AMPERE_PER_COUNT))}
+        if self._position is not None:
+            values[Parameter.MOTOR_POSITION] = self._position(now)
+        return values[parameter]
 
     def _write(self, parameter: Parameter, bank: str, value: int, now: float) -> None:
-        if parameter is Parameter.BAUD:
-            if value not in RATES:
-                raise _CommandError(10)
-            if bank == "f":
-                raise _CommandError(15)
-            self.baud = self.ram[parameter] = value
-            return
-        if parameter is Parameter.STATE:
-            if value not in (STATE_OFF, STATE_PROGRAMMED_CURRENT, STATE_POSITION):
-                raise _CommandError(10)
-        elif parameter not in _RANGES:
+        if parameter not in _ALLOWED:
             raise _CommandError(11)
-        elif not _RANGES[parameter][0] <= value <= _RANGES[parameter][1]:
+        if value not in _ALLOWED[parameter]:
             raise _CommandError(10)
+        if bank == "f" and parameter not in _IN_FLASH:
+            raise _CommandError(15)
         if bank == "f":
-            if parameter not in _IN_FLASH:
-                raise _CommandError(15)
             self.flash[parameter] = value
-            return
-        if parameter is Parameter.LATCHED_FAULTS:
-            self.faults &= ~Faults(value) | (Faults.FLASH_CRC | Faults.INTERNAL)
-            self._output_changed(now)
-            return
-        self._from_a, self._from_s = self.current(now), now
-        self.ram[parameter] = value
+        elif parameter is Parameter.BAUD:
+            self.baud = self.ram[parameter] = value
+        elif parameter is Parameter.LATCHED_FAULTS:
+            self.faults &= ~Faults(value) | FATAL_FAULTS
+        else:
+            self._from_a, self._from_s = self.current(now), now
+            self.ram[parameter] = value
         self._output_changed(now)
 
     # The power stage

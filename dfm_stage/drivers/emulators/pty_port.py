@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import math
 import os
 import pty
 import random
@@ -70,8 +71,7 @@ class PtyPort:
         self._arriving: list[tuple[float, int, bytes, int]] = []
         self._leaving: list[tuple[float, int, bytes, int]] = []
         self._number = 0
-        self._in_free = self._out_free = 0.0
-        self._silent_until = self._away_until = 0.0
+        self._in_free = self._out_free = self._silent_until = self._away_until = 0.0
         self._cut_next = False
         self._plug_in()
 
@@ -170,8 +170,8 @@ class PtyPort:
     def _hung_up(self) -> bool:
         poll = select.poll()
         poll.register(self._master or 0, select.POLLIN)
-        events = poll.poll(0)
-        return any(flags & select.POLLHUP and not flags & select.POLLIN for _, flags in events)
+        return any(flags & select.POLLHUP and not flags & select.POLLIN
+                   for _, flags in poll.poll(0))
 
     def _take(self, now: float) -> None:
         """Read what the client wrote; it arrives when its last bit does."""
@@ -203,10 +203,8 @@ class PtyPort:
         baud = self._emulator.baud
         messages, self._emulator.out[:] = list(self._emulator.out), []
         for message in messages:
-            if self._cut_next:
-                self._cut_next = False
-                message = message[:len(message) // 2]  # noqa: PLW2901
-            self._leave(message, baud, now)
+            self._leave(message[:len(message) // 2] if self._cut_next else message, baud, now)
+            self._cut_next = False
 
     def _leave(self, data: bytes, baud: int, now: float) -> None:
         if not self._present or now < self._silent_until:
@@ -224,8 +222,7 @@ class PtyPort:
                 self._emulator.receive(data, when)
                 self._collect(when)
         while self._leaving and self._leaving[0][0] <= now:
-            _, _, data, baud = heapq.heappop(self._leaving)
-            self._write(data, baud)
+            self._write(*heapq.heappop(self._leaving)[2:])
 
     def _write(self, data: bytes, baud: int) -> None:
         if self._master is None:
@@ -236,6 +233,5 @@ class PtyPort:
             os.write(self._master, data)
 
     def _next(self) -> float:
-        times = [self._emulator.next_event()]
-        times += [queue[0][0] for queue in (self._arriving, self._leaving) if queue]
-        return min(times)
+        return min(self._emulator.next_event(), *(
+            queue[0][0] for queue in (self._arriving, self._leaving) if queue), math.inf)

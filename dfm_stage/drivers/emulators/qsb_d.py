@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 
 from dfm_stage.drivers.errors import DriverError
-from dfm_stage.drivers.lines import LineBuffer
 from dfm_stage.drivers.qsb_protocol import (
     BANNER,
     BAUD,
@@ -20,6 +19,7 @@ from dfm_stage.drivers.qsb_protocol import (
     Status,
     render_reply,
 )
+from dfm_stage.drivers.transport import LineBuffer
 
 FACTORY_MODE, FACTORY_PRESET, FACTORY_INTERVAL = 0x4F, 0x1F3, 0xFFFF
 IDENTITY = Identity(0x00E5A, "D", 0x2A)
@@ -69,8 +69,8 @@ class QsbDEmulator:
         self._status = Status.COUNT_ENABLED | Status.POWER_LOSS | Status.UP
         self._before = self._scale(now)
         self._offset = self._scaled(self._before)
-        self._stream: int | None = None
         self._next_tick = 0
+        self._stream: int | None = None
         self._reported: int | None = None
         if banner:
             self.out.append(BANNER)
@@ -134,10 +134,8 @@ class QsbDEmulator:
                 self._stream = None
             self._say("r", number, self._read(number, now), now)
         else:
-            self._stream = number
-            self._reported = None
-            self._next_tick = self._tick(now)
-            self._next_tick += max(1, self._registers[Register.INTERVAL])
+            self._stream, self._reported = number, None
+            self._next_tick = self._tick(now) + max(1, self._registers[Register.INTERVAL])
             self._say("s", number, self._read(number, now), now)
 
     def _write(self, register: Register, value: int, now: float) -> None:
@@ -161,14 +159,11 @@ class QsbDEmulator:
         self._say("w", register, value, now)
 
     def _read(self, number: int, now: float) -> int:
-        if number == Register.COUNT:
-            return self._count(now) & 0xFFFFFFFF
-        if number == Register.IDENTITY:
-            return self._identity.data
-        if number == Register.STATUS:
-            sign = Status.SIGN if self._count(now) < 0 else Status(0)
-            return int(self._status | sign)
-        return self._registers[Register(number)]
+        count = self._count(now)
+        sign = Status.SIGN if count < 0 else Status(0)
+        return {**self._registers, Register.COUNT: count & 0xFFFFFFFF,
+                Register.IDENTITY: self._identity.data,
+                Register.STATUS: int(self._status | sign)}[Register(number)]
 
     def _say(self, kind: str, register: int, data: int, now: float) -> None:
         self._send(Reply(kind, register, data & 0xFFFFFFFF, self._tick(now) & 0xFFFFFFFF))
@@ -180,10 +175,9 @@ class QsbDEmulator:
         assert self._stream is not None  # noqa: S101
         value = self._read(self._stream, now)
         threshold = self._registers[Register.THRESHOLD]
-        if threshold and self._reported is not None:
-            moved = (value - self._reported + 2**31) % 2**32 - 2**31
-            if abs(moved) < threshold:
-                return
+        if self._reported is not None and (
+                abs((value - self._reported + 2**31) % 2**32 - 2**31) < threshold):
+            return
         self._reported = value
         self._send(Reply("s", self._stream, value, self._next_tick & 0xFFFFFFFF))
 

@@ -9,8 +9,7 @@ from dfm_stage.drivers import qsb_protocol as qsb
 from dfm_stage.drivers.clock_map import ClockMap, Unwrap
 from dfm_stage.drivers.device import EncoderSample
 from dfm_stage.drivers.errors import DeviceLostError, IdentityError, ProtocolError
-from dfm_stage.drivers.lines import Line
-from dfm_stage.drivers.transport import LineDevice, SerialPort
+from dfm_stage.drivers.transport import Line, LineDevice, SerialPort
 
 RESET_S = 1.5
 REPLY_S = 0.2
@@ -51,9 +50,8 @@ class QsbD(LineDevice):
         self._counts.restart()
         self._first_tick: int | None = None
         self._last_tick = 0
-        self._seeking = False
+        self._seeking = self._found = False
         self._index_before: bool | None = None
-        self._found = False
         self._next_poll_s = 0.0
 
     # Start-up
@@ -94,13 +92,12 @@ class QsbD(LineDevice):
         for attempt in range(3):
             self.counters["retries"] += attempt > 0
             self._port.write(command)
-            replies = map(self._understood, self._received(REPLY_S))
-            reply = next((each for each in replies if each and each.register == register), None)
-            if reply is not None and reply.refused:
-                raise IdentityError(f"{self._path}: the device refuses "
-                                    f"{command.strip().decode()}: is it a QSB-D?")
-            if reply is not None:
-                return reply
+            for reply in map(self._understood, self._received(REPLY_S)):
+                if reply is not None and reply.register == register:
+                    if reply.refused:
+                        raise IdentityError(f"{self._path}: the device refuses "
+                                            f"{command.strip().decode()}: is it a QSB-D?")
+                    return reply
         raise DeviceLostError(f"{self._path}: no answer to {command.strip().decode()}; is it a "
                               "QSB-D, and at 230400 baud?")
 
@@ -162,13 +159,10 @@ class QsbD(LineDevice):
         counts = self._counts(reply.data)
         if self._first_tick is None:
             self._first_tick = self._last_tick = tick
-        if tick - self._first_tick < self._settling_ticks:
-            self._last_tick = tick
-            return None
         elapsed = (tick - self._last_tick) / qsb.TICKS_PER_SECOND
-        if elapsed <= 0.0:
-            return None
         self._last_tick = tick
+        if elapsed <= 0.0 or tick - self._first_tick < self._settling_ticks:
+            return None
         seq = (tick - self._first_tick) // self._interval
         return EncoderSample(seq & 0xFFFFFFFF, stamp_ns, counts, elapsed)
 

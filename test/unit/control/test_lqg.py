@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -300,7 +301,7 @@ def test_a_new_design_gives_no_bump(first: str, second: str) -> None:
     outputs = []
     for k in range(2600):
         if k == 1500:
-            spec = VARIANTS[second].changed(lqr_error_m=2e-4)
+            spec = replace(VARIANTS[second], lqr_error_m=2e-4)
             lqg.change(LqrPlan(design_lqr(model, spec), 10.0))
         outputs.append(lqg.step(1e-3, plant.sample().reading_m))
         plant.advance(outputs[-1], external_force_n=0.1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,7 @@ def test_the_tuned_lqr_keeps_its_margin_and_is_the_fastest_to_do_so() -> None:
     result = tune_lqr(model, "raster_bench", 0.55)
     assert 0.55 <= result.margins.modulus < 0.57
     spec = LqrSpec.from_mapping(result.parameters)
-    quicker = spec.changed(lqr_error_m=spec.lqr_error_m / 1.2)
+    quicker = replace(spec, lqr_error_m=spec.lqr_error_m / 1.2)
     assert design_lqr(model, quicker).margins.modulus < 0.55
     assert result.parameters["model"] == "raster_bench"
     with pytest.raises(ControlError, match="no weight keeps"):

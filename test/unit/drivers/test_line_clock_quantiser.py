@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from dfm_stage.drivers.clock_map import ClockMap, Unwrap
 from dfm_stage.drivers.errors import ProtocolError
-from dfm_stage.drivers.lines import LONGEST_LINE, LineBuffer
-from dfm_stage.drivers.quantiser import SigmaDelta
+from dfm_stage.drivers.threads import SigmaDelta
+from dfm_stage.drivers.transport import LONGEST_LINE, LineBuffer
 
 
 @given(st.binary(max_size=400), st.lists(st.integers(0, 400), max_size=8))

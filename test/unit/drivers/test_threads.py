@@ -9,14 +9,13 @@ from types import SimpleNamespace
 import pytest
 from memory_port import Ports
 
-from dfm_stage.drivers.amplifier_worker import AmplifierWorker
 from dfm_stage.drivers.amplifiers import copley_ascii
 from dfm_stage.drivers.amplifiers.copley_ascii import CopleyAscii
 from dfm_stage.drivers.device import EncoderSample, create_amplifier, create_encoder, names
 from dfm_stage.drivers.emulators.copley_ascii import CopleyAsciiEmulator
-from dfm_stage.drivers.encoder_reader import EncoderReader
 from dfm_stage.drivers.errors import DeviceLostError, DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
+from dfm_stage.drivers.threads import AmplifierWorker, EncoderReader
 
 
 def eventually(condition, what="it"):

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from dfm_stage.paper.lqr import printed_plant
-from dfm_stage.paper.printed import PRINTED, TABLE_1
-from dfm_stage.paper.row import CONTRADICTIONS, as_json
+from dfm_stage.paper.row import CONTRADICTIONS, PRINTED, TABLE_1, as_json
 from dfm_stage.paper.stage import DirectStage
 from dfm_stage.paper.workflow import Models, PaperError, compare
 

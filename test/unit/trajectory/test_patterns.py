@@ -21,7 +21,7 @@ from dfm_stage.trajectory import (
     make_reference,
     require_run_within,
 )
-from dfm_stage.trajectory.point_to_point import segments
+from dfm_stage.trajectory.scans import segments
 
 DT = 1e-3
 EXPERIMENTS = Path(__file__).parents[3] / "config" / "experiments"

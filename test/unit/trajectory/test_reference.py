@@ -16,7 +16,7 @@ from dfm_stage.trajectory import (
     TrajectoryError,
     check_limits,
     make_reference,
-    require_within,
+    require_run_within,
 )
 
 DT = 1e-4
@@ -196,7 +196,7 @@ def test_the_first_violation_is_named_with_time_and_value() -> None:
     assert violation.time_s == pytest.approx(math.asin(7.7 / 8.0) / math.pi, abs=1e-3)
     assert violation.value > 7.7e-3
     with pytest.raises(LimitError, match=r"position of 0.0077\d+ m at t = 0\.41\d s"):
-        require_within(r, Limits(travel_m=7.7e-3))
+        require_run_within(r, None, Limits(travel_m=7.7e-3), where="reference")
 
 
 def test_the_earliest_of_several_violations_wins() -> None:

@@ -1,8 +1,9 @@
-"""The thread that owns an amplifier: the only one that talks to it, and the one that zeroes it.
+"""The threads that own a device: each is the only one that talks to it.
 
-It runs apart from whatever brings commands, so that it notices by itself when they stop. Between
-commands it asks the drive how it is. Anything unexpected ends in zero current, then output off,
-then, if the line is dead, reconnecting to a drive that stays off.
+The encoder's thread says when the counter is lost and comes back to it unreferenced. The
+amplifier's runs apart from whatever brings commands, so that it notices by itself when they stop.
+Between commands it asks the drive how it is. Anything unexpected ends in zero current, then output
+off, then, if the line is dead, reconnecting to a drive that stays off.
 """
 
 from __future__ import annotations
@@ -15,13 +16,139 @@ from collections.abc import Callable
 from concurrent.futures import Future, wait
 from typing import Any, Protocol
 
-from dfm_stage.drivers.device import AmplifierDevice, AmplifierStatus
+from dfm_stage.drivers.device import (
+    AmplifierDevice,
+    AmplifierStatus,
+    EncoderDevice,
+    EncoderSample,
+)
 from dfm_stage.drivers.errors import DeviceLostError, DriverError, RefusedError
 from dfm_stage.drivers.interlock import Cause, Interlock
-from dfm_stage.drivers.quantiser import SigmaDelta
 
+_STEP_S = 0.005
 _MIN_SLACK_S = 0.004    # a question is asked only if no command is due within this time
 _NO_ANSWER = "the drive does not answer"
+
+
+class EncoderListener(Protocol):
+    """Who is told, in the reader's thread."""
+
+    def on_sample(self, sample: EncoderSample) -> None:
+        """Called with every sample."""
+
+    def on_lost(self, why: str) -> None:
+        """Called when samples stopped, once per loss."""
+
+    def on_back(self, identity: str) -> None:
+        """Called when the device answers again; its zero is unknown."""
+
+    def on_index(self) -> None:
+        """Called when the index that was sought has been passed: its count is now zero."""
+
+
+class EncoderReader:
+    """Reads until `stop`.
+
+    Without a sample for `timeout_s`, or after any error, the device counts as lost: it is closed,
+    and opened anew every `retry_s` until it answers.
+    """
+
+    def __init__(self, device: EncoderDevice, listener: EncoderListener, timeout_s: float = 0.02,
+                 retry_s: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._device = device
+        self._listener = listener
+        self._timeout_s = timeout_s
+        self._retry_s = retry_s
+        self._clock = clock
+        self._stopping = threading.Event()
+        self._seek = self.lost = False
+        self.reconnects = 0
+        self._thread = threading.Thread(target=self._run, name="encoder", daemon=True)
+
+    def start(self) -> None:
+        """Start reading a device that is open."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop streaming and reading; the device stays open if it was."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+
+    def seek_index(self) -> None:
+        """Ask the reading thread to let the next index set the zero."""
+        self._seek = True
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                self._device.start()
+                self._read()
+                with contextlib.suppress(DriverError):
+                    self._device.stop()
+            except Exception as error:  # noqa: BLE001 a thread must not die silently
+                self._come_back(_in_one_line(error))
+
+    def _read(self) -> None:
+        # the first samples only teach the clock, and are not passed on
+        deadline = self._clock() + 1.0 + self._timeout_s
+        while not self._stopping.is_set():
+            if self._seek:
+                self._seek = False
+                self._device.seek_index()
+            for sample in self._device.read(min(_STEP_S, self._timeout_s)):
+                deadline = self._clock() + self._timeout_s
+                self._listener.on_sample(sample)
+            if self._device.index_found():
+                self._listener.on_index()
+            if self._clock() > deadline:
+                raise DriverError(f"no sample for {self._timeout_s * 1e3:g} ms")
+
+    def _come_back(self, why: str) -> None:
+        """Close, then open until it works, or until asked to stop."""
+        self.lost = True
+        self._listener.on_lost(why)
+        self._device.close()
+        while not self._stopping.wait(self._retry_s):
+            try:
+                identity = self._device.open()
+            except Exception:  # noqa: BLE001 whatever it was: try again
+                self.reconnects += 1
+                self._device.close()
+                continue
+            self.lost = False
+            self._listener.on_back(identity)
+            return
+
+
+def _in_one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or repr(error)
+
+
+class SigmaDelta:
+    """First-order noise shaping of a value that can only be sent in whole counts.
+
+    The mean of what is sent is the value asked for; the error of one step is pushed to
+    frequencies near the rate of sending, where a stage with mass does not follow. Without
+    `shaped` it is plain rounding.
+    """
+
+    def __init__(self, count: float, shaped: bool = True) -> None:
+        self._count = count
+        self._shaped = shaped
+        self._owed = 0.0
+
+    def __call__(self, value: float) -> int:
+        """Return the counts to send for `value`."""
+        wanted = value / self._count + self._owed
+        counts = round(wanted)
+        if self._shaped:
+            self._owed = wanted - counts
+        return counts
+
+    def reset(self) -> None:
+        """Owe nothing."""
+        self._owed = 0.0
 
 
 class AmplifierListener(Protocol):
@@ -45,6 +172,12 @@ class AmplifierWorker:
         Shape the last count (SigmaDelta) instead of rounding.
     question_period_s : float
         One question to the drive each; it costs an exchange.
+
+    Attributes
+    ----------
+    connected : whether the drive answers
+    outputs, reconnects : how many there were
+    identity : of the drive, where it had to be opened anew
     """
 
     def __init__(self, device: AmplifierDevice, interlock: Interlock,
@@ -62,18 +195,11 @@ class AmplifierWorker:
         self._wake = threading.Condition()
         self._target: tuple[float, Any] | None = None
         self._orders: list[tuple[Callable[[], str], Future[str]]] = []
-        self._stopping = False
-        self._energised = False
-        self._connected = True
-        self.outputs = 0
-        self.reconnects = 0
+        self._stopping = self._energised = False
+        self.connected = True
+        self.outputs = self.reconnects = 0
         self.identity = ""
         self._thread = threading.Thread(target=self._run, name="amplifier", daemon=True)
-
-    @property
-    def connected(self) -> bool:
-        """Whether the drive answers."""
-        return self._connected
 
     def start(self) -> None:
         """Start with a device that is open, its output off."""
@@ -131,7 +257,7 @@ class AmplifierWorker:
     # The thread
 
     def _arm(self) -> str:
-        if not self._connected:
+        if not self.connected:
             raise RefusedError(_NO_ANSWER)
         if self._interlock.causes:
             raise RefusedError(f"clear first: {self._interlock.words()}")
@@ -172,7 +298,7 @@ class AmplifierWorker:
                 self._lost(Cause.LINK, error)
             except Exception as error:  # noqa: BLE001 whatever it was: zero
                 self._lost(Cause.INTERNAL, error)
-            if self._stopping and not self._connected:
+            if self._stopping and not self.connected:
                 return
 
     def _turn(self, next_question: float) -> bool:
@@ -212,14 +338,14 @@ class AmplifierWorker:
 
     def _ask(self) -> None:
         status = self._device.status()
-        current = status.current_a
-        if current is not None and abs(current) > self._current_limit_a:
-            self._interlock.trip(Cause.CURRENT, f"the drive measures {current:g} A, the limit is "
-                                 f"{self._current_limit_a:g} A")
-        if status.trouble:
-            self._interlock.trip(Cause.DRIVE, status.trouble)
-        if status.travel_limit:
-            self._interlock.trip(Cause.TRAVEL, status.travel_limit)
+        current = status.current_a or 0.0
+        for cause, why in (
+                (Cause.CURRENT, f"the drive measures {current:g} A, the limit is "
+                                f"{self._current_limit_a:g} A"
+                 if abs(current) > self._current_limit_a else ""),
+                (Cause.DRIVE, status.trouble), (Cause.TRAVEL, status.travel_limit)):
+            if why:
+                self._interlock.trip(cause, why)
         self._listener.on_status(status)
 
     @staticmethod
@@ -237,12 +363,12 @@ class AmplifierWorker:
 
     def _lost(self, cause: Cause, error: Exception) -> None:
         """Trip; try for zero; where the drive does not answer, come back to it, off."""
-        self._interlock.trip(cause, " ".join(str(error).split()) or repr(error))
+        self._interlock.trip(cause, _in_one_line(error))
         if cause is not Cause.LINK:
             with contextlib.suppress(Exception):  # where it fails, by reconnecting
                 self._make_safe()
                 return
-        self._connected = False
+        self.connected = False
         while True:
             self._device.close()
             try:
@@ -257,8 +383,7 @@ class AmplifierWorker:
                         self._wake.wait(self._retry_s)
                 continue
             self._target = None
-            self._energised = False
-            self._connected = True
+            self._energised, self.connected = False, True
             with contextlib.suppress(Exception):
                 self._listener.on_output(0, None)
             return
