@@ -12,14 +12,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.identification.quantity import Quantity
-
-Array = NDArray[np.float64]
-
 
 Which = Literal["given", "retuned", "extended"]
 

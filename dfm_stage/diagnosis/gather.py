@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import AS_GIVEN, STEP_GRID
 from dfm_stage.diagnosis.evidence import (
@@ -36,8 +36,6 @@ from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.model import EFFECTS
-
-Array = NDArray[np.float64]
 
 
 def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     DURATION_S,
     FINALISTS,
@@ -31,8 +31,6 @@ from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.weights import Weight, Weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.trajectory import load_experiment
-
-Array = NDArray[np.float64]
 
 
 def propose(parts: Sequence[str], best: Model, rivals: Sequence[Fit],

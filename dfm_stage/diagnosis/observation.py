@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     DIED_OUT,
     FITTED_SHARE,
@@ -22,8 +22,6 @@ from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.model import Model
 from dfm_stage.recording import Record
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

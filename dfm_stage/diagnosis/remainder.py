@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import lfilter
 
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     DRIFT,
     DRIFT_LINES,
@@ -36,8 +36,6 @@ from dfm_stage.diagnosis.spectra import position_peaks
 from dfm_stage.identification.noise import fit_noise
 from dfm_stage.identification.periods import local_mean
 from dfm_stage.identification.weights import high_band_rms
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

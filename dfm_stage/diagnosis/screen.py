@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.candidates import starts
 from dfm_stage.diagnosis.decisions import (
     COARSER,
@@ -31,9 +31,6 @@ from dfm_stage.identification.weights import Weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import Parameters
-
-Array = NDArray[np.float64]
-
 
 
 @dataclass(frozen=True)

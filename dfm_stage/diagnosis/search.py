@@ -6,9 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import (
@@ -40,8 +37,6 @@ from dfm_stage.diagnosis.spectra import read_off
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import weights_of
 from dfm_stage.model import EFFECTS, Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

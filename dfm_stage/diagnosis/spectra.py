@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt, welch
 
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     COARSER,
     FEWEST_LEVELS,
@@ -17,8 +17,6 @@ from dfm_stage.diagnosis.decisions import (
     LATTICE_MISS,
     MOTION_ABOVE,
 )
-
-Array = NDArray[np.float64]
 
 BINS = 1 << 18
 PADDING = 500

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     NOT_EXERCISED,
     OUTSTANDING,
@@ -20,8 +20,6 @@ from dfm_stage.diagnosis.fit import Fit, fit, rms
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.weights import Weight, Weights
 from dfm_stage.model import EFFECTS, Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

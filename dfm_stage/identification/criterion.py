@@ -7,14 +7,12 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.least_squares import STUCK, Solution, minimise
 from dfm_stage.identification.noise import whiten
 from dfm_stage.identification.problem import Problem, Signals
 from dfm_stage.identification.weights import Weights
-
-Array = NDArray[np.float64]
 
 ROUGH, ACCURATE = 1e-2, 1e-4
 """A search ends when the next step would lower chi-square by less than this."""

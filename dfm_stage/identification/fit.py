@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.decisions import FORETOLD, IN_A_ROW, NEAR
@@ -19,9 +19,6 @@ from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.system import System
 from dfm_stage.identification.weights import Weights
 from dfm_stage.model import Model
-
-Array = NDArray[np.float64]
-
 
 
 @dataclass(frozen=True)

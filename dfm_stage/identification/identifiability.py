@@ -7,13 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import EQUAL, MEMBER, MOVES_OUTPUT, RANK_TOLERANCE, WEAK
 from dfm_stage.identification.least_squares import column_norms
-
-Array = NDArray[np.float64]
-
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.decisions import RANK_TOLERANCE, SHARE_OF_LOST
 from dfm_stage.identification.identifiability import Identifiability, judge
@@ -20,8 +21,6 @@ from dfm_stage.identification.least_squares import (
 from dfm_stage.identification.noise import NoiseModel, score_covariance
 from dfm_stage.identification.problem import Problem
 from dfm_stage.identification.result import Estimate, SegmentFit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

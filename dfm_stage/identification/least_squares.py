@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import ACCEPTED, CREEP, CREPT, NEARLY, RANK_TOLERANCE, SEEN
-
-Array = NDArray[np.float64]
 
 STUCK = "no step lowers the cost"
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import ACCURATE
@@ -19,7 +18,6 @@ from dfm_stage.identification.system import System
 from dfm_stage.model import Model
 from dfm_stage.model.linear import linear_part
 
-Array = NDArray[np.float64]
 DYNAMIC = ("damping", "stiffness", "force_constant", "amplifier_time_constant", "delay")
 """Base parameters that are free unless something else is asked for, where the model has them."""
 

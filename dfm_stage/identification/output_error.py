@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.criterion import ACCURATE, ROUGH, Criterion
 from dfm_stage.identification.decisions import (
     FAINTEST,
@@ -33,8 +33,6 @@ from dfm_stage.identification.noise import fit_noise
 from dfm_stage.identification.problem import Problem
 from dfm_stage.identification.result import Estimate
 from dfm_stage.identification.weights import Weight, Weights
-
-Array = NDArray[np.float64]
 
 
 def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] = (),

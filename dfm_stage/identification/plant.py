@@ -15,9 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.model.linear import LinearPart
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.run import Run
 
-Array = NDArray[np.float64]
 Signals = list[Array]
 """One array for each signal that a run compares."""
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import UNCHANGED
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.identifiability import Identifiability
 from dfm_stage.identification.noise import NoiseModel
 from dfm_stage.identification.quantity import Quantity, propagate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from dfm_stage.arrays import Array
 
-Array = NDArray[np.float64]
 Start = Literal["free", "rest", "periodic"]
 
 

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import HIGH_BAND, LEAK, NOISE_ORDER, NOISE_SAMPLES
 from dfm_stage.identification.noise import fit_noise, whiten
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
