@@ -130,7 +130,7 @@ def _record(experiment: str | dict[str, Any], bag: Path, model: str, seed: int,
 
 
 def _gains(model: Path) -> dict[str, float | str]:
-    from dfm_stage.control.placement import pid_for
+    from dfm_stage.control.pid_design import pid_for
     from dfm_stage.model import load_model
 
     identified = load_model(model)

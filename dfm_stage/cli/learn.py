@@ -152,7 +152,7 @@ def _design(axis: str, experiment: Experiment, name: str, options: argparse.Name
         pid_with_margin,
         sample_model,
     )
-    from dfm_stage.control.sampled import closed_loop_poles, controller_response
+    from dfm_stage.control.stage import closed_loop_poles, controller_response
     from dfm_stage.model import load_model
 
     if experiment.axes[axis].excitation is not None:
