@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.control_scan import LIMIT_V, Controller
 from benchmarks.figure import Figure
 from dfm_stage.control import Guard, Lqg, Pid, parameter_text, sample_model
-from dfm_stage.control.sampled import closed_loop_poles
+from dfm_stage.control.stage import closed_loop_poles
 from dfm_stage.model import Model, Plant, save_model
 
 TRAVEL_M, RESISTANCE_OHM = 7.7e-3, 8.0

@@ -26,7 +26,7 @@ from dfm_stage.control import (
     tune_pid,
     tune_ziegler_nichols,
 )
-from dfm_stage.control.sampled import controller_response
+from dfm_stage.control.stage import controller_response
 from dfm_stage.control.tuning import pid_margins
 from dfm_stage.control.tuning_runs import GainRaising
 from dfm_stage.model import Model, Plant

@@ -126,7 +126,7 @@ def _record(experiment: str | dict[str, Any], bag: Path, model: str, seed: int,
 
 
 def _gains(model: Path) -> dict[str, float | str]:
-    from dfm_stage.control.placement import pid_for
+    from dfm_stage.control.pid_design import pid_for
 
     identified = load_model(model)
     design = pid_for(identified.base, BANDWIDTH_HZ, sample_period_s=identified.sample_period)

@@ -31,7 +31,7 @@ from dfm_stage.control import (
     sample_model,
     write_text,
 )
-from dfm_stage.control.sampled import closed_loop_poles, controller_response
+from dfm_stage.control.stage import closed_loop_poles, controller_response
 from dfm_stage.errors import DfmError
 from dfm_stage.model import Model, load_model
 from dfm_stage.share import find_experiment

@@ -82,7 +82,7 @@ def _axis(page: Page, named: str, tuned: Tuned, model: Model) -> None:
 
 
 def _sensitivity(tuned: Tuned, model: Model) -> Drawing:
-    hertz, loop = loop_of(tuned, model)
+    hertz, loop = loop_of(tuned.parameters, model)
     hertz, loop = hertz[hertz >= LOWEST_HZ], loop[hertz >= LOWEST_HZ]
     curves = {"1/(1 + L)": np.abs(1.0 / (1.0 + loop)),
               "L/(1 + L)": np.abs(loop / (1.0 + loop))}

@@ -11,9 +11,7 @@ from dfm_stage.control.feedforward import (
 from dfm_stage.control.gains import PID_PARAMETERS, PidGains
 from dfm_stage.control.guard import GUARD_PARAMETERS, Guard
 from dfm_stage.control.law import Law, Setup
-from dfm_stage.control.laws import DEFAULT_LAW, LAWS, OPEN_LOOP, laws_with, modes
-from dfm_stage.control.laws.lqr import Lqg
-from dfm_stage.control.laws.pid import Pid
+from dfm_stage.control.laws import DEFAULT_LAW, LAWS, OPEN_LOOP, Lqg, Pid, laws_with, modes
 from dfm_stage.control.learning import Learner, LearningDesign, design_learning, neighbours
 from dfm_stage.control.lqr import (
     LQR_PARAMETERS,
@@ -24,15 +22,27 @@ from dfm_stage.control.lqr import (
     kalman,
 )
 from dfm_stage.control.parameter_file import parameter_text, read_parameters, write_text
-from dfm_stage.control.placement import PidDesign, pid_for, pid_with_margin
+from dfm_stage.control.pid_design import (
+    Oscillation,
+    PidDesign,
+    Ultimate,
+    oscillation,
+    pid_for,
+    pid_with_margin,
+    ultimate,
+    ultimate_from_relays,
+    ziegler_nichols,
+)
 from dfm_stage.control.riccati import algebraic, feedback_gain, finite_horizon
-from dfm_stage.control.sampled import Margins, loop_margins, margins
 from dfm_stage.control.shaping import Notch, ReferenceShaper, shape, shaper
 from dfm_stage.control.stage import (
     LinearStage,
+    Margins,
     Sampled,
     highest_mode,
     linear_stage,
+    loop_margins,
+    margins,
     sample_model,
     sample_stage,
 )
@@ -56,14 +66,6 @@ from dfm_stage.control.tuning import (
     tune_ziegler_nichols,
 )
 from dfm_stage.control.tuning_runs import TUNING_PARAMETERS, GainRaising, RelayRun, TuningRun
-from dfm_stage.control.ziegler_nichols import (
-    Oscillation,
-    Ultimate,
-    oscillation,
-    ultimate,
-    ultimate_from_relays,
-    ziegler_nichols,
-)
 
 __all__ = [
     "AXIS_PARAMETERS", "DEFAULT_LAW", "GUARD_PARAMETERS", "LAWS", "LQR_PARAMETERS", "OPEN_LOOP",

@@ -1,7 +1,5 @@
 """What goes wrong when a controller is set up."""
 
-from __future__ import annotations
-
 from dfm_stage.errors import DfmError
 
 

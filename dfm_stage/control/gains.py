@@ -111,10 +111,8 @@ class PidGains:
         """Return the tracking time constant in force, never below one sample."""
         if self.tracking_time_s > 0.0:
             chosen = self.tracking_time_s
-        elif self.ki > 0.0 and self.kd > 0.0:
-            chosen = math.sqrt(self.kd / self.ki)
         elif self.ki > 0.0:
-            chosen = abs(self.kp) / self.ki
+            chosen = math.sqrt(self.kd / self.ki) if self.kd > 0.0 else abs(self.kp) / self.ki
         else:
             chosen = 0.1
         return max(chosen, sample_period_s)

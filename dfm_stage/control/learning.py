@@ -103,8 +103,8 @@ def _most_robust(learning: Complex, through: Sequence[Complex]) -> tuple[Complex
     """Return the filter, turned and shrunk per frequency so that the worst candidate converges
     fastest, and how fast that is."""
     best, least = learning, np.full(learning.size, np.inf)
-    turns = np.exp(1j * np.linspace(-1.4, 1.4, 29))
-    for factor in (np.geomspace(1.0, 0.03, 16)[:, None] * turns).ravel():
+    for factor in np.outer(np.geomspace(1.0, 0.03, 16),
+                           np.exp(1j * np.linspace(-1.4, 1.4, 29))).ravel():
         tried = factor * learning
         worst = np.max([np.abs(1.0 - tried * each) for each in through], axis=0)
         better = worst < least - 1e-6
@@ -178,7 +178,7 @@ class Learner:
             self.best = self.signal
         self.errors.append(rms)
         d = self.design
-        learnt = np.fft.rfft(self.signal - self._start)
-        spectrum = d.robustness * (learnt + d.learning * np.fft.rfft(e))
+        spectrum = d.robustness * (np.fft.rfft(self.signal - self._start)
+                                   + d.learning * np.fft.rfft(e))
         self.signal = self._start + np.fft.irfft(spectrum, d.samples)
         return self.signal

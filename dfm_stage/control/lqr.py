@@ -37,14 +37,16 @@ import numpy as np
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.law import Entry, checked
-from dfm_stage.control.sampled import (
+from dfm_stage.control.stage import (
     Margins,
+    Sampled,
     StateSpace,
     closed_loop,
     frequency_grid,
     loop_margins,
+    radius,
+    sample_model,
 )
-from dfm_stage.control.stage import Sampled, sample_model
 from dfm_stage.model import Model
 from dfm_stage.model.parameter import Option, Parameter
 
@@ -171,11 +173,9 @@ def kalman(stage: Sampled, *, noise_m: float, force_n: float,
     a, b, c = stage.a, stage.b, stage.c
     q = force_n**2 * np.outer(stage.g, stage.g)
     if drift_n_per_root_s > 0.0:
-        n = b.size
-        a = np.block([[a, stage.g[:, None]], [np.zeros((1, n)), np.ones((1, 1))]])
-        b, c = np.append(b, 0.0), np.append(c, 0.0)
-        q = np.pad(q, (0, 1))
-        q[n, n] = drift_n_per_root_s**2 * stage.sample_period_s
+        a = np.block([[a, stage.g[:, None]], [np.zeros((1, b.size)), np.ones((1, 1))]])
+        b, c, q = np.append(b, 0.0), np.append(c, 0.0), np.pad(q, (0, 1))
+        q[-1, -1] = drift_n_per_root_s**2 * stage.sample_period_s
     # In units of the reading's noise everything is of a size that the solver likes.
     try:
         p = solve_discrete_are(a.T, c[:, None], q / noise_m**2, np.eye(1)) * noise_m**2
@@ -253,7 +253,7 @@ class LqrDesign:
         """Return the margins with another stage, or the same."""
         f = frequency_grid(stage)
         return loop_margins(f, stage.response(f) * self.response(f),
-                            bool(np.max(np.abs(np.linalg.eigvals(self.closed_loop(stage)))) < 1.0))
+                            radius(self.closed_loop(stage)) < 1.0)
 
     def steady_error(self, stage: Sampled, reference_m: float, force_n: float = 0.0) -> float:
         """Return r - y of `stage` at rest on a constant reference under a constant force, m.
@@ -264,7 +264,7 @@ class LqrDesign:
             If the loop with this stage is not stable, and so never at rest.
         """
         full = self.closed_loop(stage)
-        if np.max(np.abs(np.linalg.eigvals(full))) >= 1.0:
+        if radius(full) >= 1.0:
             raise ControlError("steady error: the loop is not stable with this stage")
         n, m = stage.b.size, self.filter.B.size
         push = np.zeros(len(full))

@@ -48,8 +48,7 @@ def shaper(frequency_hz: float, damping_ratio: float, sample_period_s: float,
 def shape(reference: ArrayLike, weights: ArrayLike) -> Array:
     """Return the shaped reference (N,), before it at rest on its first value."""
     r, w = np.asarray(reference, dtype=np.float64), np.asarray(weights, dtype=np.float64)
-    padded = np.concatenate((np.full(w.size - 1, r[0]), r))
-    return np.asarray(np.convolve(padded, w)[w.size - 1:w.size - 1 + r.size])
+    return np.asarray(np.convolve(np.pad(r, (w.size - 1, 0), "edge"), w)[w.size - 1:][:r.size])
 
 
 Point = tuple[float, float, float]

@@ -89,10 +89,9 @@ def _modes(poles: Complex, residues: Complex) -> list[tuple[float, float, float]
     """(b, c, k) of each mode b / (s^2 + c s + k), the slowest first."""
     order = np.lexsort((poles.imag, np.round(np.abs(poles), 9), np.abs(poles.imag) > 0.0))
     poles, residues = poles[order], residues[order]
-    found = []
-    for p, q, r, s in zip(poles[::2], poles[1::2], residues[::2], residues[1::2], strict=True):
-        found.append((float(-(r * q + s * p).real), float(-(p + q).real), float((p * q).real)))
-    return sorted(found, key=lambda mode: mode[2])
+    return sorted(((float(-(r * q + s * p).real), float(-(p + q).real), float((p * q).real))
+                   for p, q, r, s in zip(poles[::2], poles[1::2], residues[::2], residues[1::2],
+                                         strict=True)), key=lambda mode: mode[2])
 
 
 def _require_same(system: Any, modes: list[tuple[float, float, float]], lag: float) -> None:

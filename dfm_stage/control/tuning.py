@@ -16,11 +16,23 @@ from dfm_stage.control.gains import PidGains
 from dfm_stage.control.law import Law
 from dfm_stage.control.learning import neighbours
 from dfm_stage.control.lqr import LqrDesign, LqrSpec, design_lqr
-from dfm_stage.control.placement import if_stable, pid_with_margin
-from dfm_stage.control.sampled import Margins, frequency_grid, loop_gain, margins
-from dfm_stage.control.stage import command_limit, highest_mode, sample_model
+from dfm_stage.control.pid_design import (
+    Ultimate,
+    if_stable,
+    pid_with_margin,
+    ultimate,
+    ziegler_nichols,
+)
+from dfm_stage.control.stage import (
+    Margins,
+    command_limit,
+    frequency_grid,
+    highest_mode,
+    loop_gain,
+    margins,
+    sample_model,
+)
 from dfm_stage.control.switching import law_of, response_of
-from dfm_stage.control.ziegler_nichols import Ultimate, ultimate, ziegler_nichols
 from dfm_stage.model import EFFECTS, Model, Plant
 
 FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
@@ -195,7 +207,7 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
         reasons += (f"the input that {', '.join(covers)} takes for the reference is added",
                     "margins and filter are those of the model's linear part")
     return _tuned("lqr", model, parameters,
-                  (best.margins, _bandwidth(*_loop(parameters, model))), reasons)
+                  (best.margins, _bandwidth(*loop_of(parameters, model))), reasons)
 
 
 def _states_of(model: Model) -> str:
@@ -222,12 +234,9 @@ def _fastest(model: Model, modulus_margin: float, **spec: Any) -> LqrDesign | No
     return best
 
 
-def loop_of(tuned: Tuned, model: Model) -> tuple[Array, Complex]:
-    """Return frequencies (F,), Hz, and the loop gain L (F,) of what was tuned, on the model."""
-    return _loop(tuned.parameters, model)
-
-
-def _loop(parameters: Mapping[str, Any], model: Model) -> tuple[Array, Complex]:
+def loop_of(parameters: Mapping[str, Any], model: Model) -> tuple[Array, Complex]:
+    """Return frequencies (F,), Hz, and the loop gain L (F,) under these parameters, on the
+    model."""
     stage = sample_model(model)
     f = frequency_grid(stage)
     return f, stage.response(f) * response_of(parameters, model, f)

@@ -13,7 +13,7 @@ import numpy as np
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.law import checked, require_known
-from dfm_stage.control.ziegler_nichols import (
+from dfm_stage.control.pid_design import (
     Oscillation,
     Ultimate,
     oscillation,
@@ -107,15 +107,13 @@ class GainRaising(TuningRun):
 
     def __init__(self, sample_period_s: float, **parameters: float) -> None:
         super().__init__(sample_period_s, **parameters)
-        self._pulse_samples = max(1, round(_PULSE_S / sample_period_s))
-        self._pulse = self._pulse_samples
+        self._pulse_samples = self._pulse = max(1, round(_PULSE_S / sample_period_s))
         self._levels: list[Level] = []
         self._refined = 0
         self._begin()
 
     def _begin(self) -> None:
-        self._extreme, self._at = math.nan, 0
-        self._rising = True
+        self._extreme, self._at, self._rising = math.nan, 0, True
         self._extremes: list[tuple[int, float]] = []
         self._since = self._k
 
@@ -246,10 +244,7 @@ class RelayRun(TuningRun):
             self._outputs.clear()
             self._periods_seen = 0
             if not self._early:
-                self._finish()
-
-    def _finish(self) -> None:
-        try:
-            self.outcome = ultimate_from_relays(self._found)
-        except ControlError as error:
-            self.failure = str(error)
+                try:
+                    self.outcome = ultimate_from_relays(self._found)
+                except ControlError as error:
+                    self.failure = str(error)

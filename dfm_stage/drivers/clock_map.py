@@ -85,15 +85,15 @@ class ClockMap:
         elif late < self._mins[-1][1]:
             self._mins[-1] = (device_ns, late)
             self._fit()
-        mapped = device_ns + self._offset + self._slope * device_ns
-        return min(self._base_ns + int(mapped), arrival_ns)
+        return min(self._base_ns + int(device_ns + self._offset + self._slope * device_ns),
+                   arrival_ns)
 
     def at(self, host_ns: int) -> float:
         """Return the device's ticks, with a fraction, at a time of the host."""
         if self._first is None:
             return 0.0
-        since = host_ns - self._base_ns - self._offset
-        return self._first + since / (1.0 + self._slope) / self._tick_ns
+        return self._first + (host_ns - self._base_ns - self._offset) / (
+            1.0 + self._slope) / self._tick_ns
 
     def _fit(self) -> None:
         """A line under the minima that touches two of them (or the lowest, at first)."""

@@ -1,7 +1,5 @@
 """What can go wrong between the host and a device on a serial line."""
 
-from __future__ import annotations
-
 from dfm_stage.errors import DfmError
 
 

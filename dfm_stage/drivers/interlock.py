@@ -132,8 +132,12 @@ class Interlock:
         if not self.armed:
             return 0.0
         value: float = command.voltage
+        if not math.isfinite(value):
+            self.trip(Cause.NOT_FINITE, f"a command is {value}")
+            return 0.0
         if not -self.limit <= value <= self.limit:
-            self._trip_on_value(value)
+            self.trip(Cause.OUT_OF_RANGE,
+                      f"a command of {value:g} is beyond the limit of {self.limit:g}")
             return 0.0
         seq = command.seq
         if seq - self._seq != 1 and self._out_of_turn(seq):
@@ -157,13 +161,6 @@ class Interlock:
             self._old_since_s = now_s
         if now_s - self._old_since_s >= self._age_lasts_s:
             self.trip(Cause.ENCODER, f"a command answers a measurement {age_ms:.1f} ms old")
-
-    def _trip_on_value(self, value: float) -> None:
-        if math.isfinite(value):
-            self.trip(Cause.OUT_OF_RANGE,
-                      f"a command of {value:g} is beyond the limit of {self.limit:g}")
-        else:
-            self.trip(Cause.NOT_FINITE, f"a command is {value}")
 
     def _out_of_turn(self, seq: int) -> bool:
         """Trip if a command's number does not come after the last; 0 is no number."""

@@ -147,8 +147,7 @@ class Identity:
 def render_reply(reply: Reply, form: Format) -> bytes:
     """Return the bytes of a reply in the given form, as the device sends them."""
     space = b" " if form & Format.SPACES else b""
-    parts = [reply.kind.encode(), b"%02X" % reply.register, b"%08X" % reply.data]
-    if form & Format.TIMESTAMP:
-        parts.append(b"%08X" % (reply.timestamp or 0))
+    stamp = [b"%08X" % (reply.timestamp or 0)] if form & Format.TIMESTAMP else []
     end = (b"\r" if form & Format.CR else b"") + (b"\n" if form & Format.LF else b"")
-    return space.join([*parts, b"!"]) + end
+    return space.join([reply.kind.encode(), b"%02X" % reply.register, b"%08X" % reply.data,
+                       *stamp, b"!"]) + end

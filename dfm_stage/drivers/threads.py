@@ -373,23 +373,19 @@ class AmplifierWorker:
             self._device.close()
             try:
                 self.identity = self._device.open()
+                break
             except Exception:  # noqa: BLE001 whatever it was: try again
                 self.reconnects += 1
-                self._refuse_orders()
-                if self._stopping:
-                    return
-                with self._wake:
-                    if not self._orders:
-                        self._wake.wait(self._retry_s)
-                continue
-            self._target = None
-            self._energised, self.connected = False, True
-            with contextlib.suppress(Exception):
-                self._listener.on_output(0, None)
-            return
-
-    def _refuse_orders(self) -> None:
-        with self._wake:
-            orders, self._orders = self._orders, []
-        for _, answer in orders:
-            answer.set_exception(RefusedError(_NO_ANSWER))
+            with self._wake:
+                orders, self._orders = self._orders, []
+            for _, answer in orders:
+                answer.set_exception(RefusedError(_NO_ANSWER))
+            if self._stopping:
+                return
+            with self._wake:
+                if not self._orders:
+                    self._wake.wait(self._retry_s)
+        self._target = None
+        self._energised, self.connected = False, True
+        with contextlib.suppress(Exception):
+            self._listener.on_output(0, None)

@@ -78,8 +78,7 @@ class SerialPort:
         """Return what is there, at the latest after `timeout_s`; empty if nothing came."""
         with self._present():
             handle = self._port.fileno()
-            ready, _, _ = select.select([handle], [], [], max(0.0, timeout_s))
-            if not ready:
+            if not select.select([handle], [], [], max(0.0, timeout_s))[0]:
                 return b""
             data = os.read(handle, 4096)
         if not data:

@@ -144,8 +144,7 @@ def beam_theory(model: Model) -> BeamTheory:
 def theory_rows(theory: BeamTheory, test: DynamicTest, static: StaticTest,
                 difference_percent: float) -> list[Row]:
     """Return the beam equation against the identified stage, and the 5 % claim."""
-    omega = test.constrained.natural_frequency
-    off_omega = 100.0 * (theory.omega / omega.value - 1.0)
+    off_omega = 100.0 * (theory.omega / test.constrained.natural_frequency.value - 1.0)
     off_k = 100.0 * (theory.stiffness_n_m / static.stiffness.value - 1.0)
     worst = max(abs(off_omega), abs(off_k), difference_percent)
     beam = ("Euler-Bernoulli equation, what the paper calls the fourth order wave equation; "

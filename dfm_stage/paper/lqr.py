@@ -56,8 +56,8 @@ def printed_plant(a: Array = LQR_A, b: Array = LQR_B, c: Array = LQR_C) -> Print
     eigenvalues, vectors = np.linalg.eig(a)
     weights = (c @ vectors) * np.linalg.solve(vectors, b.astype(complex))
     upper = sorted(np.flatnonzero(eigenvalues.imag > 0.0), key=lambda i: eigenvalues[i].imag)
-    pencil = np.block([[a, b[:, None]], [c[None], np.zeros((1, 1))]])
-    zeros = eigvals(pencil, np.diag([1.0] * len(a) + [0.0]))
+    zeros = eigvals(np.block([[a, b[:, None]], [c[None], np.zeros((1, 1))]]),
+                    np.diag([1.0] * len(a) + [0.0]))
     zeros = zeros[np.isfinite(zeros)]
     return PrintedPlant(
         tuple(float(eigenvalues[i].imag) for i in upper),
@@ -92,24 +92,22 @@ def plant_rows(test: DynamicTest) -> list[Row]:
     reason = ("identified from the stepped sine of the stage that carries this plant in "
               "normalised form (model paper_two_mode)")
 
-    def of(index: int, name: str) -> float:
-        return float(getattr(modes[index], name)) if index < found else math.nan
-
-    def frequency(index: int) -> float:
-        return math.sqrt(of(index, "stiffness"))
-
+    # numerator, frequency (rad/s) and damping ratio of both modes, NaN of one that is not found
+    (numerator_1, omega_1, zeta_1), (numerator_2, omega_2, zeta_2) = [
+        *((mode.numerator, math.sqrt(mode.stiffness), mode.damping_ratio) for mode in modes),
+        (math.nan,) * 3][:2]
     return [
         derived("lqr.order", "states of the plant", PLACE, float(len(LQR_A)), 2.0 * found, "",
                 reason),
         derived("lqr.modes", "modes of the plant", PLACE, 2.0, float(found), "", "Eq. 3 has one: "
                 "the paper holds two models of one machine; one mode misses the measured response "
                 f"by {100.0 * test.constrained.misfit:.0f} % RMS, and the second is found"),
-        derived("lqr.pole_1", "first pole, ±j", PLACE, paper.poles[0], frequency(0), "rad/s",
+        derived("lqr.pole_1", "first pole, ±j", PLACE, paper.poles[0], omega_1, "rad/s",
                 reason),
-        derived("lqr.pole_2", "second pole, ±j", PLACE, paper.poles[1], frequency(1), "rad/s",
+        derived("lqr.pole_2", "second pole, ±j", PLACE, paper.poles[1], omega_2, "rad/s",
                 reason),
         derived("lqr.second_mode_hz", "frequency of the second mode", PLACE,
-                paper.poles[1] / (2.0 * math.pi), frequency(1) / (2.0 * math.pi), "Hz", reason),
+                paper.poles[1] / (2.0 * math.pi), omega_2 / (2.0 * math.pi), "Hz", reason),
         derived("lqr.zero", "zero, ±j", PLACE, paper.zeros[0],
                 abs(zeros[0]) if zeros else math.nan, "rad/s", reason),
         derived("lqr.static_gain", "static gain", PLACE, paper.static_gain, gain, "m/V",
@@ -119,25 +117,21 @@ def plant_rows(test: DynamicTest) -> list[Row]:
                 paper.static_gain * k3, paper.static_gain / gain, "", "normalise before "
                 "comparing the two models"),
         derived("lqr.residue_1", "residue of the first mode", PLACE, paper.residues[0],
-                scale * of(0, "numerator"), "", f"{reason}, scaled to the printed static gain"),
+                scale * numerator_1, "", f"{reason}, scaled to the printed static gain"),
         derived("lqr.residue_2", "residue of the second mode", PLACE, paper.residues[1],
-                scale * of(1, "numerator"), "", f"{reason}, scaled to the printed static gain"),
+                scale * numerator_2, "", f"{reason}, scaled to the printed static gain"),
         derived("lqr.damping_1", "damping ratio of the first mode", PLACE, paper.decay,
-                modes[0].damping_ratio, "", "the printed plant is undamped; ours is given sec. "
+                zeta_1, "", "the printed plant is undamped; ours is given sec. "
                 "3B's factor"),
         derived("lqr.damping_2", "damping ratio of the second mode", PLACE, paper.decay,
-                modes[1].damping_ratio if found > 1 else math.nan, "", "the printed plant is "
+                zeta_2, "", "the printed plant is "
                 "undamped; ours is chosen"),
         derived("lqr.state_names", "rows of A that say 'this state's derivative is its velocity'",
-                PLACE, 2.0, float(_velocity_rows(LQR_A)), "", "[q1, q1', q2, q2'] needs two "
+                PLACE, 2.0, float(sum(np.array_equal(LQR_A[i], np.eye(4)[i + 1])
+                                      for i in (0, 2))), "", "[q1, q1', q2, q2'] needs two "
                 "such rows; A and B are in controller canonical form, a chain of integrators, so "
                 "the states are not those quantities"),
     ]
-
-
-def _velocity_rows(a: Array) -> int:
-    """How many of the states 1 and 3 have the next state as their derivative."""
-    return sum(1 for i in (0, 2) if np.array_equal(a[i], np.eye(len(a))[i + 1]))
 
 
 @dataclass(frozen=True)
@@ -167,10 +161,10 @@ def riccati() -> tuple[Convergence, Array]:
     errors = [[_size(finite_horizon(LQR_A, LQR_B, q, r, end, np.linspace(0.0, t, 51))[0] - limit,
                      limit) / norm for t in HORIZONS_S] for end in ends]
     time = np.linspace(0.0, 4.0, 401)
-    gains = feedback_gain(finite_horizon(LQR_A, LQR_B, q, r, ends[0], time), LQR_B, r)[:, 0, :]
+    p = finite_horizon(LQR_A, LQR_B, q, r, ends[0], time)
     final = feedback_gain(limit, LQR_B, r)[0]
     return Convergence(np.array(HORIZONS_S), np.array(errors[0]), np.array(errors[1]), time,
-                       np.asarray(gains / final)), np.asarray(final)
+                       np.asarray(feedback_gain(p, LQR_B, r)[:, 0, :] / final)), np.asarray(final)
 
 
 def _size(matrix: Array, like: Array) -> float:
@@ -180,14 +174,14 @@ def _size(matrix: Array, like: Array) -> float:
 
 def riccati_rows(found: Convergence) -> list[Row]:
     """Return the convergence and what Eq. 5 says of the end."""
-    rows = [ours_only(f"lqr.riccati_{t:g}s", f"distance of P({t:g} s before the end) from the "
+    return [*(ours_only(f"lqr.riccati_{t:g}s", f"distance of P({t:g} s before the end) from the "
                       "algebraic one", "Eq. 5 ff.", float(100.0 * e), "%",
                       f"printed plant, P_f = 0; with P_f ten times the limit {100.0 * w:.3g} %")
-            for t, e, w in zip(found.horizons_s, found.without_end, found.with_end, strict=True)]
-    rows.append(derived("lqr.end_weight", "P at the end over the printed P_f", "Eq. 5", 1.0, 0.5,
-                        "", "Eq. 5 weighs the way with 1 and the end with 1/2, so P(t_f) is P_f / "
-                        "2; the paper prints P(t) = P_f, for P(t_f)"))
-    return rows
+              for t, e, w in zip(found.horizons_s, found.without_end, found.with_end,
+                                 strict=True)),
+            derived("lqr.end_weight", "P at the end over the printed P_f", "Eq. 5", 1.0, 0.5,
+                    "", "Eq. 5 weighs the way with 1 and the end with 1/2, so P(t_f) is P_f / "
+                    "2; the paper prints P(t) = P_f, for P(t_f)")]
 
 
 def error_dynamics_rows(gain: Array) -> list[Row]:
@@ -299,15 +293,15 @@ def regulation_rows(found: Regulation) -> list[Row]:
     position = found.disturbed[names[0]][moving]
     force = found.disturbance[moving]
     slope = proportional(force, position)
-    alike = float(np.corrcoef(position, force)[0, 1])
     calm = found.disturbed[names[2]][moving]
-    rows += [
+    return [
+        *rows,
         ours_only("lqr.disturbance_likeness", "correlation of position and disturbance",
-                  "Fig. 12", alike, "", "the paper: 'the position curve closely follows the shape "
+                  "Fig. 12", float(np.corrcoef(position, force)[0, 1]), "",
+                  "the paper: 'the position curve closely follows the shape "
                   f"of the amplified and shifted disturbance'; {1e6 * slope:.0f} µm/N at "
                   f"{DISTURBANCE_HZ:g} Hz"),
         ours_only("lqr.disturbance_integral", "motion under the disturbance with integral action, "
                   "over that without", "Fig. 12",
                   100.0 * float(np.std(calm) / np.std(position)), "%", "RMS"),
     ]
-    return rows

@@ -90,8 +90,8 @@ def swing_of(record: Record) -> tuple[float, float]:
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     if up.size < 4:
         return math.nan, math.nan
-    exact = up + y[up] / (y[up] - y[up + 1])
-    period = float(np.polyfit(np.arange(up.size), exact, 1)[0]) * record.sample_period
+    period = float(np.polyfit(np.arange(up.size), up + y[up] / (y[up] - y[up + 1]),
+                              1)[0]) * record.sample_period
     size = [float(np.ptp(y[a:b])) for a, b in pairwise(up)]
     growth = math.exp(float(np.polyfit(np.arange(len(size)), np.log(size), 1)[0]))
     return period, growth
@@ -107,7 +107,6 @@ def pid_rows(test: PidTest, model: Model) -> list[Row]:
     sine_peak, sine_rms = largest_error(test.sine, 4.0)
     placed_peak, _ = largest_error(test.placed, 4.0)
     coarse_peak, _ = largest_error(test.coarse, 1.0)
-    found = margins(sample_model(model), test.gains)
     illegible = "the reference signal of the claim is not legible"
     return [
         ours_only("zn.without_delay", "ultimate gain without delay and lag, as Eq. 3 has it",
@@ -129,7 +128,8 @@ def pid_rows(test: PidTest, model: Model) -> list[Row]:
         ours_only("zn.kd", "K_d = 0.075 K_u P_u", "Eq. 4", test.gains.kd, "V s/m",
                   "Ziegler and Nichols, derivative filtered"),
         ours_only("zn.modulus_margin", "distance of the loop from -1", "sec. 4",
-                  found.modulus, "", "0.5 and more is called robust: the rule is not 'optimal'"),
+                  margins(sample_model(model), test.gains).modulus, "",
+                  "0.5 and more is called robust: the rule is not 'optimal'"),
         printed("pid.accuracy", step_peak, f"largest error in the last 0.5 s of a "
                 f"{1e3 * STEP_M:g} mm step under Ziegler-Nichols; {illegible}"),
         derived("pid.accuracy_sine", "the same claim on a moving reference", "abstract, Fig. 9",

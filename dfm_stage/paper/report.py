@@ -79,10 +79,9 @@ def _cells(row: Row) -> list[Cell]:
 
 
 def _stiffness(page: Page, found: Findings) -> None:
-    loads = np.array([row[0] for row in TABLE_1])
-    printed = np.array([1e-3 * row[2] for row in TABLE_1])
+    load, _, practice, *_ = np.array(TABLE_1).T
     page.figure(
-        static_figure(found.static, PRINTED["table1.theory"].value, (loads, printed)),
+        static_figure(found.static, PRINTED["table1.theory"].value, (load, 1e-3 * practice)),
         "Fig. 6: stiffness characteristics, force up and down; below, how far each level is "
         "off the straight line through all of ours")
 

@@ -141,8 +141,7 @@ def ours_only(name: str, what: str, place: str, ours: Quantity | float | None, u
 def _row(name: str, what: str, place: str, paper: float | None, ours: Quantity | float | None,
          unit: str, reason: str, kind: str) -> Row:
     """Return a row; what is not finite counts as not known."""
-    value = ours.value if isinstance(ours, Quantity) else ours
-    limits = ours.ci95 if isinstance(ours, Quantity) else None
+    value, limits = (ours.value, ours.ci95) if isinstance(ours, Quantity) else (ours, None)
     return Row(name, what, place, paper,
                float(value) if value is not None and math.isfinite(value) else None, unit, reason,
                kind, limits if limits is not None and all(map(math.isfinite, limits)) else None)

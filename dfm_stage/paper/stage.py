@@ -80,7 +80,9 @@ class DirectStage:
             parameters[f"/stage/{name}/trajectory_generator"] = {
                 "run": {"excitation": excitation.metadata()}}
             if experiment.mode == OPEN_LOOP:
-                axes[name] = _open_loop(one, excitation.voltage, seed, other)
+                found = Simulator(one).run(excitation.voltage, other=other)
+                axes[name] = AxisRecord(excitation.voltage, found.measured(seed),
+                                        extra={"plant_position": found.position})
             else:
                 reference = experiment.reference(name, period)
                 given = experiment.controller if isinstance(experiment.controller, Mapping) else {}
@@ -100,11 +102,6 @@ def _neighbour(experiment: Experiment, model: Model, name: str) -> Array | None:
                if other in experiment.axes else np.zeros(round(experiment.duration_s
                                                                / model.sample_period)))
     return Simulator(uncoupled(model.axis(other))).run(voltage).position
-
-
-def _open_loop(model: Model, voltage: Array, seed: int, other: Array | None) -> AxisRecord:
-    result = Simulator(model).run(voltage, other=other)
-    return AxisRecord(voltage, result.measured(seed), extra={"plant_position": result.position})
 
 
 def _closed_loop(model: Model, law: Law, reference: Reference, excitation: Array,

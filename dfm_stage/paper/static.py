@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -39,22 +40,21 @@ def table_rows(test: StaticTest, model: Model) -> list[Row]:
                 f"deflection ({1e3 * load / (1e3 * practice * 1e-3):.4g} N/m)", "printed"),
             Row(f"table1.error.{name}", f"error of theory at {load:g} N", PLACE, error, off, "%",
                 f"against the theory's {theory:g} N/m", "printed")]
-    rows.append(printed("table1.error", worst, "largest of the four; the paper claims less than "
-                        "1 %"))
-    printed_lines = np.array([(row[0], row[2]) for row in TABLE_1])
-    spread = float(np.ptp([row[3] for row in TABLE_1]) / np.mean([row[3] for row in TABLE_1]))
-    odd = 1e-3 * float(printed_lines[0, 1] + printed_lines[3, 1])
-    rows += [
+    odd = 1e-3 * (TABLE_1[0][2] + TABLE_1[3][2])
+    return [
+        *rows,
+        printed("table1.error", worst, "largest of the four; the paper claims less than 1 %"),
         derived("table1.linearity", "spread of the stiffness over the travel", PLACE,
-                100.0 * spread, _spread_percent(test), "%", "largest less smallest over the "
-                "mean; a double parallelogram does not stiffen"),
+                _spread_percent(row[3] for row in TABLE_1),
+                _spread_percent(row[0] / test.deflection_at(row[0]).value for row in TABLE_1),
+                "%", "largest less smallest over the mean; a double parallelogram does not "
+                "stiffen"),
         derived("table1.symmetry", "deflection at -5 N plus that at 5 N", PLACE, odd,
                 test.deflection_at(-5.0).value + test.deflection_at(5.0).value, "m",
                 "an offset or a force constant that depends on the sign; the model has neither"),
         ours_only("table1.hysteresis", "hysteresis loop, largest width", "Fig. 6",
                   test.hysteresis, "m", "the paper calls forward and backward path a close match "
                   "without a number")]
-    return rows
 
 
 def quasistatic_rows(omega: float, damping_ratio: float, slope_m_s: float,
@@ -110,23 +110,22 @@ def geometry_rows(manipulator: DoubleParallelogram | None = None) -> list[Row]:
         rotation = float(turn)
     except FlexureError as error:
         element, rotation, reason = math.nan, math.nan, str(error)
-    rows += [derived("geometry.fea", "stiffness at 5 N, finite elements", "sec. 2",
-                     PRINTED["table1.theory"].value, element, "N/m", f"{reason}; {chosen}"),
-             ours_only("geometry.fea_rotation", "rotation at 5 N, finite elements", "sec. 2",
-                       rotation, "rad", f"{reason}; closed form "
-                       f"{1e6 * dfm.rotation_rad(load / dfm.stiffness_n_m()):.2f} µrad")]
-    return rows
+    return [*rows,
+            derived("geometry.fea", "stiffness at 5 N, finite elements", "sec. 2",
+                    PRINTED["table1.theory"].value, element, "N/m", f"{reason}; {chosen}"),
+            ours_only("geometry.fea_rotation", "rotation at 5 N, finite elements", "sec. 2",
+                      rotation, "rad", f"{reason}; closed form "
+                      f"{1e6 * dfm.rotation_rad(load / dfm.stiffness_n_m()):.2f} µrad")]
 
 
-def _spread_percent(test: StaticTest) -> float:
-    values = [load / test.deflection_at(load).value for load, *_ in TABLE_1]
+def _spread_percent(stiffness: Iterable[float]) -> float:
+    values = list(stiffness)
     return 100.0 * float(np.ptp(values) / np.mean(values))
 
 
 def mass_and_damping_rows(stiffness: Quantity, omega: Quantity, damping: Quantity,
                           model: Model) -> list[Row]:
     """Return moving mass and viscous damping as the paper's numbers give them, and ours."""
-    c = PRINTED["eq3.damping"].value
     mass = PRINTED["table1.theory"].value / PRINTED["response.natural"].value**2
     ours_mass = stiffness.value / omega.value**2
     spread = math.hypot(stiffness.half_width / stiffness.value,
@@ -138,6 +137,7 @@ def mass_and_damping_rows(stiffness: Quantity, omega: Quantity, damping: Quantit
                 Quantity(ours_mass, "kg", (ours_mass - spread, ours_mass + spread)), "kg",
                 f"static stiffness over identified frequency; the model has "
                 f"{model.base['mass']:g} kg"),
-        derived("derived.damping", "viscous damping, 1.705 m", "Eq. 3", c * mass,
+        derived("derived.damping", "viscous damping, 1.705 m", "Eq. 3",
+                PRINTED["eq3.damping"].value * mass,
                 Quantity(ours_c, "N s/m", (ours_c - spread_c, ours_c + spread_c)), "N s/m",
                 f"the model has {model.base.get('damping', 0.0):g} N s/m")]

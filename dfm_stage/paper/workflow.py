@@ -133,11 +133,10 @@ def compare(stage: Stage, models: Models, experiments: Mapping[str, Experiment],
     regulation = lqr.regulate(stage, models.two_mode, step)
     plane = {axis: run(name, name, models.xy) for axis, name in XY_EXPERIMENTS.items()}
     step("finite elements")
-    scanned = xy.xy_test(models.xy, plane, elements)
     theory = dynamics.beam_theory(model)
     found = Findings(records, held, decay, stepped, response, theory,
                      _transient(records["step"], stepped, response, theory, model), tuned, two,
-                     convergence, regulation, scanned)
+                     convergence, regulation, xy.xy_test(models.xy, plane, elements))
     return Comparison(_rows(found, models, gain), found, stage.description)
 
 
@@ -199,7 +198,7 @@ def _transient(record: Record, stepped: StepResponse, response: DynamicTest,
     start = stepped.start
     time = record.time[start:] - record.time[start]
     volts = float(data.input[start] - data.input[start - 1])
-    force = volts * model.base["force_constant"]
-    beam = theory.chain.step_response(time - late, force, fit.damping_ratio.value)
+    beam = theory.chain.step_response(time - late, volts * model.base["force_constant"],
+                                      fit.damping_ratio.value)
     identified = volts * dynamics.unit_step(fit.plant.modes[0], np.maximum(time - late, 0.0))
     return np.array((time, data.position[start:] - stepped.initial.value, beam, identified))

@@ -89,24 +89,22 @@ def xy_rows(found: XYTest) -> list[Row]:
     gauge, cross = PRINTED["xy.gauge"].value, PRINTED["xy.cross"].value
     k_paper = load / travel
     block = PRINTED["table1.theory"].value
-    closed = found.mechanism.stiffness_n_m()
     rows: list[Row] = []
     for axis, test in found.tests.items():
-        k = test.stiffness
         rows += [
             derived(f"xy.stiffness_{axis}", f"stiffness in {axis}, slope of force over "
-                    "deflection", f"{PLACE}, Fig. {16 if axis == 'x' else 17}", k_paper, k,
-                    "N/m", "35 N at 7.5 mm; static test of the XY stage's model"),
+                    "deflection", f"{PLACE}, Fig. {16 if axis == 'x' else 17}", k_paper,
+                    test.stiffness, "N/m", "35 N at 7.5 mm; static test of the XY stage's model"),
             derived(f"xy.travel_{axis}", f"displacement in {axis} under the largest load", PLACE,
                     travel, test.deflection_at(load), "m", "static test of the XY stage's model")]
     first = next(iter(found.tests.values()))
-    largest = float(np.max(first.force_n))
     step = PRINTED["xy.increment"].value * STANDARD_GRAVITY
     per_step = step / first.stiffness.value
     apart = float(np.min(np.diff(np.unique(np.round(first.force_n, 6)))))
-    rows += [
-        printed("xy.load", largest, "largest force in the record; the paper equates 35 N with 3.5 "
-                f"kg, which weigh {3.5 * STANDARD_GRAVITY:.1f} N"),
+    return [
+        *rows,
+        printed("xy.load", float(np.max(first.force_n)), "largest force in the record; the paper "
+                f"equates 35 N with 3.5 kg, which weigh {3.5 * STANDARD_GRAVITY:.1f} N"),
         printed("xy.travel", first.travel_m, "largest less smallest deflection in the record"),
         derived("xy.blocks", "XY stiffness over that of one block", PLACE, k_paper / block,
                 first.stiffness.value / block, "", "so the XY stage is not two blocks of Table 1; "
@@ -119,8 +117,8 @@ def xy_rows(found: XYTest) -> list[Row]:
                 "of the travel, which bounds what it can say of the stiffness"),
         printed("xy.range", first.travel_m, "what our test needs of a gauge; the paper's reaches "
                 f"{PRINTED['xy.range'].value / first.travel_m:.1f} times as far"),
+        *_cross_rows(found, cross, travel), *_element_rows(found, k_paper),
     ]
-    return [*rows, *_cross_rows(found, cross, travel), *_element_rows(found, closed, k_paper)]
 
 
 def _cross_rows(found: XYTest, cross: float, travel: float) -> list[Row]:
@@ -128,14 +126,13 @@ def _cross_rows(found: XYTest, cross: float, travel: float) -> list[Row]:
     coupled = ("what the model's coupling gives" if found.coupled else
                "the model of the XY stage has no coupling, so this is what the readings' noise "
                "leaves")
-    rows = [printed("xy.cross", abs(found.across_m["y"]) if "y" in found.across_m else None,
-                    f"motion in x while y is driven to its end; {coupled}")]
-    if "x" in found.across_m:
-        rows.append(derived("xy.cross_other", "motion in Y while X is driven", PLACE, cross,
-                            abs(found.across_m["x"]), "m", "'similar results are observed in "
-                            "other direction'"))
     perfect = found.elements.get("y")
-    rows += [
+    return [
+        printed("xy.cross", abs(found.across_m["y"]) if "y" in found.across_m else None,
+                f"motion in x while y is driven to its end; {coupled}"),
+        *(derived("xy.cross_other", "motion in Y while X is driven", PLACE, cross,
+                  abs(found.across_m[axis]), "m", "'similar results are observed in other "
+                  "direction'") for axis in ("x",) if axis in found.across_m),
         ours_only("xy.cross_perfect", "the same for a perfect mechanism, finite elements", PLACE,
                   float(abs(perfect.across_m[-1])) if perfect else None, "m", "zero in closed "
                   "form: the 25 µm are not parasitic, as the paper says"
@@ -149,13 +146,12 @@ def _cross_rows(found: XYTest, cross: float, travel: float) -> list[Row]:
                   f"{1e6 * errors['outer_thickness'] * blade.thickness_m:.0f} µm of blade: the "
                   "angle is the likelier cause"),
     ]
-    return rows
 
 
-def _element_rows(found: XYTest, closed: float, k_paper: float) -> list[Row]:
+def _element_rows(found: XYTest, k_paper: float) -> list[Row]:
     rows = [derived("xy.closed_form", "stiffness of the chosen mechanism, closed form",
-                    "Fig. 16, 17", k_paper, closed, "N/m", "Awtar's eight blocks, CHOSEN to meet "
-                    "35 N at 7.5 mm; the paper prints no dimensions")]
+                    "Fig. 16, 17", k_paper, found.mechanism.stiffness_n_m(), "N/m", "Awtar's "
+                    "eight blocks, CHOSEN to meet 35 N at 7.5 mm; the paper prints no dimensions")]
     for axis, curve in found.elements.items():
         figure = f"Fig. {16 if axis == 'x' else 17}"
         slope = (float(curve.force_n @ curve.along_m / (curve.along_m @ curve.along_m))

@@ -1,6 +1,5 @@
 """Recording and reading runs: MCAP bags, CSV files, and the record they all become."""
 
-from dfm_stage.recording.array_files import write_mat
 from dfm_stage.recording.bag import (
     MODEL_ATTACHMENT,
     PARAMETERS_ATTACHMENT,
@@ -11,7 +10,6 @@ from dfm_stage.recording.bag import (
 )
 from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_writer import BagWriter
-from dfm_stage.recording.csv_file import write_csv
 from dfm_stage.recording.errors import (
     BagReadError,
     BagWriteError,
@@ -25,6 +23,7 @@ from dfm_stage.recording.message_definitions import definition_text
 from dfm_stage.recording.read_record import read_record
 from dfm_stage.recording.record import AxisRecord, Provenance, Record
 from dfm_stage.recording.rosbag2_metadata import QosProfile
+from dfm_stage.recording.table_files import write_csv, write_mat
 
 __all__ = [
     "MODEL_ATTACHMENT",

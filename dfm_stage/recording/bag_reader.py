@@ -22,12 +22,12 @@ from mcap.records import Channel
 from numpy.typing import NDArray
 
 from dfm_stage.recording.bag import DROPPED_KEY, Bag, Topic
-from dfm_stage.recording.bag_files import BagFiles, find_files
 from dfm_stage.recording.chunk_data import DamagedError, expand, survey_chunk
 from dfm_stage.recording.decode_plan import Plan, compile_plan
 from dfm_stage.recording.errors import BagReadError, DefinitionError, NotInBagError
 from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
 from dfm_stage.recording.message_definitions import full_name, parse_schema
+from dfm_stage.recording.rosbag2_metadata import BagFiles, find_files
 
 if TYPE_CHECKING:
     from dfm_stage.recording.topic_arrays import TopicArrays
@@ -144,8 +144,8 @@ class _Reader:
     def note_rest(self, source: _Source, chunk: ChunkPlace, rest: int, whole: int) -> None:
         """Note what a chunk lacks behind its last whole record."""
         missing = chunk.offset + chunk.length - source.scan.size
-        share = 1.0 - min(whole / max(chunk.uncompressed_size, 1), 1.0)
-        seconds = share * max(chunk.end_ns - chunk.start_ns, 0) / 1e9
+        seconds = (1.0 - min(whole / max(chunk.uncompressed_size, 1), 1.0)) * max(
+            chunk.end_ns - chunk.start_ns, 0) / 1e9
         if chunk.cut:
             self.note(source, chunk, f"the last chunk was cut off, {missing} of its "
                       f"{chunk.length} bytes are missing, about {seconds:.3g} s; the whole "

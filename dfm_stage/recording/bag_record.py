@@ -25,7 +25,6 @@ from dfm_stage.recording.bag import (
 from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.record import AxisRecord, FloatArray, Provenance, Record
 from dfm_stage.recording.sample_grid import (
-    AppliedInput,
     SampleGrid,
     applied_input,
     jitter_note,
@@ -116,9 +115,8 @@ class _Run:
     def period_s(self) -> float | None:
         """The sample period the run was set to, if the bag says one."""
         said = {self.model.get("sample_period")}
-        for node in self.parameters.values():
-            if isinstance(node, Mapping) and isinstance(node.get("parameters"), Mapping):
-                said.add(node["parameters"].get("sample_period_s"))
+        said |= {node["parameters"].get("sample_period_s") for node in self.parameters.values()
+                 if isinstance(node, Mapping) and isinstance(node.get("parameters"), Mapping)}
         numbers = {float(value) for value in said
                    if isinstance(value, (int, float)) and value > 0}
         return numbers.pop() if len(numbers) == 1 else None
@@ -157,19 +155,15 @@ def _read_axis(bag: Bag, name: str, topic_name: str, run: _Run,
     if source.name.endswith("amplifier"):
         arrays["current"] = on_grid(grid, applied.answers[applied.in_window],
                                     source["current"][applied.in_window])
-        notes += _amplifier_notes(source, applied)
+        off = int((~source["enabled"][applied.in_window]).sum())
+        faults = int((source["faults"][applied.in_window] > 0).sum())
+        notes += [f"{source.name}: {what}" for count, what in (
+            (off, f"the output was off in {off} messages"),
+            (faults, f"{faults} messages report faults")) if count]
     else:
         notes.append(f"{prefix}amplifier was not recorded; the command is taken as the input")
     arrays |= _other_arrays(bag, prefix, grid, source)
     return _Axis(name, grid, arrays, run.input_unit(name), notes)
-
-
-def _amplifier_notes(source: Topic, applied: AppliedInput) -> list[str]:
-    off = int((~source["enabled"][applied.in_window]).sum())
-    faults = int((source["faults"][applied.in_window] > 0).sum())
-    return [f"{source.name}: {what}" for count, what in (
-        (off, f"the output was off in {off} messages"),
-        (faults, f"{faults} messages report faults")) if count]
 
 
 def _other_arrays(bag: Bag, prefix: str, grid: SampleGrid, source: Topic) -> dict[str, FloatArray]:
@@ -206,9 +200,9 @@ def _on_one_time_base(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Reco
         even = axis.grid.steady_ns - origin - np.arange(axis.grid.count) * period * 1e9
         offset = float(np.median(even)) * 1e-9 / period
         shifts.append(round(offset))
-        if abs(offset - round(offset)) > 0.1:
-            apart = (offset - round(offset)) * period
-            warnings.append(f"axis {axis.name} is sampled {apart:.3g} s away from axis "
+        apart = offset - round(offset)
+        if abs(apart) > 0.1:
+            warnings.append(f"axis {axis.name} is sampled {apart * period:.3g} s away from axis "
                             f"{axes[0].name}; both are put on the same samples")
     start = max(shifts)
     stop = min(shift + axis.grid.count for shift, axis in zip(shifts, axes, strict=True))

@@ -32,6 +32,7 @@ from dfm_stage.recording.errors import BagWriteError, writing
 from dfm_stage.recording.mcap_sink import Chunk, McapSink
 from dfm_stage.recording.message_definitions import full_name
 from dfm_stage.recording.rosbag2_metadata import (
+    METADATA_FILE,
     BagInformation,
     QosProfile,
     TopicEntry,
@@ -330,7 +331,7 @@ class BagWriter:
             raise self.error
 
     def _write_metadata_yaml(self) -> None:
-        path = self.directory / "metadata.yaml"
+        path = self.directory / METADATA_FILE
         with writing(path):
             write_whole(path, yaml_text(
                 {"rosbag2_bagfile_information": self._information.to_dict()}))

@@ -61,12 +61,6 @@ def _start(data: Bytes, offsets: Ints, row: int, arena: Bytes, bases: Ints, star
         at[m] = start[m] if little_endian else -1
 
 
-@compiled
-def _shortest(start: Ints, end: Ints, at: Ints) -> int:
-    """Return the size of the shortest message, -1 if one of them is bad."""
-    return int(np.min(end - start)) if len(at) and np.min(at) >= 0 else -1
-
-
 def _over_messages(copy: Callable[..., None]) -> Callable[..., None]:
     """Return a compiled loop that does `copy` for every message: one loop for each kind of
     element is twice as fast as one loop that asks for the kind each time."""
@@ -224,7 +218,8 @@ def decode(data: Bytes, offsets: Ints, row: int, program: Ints, arena: Bytes, ba
     _start(data, offsets, row, arena, bases, start, end, at)
     used = np.zeros(ragged.shape[0], np.int64)
     last = np.full(ragged.shape[0], -1, np.int64)
-    shortest = _shortest(start, end, at)
+    # the size of the shortest message, -1 if one of them is bad
+    shortest = int(np.min(end - start)) if len(at) and np.min(at) >= 0 else -1
     common = 0 if shortest >= 0 else -1
     n_entries = 0
     pc = 0

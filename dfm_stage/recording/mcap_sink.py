@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import lz4.frame
@@ -88,7 +89,10 @@ class McapSink:
         self.counts: dict[int, int] = {}
         self.start_ns = 2**64 - 1
         self.end_ns = 0
-        self._compress = _compressor(compression)
+        compressors: dict[str, Callable[[bytearray], bytes | bytearray]] = {
+            "zstd": zstandard.ZstdCompressor(level=1, write_checksum=True).compress,
+            "lz4": partial(lz4.frame.compress, content_checksum=True), "none": bytes}
+        self._compress = compressors[compression]
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunk_indexes: list[ChunkIndex] = []
@@ -213,14 +217,6 @@ class McapSink:
                 os.ftruncate(self._file, offset)
             raise
         return offset
-
-
-def _compressor(compression: str) -> Callable[[bytearray], bytes | bytearray]:
-    if compression == "zstd":
-        return zstandard.ZstdCompressor(level=1, write_checksum=True).compress
-    if compression == "lz4":
-        return lambda data: bytes(lz4.frame.compress(data, content_checksum=True))
-    return lambda data: data
 
 
 def _bytes_of(record: McapRecord) -> bytes:

@@ -38,17 +38,12 @@ def entry(function: Function) -> Function:
     return _keep(result)
 
 
-def compiled(function: Function) -> Function:
-    """Compile a function that only compiled code calls."""
-    result: Function = _njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
-    return result
-
-
-def inlined(function: Function) -> Function:
-    """Compile a function into each compiled function that calls it."""
-    result: Function = _njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True,
-                             forceinline=True)(function)
-    return result
+compiled: Callable[[Function], Function] = _njit(
+    nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Compile a function that only compiled code calls."""
+inlined: Callable[[Function], Function] = _njit(
+    nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+"""Compile a function into each compiled function that calls it."""
 
 
 def _loader(bits: int) -> Any:
@@ -59,8 +54,8 @@ def _loader(bits: int) -> Any:
     def load(_typing: Any, data: Any, _at: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             array = context.make_array(signature.args[0])(context, builder, arguments[0])
-            place = builder.gep(array.data, [arguments[1]])
-            value = builder.load(builder.bitcast(place, word.as_pointer()))
+            value = builder.load(builder.bitcast(builder.gep(array.data, [arguments[1]]),
+                                                 word.as_pointer()))
             value.align = 1
             return value
 

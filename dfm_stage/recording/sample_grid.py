@@ -95,10 +95,10 @@ def sample_grid(measurement: Topic, nominal_s: float | None, given_s: float | No
     place[index] = rows
     stamps = measurement["header.stamp"][rows]
     steady = _without_clock_steps(index, stamps, name, notes)
-    period = _period(index, steady, nominal_s, given_s, name, notes)
     log = measurement.log_time_ns[rows]
     return SampleGrid(int(seq[0] % _WRAP), place, _fill_missing_stamps(index, stamps),
-                      _fill_missing_stamps(index, steady), period,
+                      _fill_missing_stamps(index, steady),
+                      _period(index, steady, nominal_s, given_s, name, notes),
                       (int(log.min()), int(log.max())), notes)
 
 
@@ -122,9 +122,8 @@ def _without_clock_steps(index: Ints, stamps: Ints, name: str, notes: list[str])
 
 def _period(index: Ints, stamps: Ints, nominal_s: float | None, given_s: float | None, name: str,
             notes: list[str]) -> float:
-    estimate = float(np.polyfit(index, (stamps - stamps[0]) * 1e-9, 1)[0])
-    estimate = round_off(estimate, estimate / len(index))
-    period = estimate
+    slope = float(np.polyfit(index, (stamps - stamps[0]) * 1e-9, 1)[0])
+    period = estimate = round_off(slope, slope / len(index))
     if given_s is not None:
         period = given_s
     elif nominal_s is not None and abs(estimate - nominal_s) <= _NOMINAL_SHARE * nominal_s:

@@ -205,11 +205,9 @@ def _choose(table: Table, options: Options) -> _Choice:
         found[axis_name][quantity] = _Source(name, _unit(given) if given else unit)
     complete = {name: parts for name, parts in found.items()
                 if {"input", "position"} <= set(parts)}
-    for name, parts in found.items():
-        if name not in complete:
-            missing = " and ".join(_KINDS[part] for part in ("input", "position")
-                                   if part not in parts)
-            notes.append(f"axis {name} was left out: it has no column with {missing}")
+    notes += [f"axis {name} was left out: it has no column with " + " and ".join(
+        _KINDS[part] for part in ("input", "position") if part not in parts)
+        for name, parts in found.items() if name not in complete]
     if not complete:
         raise RecordError(
             f"no input and position columns among {_list(table.names)}; name them like "
@@ -289,22 +287,21 @@ def _axis(name: str, sources: Mapping[str, _Source], columns: Mapping[str, Float
           base: TimeBase, warnings: list[str], several: bool) -> AxisRecord:
     parts: dict[str, FloatArray] = {}
     for quantity, source in sources.items():
-        values = columns[source.column][base.rows] * source.unit.factor
+        values, error = columns[source.column][base.rows] * source.unit.factor, 0.0
         if quantity == "input":
             values = average_held(values, base)
         else:
             values, error = resample(values, base)
-            if base.jitter is not None and quantity == "position":
-                label = f"axis {name}, " if several else ""
-                warnings.append(f"{label}position was moved to even time stamps; estimated error "
-                                f"{error:.3g} {source.unit.base} rms")
-        full = np.full(base.length, np.nan)
-        full[base.index] = values
-        if quantity in ("current", "reference") and np.isnan(values).any():
-            if np.isnan(values).all():
-                continue
-            warnings.append(f"{source.column} has {int(np.isnan(values).sum())} samples without "
-                            f"a value")
-        parts[quantity] = full
+        if base.jitter is not None and quantity == "position":
+            label = f"axis {name}, " if several else ""
+            warnings.append(f"{label}position was moved to even time stamps; estimated error "
+                            f"{error:.3g} {source.unit.base} rms")
+        missing = int(np.isnan(values).sum()) if quantity in ("current", "reference") else 0
+        if missing == len(values):
+            continue
+        if missing:
+            warnings.append(f"{source.column} has {missing} samples without a value")
+        parts[quantity] = np.full(base.length, np.nan)
+        parts[quantity][base.index] = values
     return AxisRecord(parts["input"], parts["position"], sources["input"].unit.base,
                       sources["position"].unit.base, parts.get("current"), parts.get("reference"))

@@ -167,20 +167,19 @@ def _fit(time: FloatArray, rows: Ints, index: Ints,
     slope, start = np.polyfit(index, time - time[0], 1)
     deviation = time - time[0] - (start + slope * index)
     worst = float(np.abs(deviation).max())
-    base = TimeBase(float(time[0] + start), float(slope), rows, index, None, notes)
-    resolution = _resolution(time)
+    start, resolution = float(time[0] + start), _resolution(time)
     if worst <= EVEN_SHARE * slope or worst <= 0.51 * resolution:
         if worst > 0.01 * slope:
             notes.append(f"time is rounded to {resolution:.3g} s; the samples were taken as even, "
                          f"{slope:.9g} s apart")
-        return TimeBase(round_off(base.start, slope), round_off(base.period, slope / len(time)),
+        return TimeBase(round_off(start, slope), round_off(float(slope), slope / len(time)),
                         rows, index, None, notes)
     rms = float(np.sqrt(np.mean(deviation**2)))
     if worst > MAX_JITTER_SHARE * slope:
         notes.append(f"some time stamps are off by more than half a period ({worst:.3g} s)")
     notes.append(f"time stamps jitter by {rms:.3g} s rms, {worst:.3g} s at most, around a period "
                  f"of {slope:.9g} s")
-    return TimeBase(base.start, base.period, rows, index, deviation, notes)
+    return TimeBase(start, float(slope), rows, index, deviation, notes)
 
 
 def round_off(value: float, scale: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass, field
 from typing import Any
@@ -99,9 +100,8 @@ class TopicArrays:
 
     def _view(self, column: Column, base: int) -> Array:
         dtype = column.stored_dtype
-        size = dtype.itemsize * column.count * self.rows
         shape = (self.rows,) if column.count == 1 else (self.rows, column.count)
-        return self._arena[base:base + size].view(dtype).reshape(shape)
+        return self._arena[base:][:dtype.itemsize * math.prod(shape)].view(dtype).reshape(shape)
 
     def finish(self) -> Topic:
         """Return the topic; rows that could not be filled are taken out."""

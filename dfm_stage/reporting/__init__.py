@@ -1,12 +1,13 @@
 """Reports: one self-contained HTML page, its plots and tables, numbers as people read them."""
 
 from dfm_stage.quantity import Quantity, display_unit, format_number, format_quantity
-from dfm_stage.reporting.drawing import new_figure, page_style
 from dfm_stage.reporting.figures import (
     Drawing,
     Response,
     bode_figure,
     log_labels,
+    new_figure,
+    page_style,
     statistics,
     thinned,
     time_figure,

@@ -15,8 +15,7 @@ import numpy as np
 from dfm_stage import __version__
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
-from dfm_stage.reporting.drawing import NARROW_IN, to_svg
-from dfm_stage.reporting.figures import Drawing
+from dfm_stage.reporting.figures import NARROW_IN, Drawing, to_svg
 from dfm_stage.reporting.style import STYLE
 from dfm_stage.reporting.table import Cell, Table
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.model.parameter import Option, Parameter
-from dfm_stage.trajectory.errors import TrajectoryError
 from dfm_stage.trajectory.kind import Movement, Timing, Values
 
 TIME = "time_s"
@@ -39,8 +38,8 @@ def csv_movement(values: Values, timing: Timing) -> Movement:
 
     t, x = _read(values, "m")
     if t.size < 6:
-        raise values.error("file", f"{_file(values)} has {t.size} rows; a smooth movement needs "
-                                   "at least 6")
+        raise values.error("file", f"{values.word('file')} has {t.size} rows; a smooth movement "
+                                   "needs at least 6")
     ends = [(1, 0.0), (2, 0.0)]
     spline = make_interp_spline(t - t[0], x * values.number("scale"), k=5, bc_type=(ends, ends))
     length = float(t[-1] - t[0])
@@ -49,7 +48,9 @@ def csv_movement(values: Values, timing: Timing) -> Movement:
     since = (index - first) * timing.sample_period_s
     period = 0
     if values.flag("repeat"):
-        _must_close(values, x)
+        if abs(x[-1] - x[0]) > 1e-9:
+            raise values.error("repeat", "repeat needs the last row where the first is: "
+                                         f"{x[0]:g} m, not {x[-1]:g} m")
         period = values.samples(length, "file", timing)
         since = np.where(since > 0.0, np.fmod(since, length), since)
     inside = np.clip(since, 0.0, length)
@@ -72,23 +73,13 @@ def csv_voltage(values: Values, timing: Timing) -> tuple[Array, int]:
         period = values.samples(length, "file", timing)
         since = np.where(since > 0.0, np.fmod(since, length), since)
     row = np.searchsorted(t - t[0], since, side="right") - 1
-    held = volts[np.clip(row, 0, t.size - 1)] * values.number("scale")
-    return np.where((row >= 0) & (since < length), held, 0.0), period
-
-
-def _file(values: Values) -> str:
-    return str(values.word("file"))
-
-
-def _must_close(values: Values, x: Array) -> None:
-    if abs(x[-1] - x[0]) > 1e-9:
-        raise values.error("repeat", f"repeat needs the last row where the first is: {x[0]:g} m, "
-                                     f"not {x[-1]:g} m")
+    return np.where((row >= 0) & (since < length),
+                    volts[np.clip(row, 0, t.size - 1)] * values.number("scale"), 0.0), period
 
 
 def _read(values: Values, kind: str) -> tuple[Array, Array]:
     """Return time, s, and value, m or V, of the rows."""
-    name = _file(values)
+    name = values.word("file")
     if not name:
         raise values.error("file", "csv needs the setting file")
     try:
@@ -139,11 +130,7 @@ def _numbers(values: Values, rows: list[list[str]], columns: tuple[int, int],
         try:
             out[k] = [float(row[column]) for column in columns]
         except (ValueError, IndexError):
-            raise _bad_row(values, name, k) from None
-        if not (math.isfinite(out[k, 0]) and math.isfinite(out[k, 1])):
-            raise _bad_row(values, name, k)
+            out[k] = math.nan
+        if not np.all(np.isfinite(out[k])):
+            raise values.error("file", f"{name}:{k + 2}: not a row of finite numbers")
     return out
-
-
-def _bad_row(values: Values, name: str, k: int) -> TrajectoryError:
-    return values.error("file", f"{name}:{k + 2}: not a row of finite numbers")

@@ -58,14 +58,14 @@ class Experiment:
 
     def reference(self, axis: str, sample_period_s: float) -> Reference:
         """Return the movement of an axis, holding zero where none is asked for."""
-        spec = self._axis(axis).reference or {"kind": "hold"}
-        return make_reference(spec, sample_period_s=sample_period_s, duration_s=self.duration_s,
+        return make_reference(self._axis(axis).reference or {"kind": "hold"},
+                              sample_period_s=sample_period_s, duration_s=self.duration_s,
                               seed=self.axis_seed(axis), where=f"axes.{axis}.reference")
 
     def excitation(self, axis: str, sample_period_s: float) -> Excitation:
         """Return the voltage of an axis, zero where none is asked for."""
-        spec = self._axis(axis).excitation or {"kind": "hold"}
-        return make_excitation(spec, sample_period_s=sample_period_s, duration_s=self.duration_s,
+        return make_excitation(self._axis(axis).excitation or {"kind": "hold"},
+                               sample_period_s=sample_period_s, duration_s=self.duration_s,
                                seed=self.axis_seed(axis), where=f"axes.{axis}.excitation")
 
     def axis_seed(self, axis: str) -> int:
@@ -140,11 +140,9 @@ def _experiment(content: Mapping[str, Any], source: str) -> Experiment:
 
 def _beside(name: str, source: str) -> str:
     """Return a file that stands beside the experiment by its full path, any other as it is."""
-    if source and name and not Path(name).is_absolute():
-        here = Path(source).absolute().parent / name
-        if here.is_file():
-            return str(here)
-    return name
+    here = Path(source).absolute().parent / name
+    beside = source and name and not Path(name).is_absolute() and here.is_file()
+    return str(here) if beside else name
 
 
 def _axes(content: Mapping[str, Any], mode: str, source: str) -> dict[str, AxisSpec]:
@@ -219,9 +217,8 @@ def _plain(value: Any) -> Any:
 def _line(content: CommentedMap, key: str) -> int:
     """Return the 1-based line of a dotted key, or of the deepest part of it that exists."""
     line, here = 1, content
-    for part in key.split(".") if key else ():
+    for part in key.split("."):
         if not isinstance(here, CommentedMap) or part not in here:
             break
-        line = here.lc.key(part)[0] + 1
-        here = here[part]
+        line, here = here.lc.key(part)[0] + 1, here[part]
     return line

@@ -75,11 +75,6 @@ class Violation:
         return (f"{self.quantity} of {self.value:.4g} {self.unit} at t = {self.time_s:.6g} s "
                 f"exceeds the limit of {self.limit:.4g} {self.unit}")
 
-    @property
-    def remedy(self) -> str:
-        """What to do about it."""
-        return _REMEDIES[self.quantity]
-
 
 Candidate = tuple[str, Array, float, str]
 
@@ -146,17 +141,17 @@ def require_run_within(reference: Reference, excitation: Excitation | None, limi
     """Raise LimitError naming the first violation of `check_run`, if there is one."""
     violation = check_run(reference, excitation, limits, model, open_loop=open_loop)
     if violation:
-        raise LimitError(place(where, f"{violation}; {violation.remedy}; it was not started"))
+        raise LimitError(place(where, f"{violation}; {_REMEDIES[violation.quantity]}; it was not "
+                                      "started"))
 
 
 def _movement(reference: Reference, limits: Limits) -> list[Candidate]:
     dt = reference.sample_period_s
     x, v, a = reference.position, reference.velocity, reference.acceleration
-    velocity = _larger(v, np.diff(x, prepend=x[:1]) / dt)
-    acceleration = _larger(a, np.diff(v, prepend=v[:1]) / dt)
     return [("position", x, limits.travel_m, "m"),
-            ("velocity", velocity, limits.velocity_m_s, "m/s"),
-            ("acceleration", acceleration, limits.acceleration_m_s2, "m/s^2"),
+            ("velocity", _larger(v, np.diff(x, prepend=x[:1]) / dt), limits.velocity_m_s, "m/s"),
+            ("acceleration", _larger(a, np.diff(v, prepend=v[:1]) / dt), limits.acceleration_m_s2,
+             "m/s^2"),
             ("jerk", np.diff(a, prepend=a[:1]) / dt, limits.jerk_m_s3, "m/s^3")]
 
 
@@ -219,8 +214,8 @@ def _force(reference: Reference, base: Mapping[str, float] | None) -> Array:
 
 
 def _earliest(candidates: list[Candidate], dt: float) -> Violation | None:
-    found = [_first(*each, dt) for each in candidates]
-    return min((each for each in found if each), key=lambda each: each.time_s, default=None)
+    return min(filter(None, (_first(*each, dt) for each in candidates)),
+               key=lambda each: each.time_s, default=None)
 
 
 def _first(quantity: str, values: Array, limit: float, unit: str, dt: float) -> Violation | None:

@@ -1,4 +1,4 @@
-"""Movements over an area or between points: raster, spiral, Lissajous, point to point.
+"""Movements over an area or between points: raster, spiral, Lissajous, point to point, stairs.
 
 Each function returns position, velocity, acceleration, where the part that counts is under way,
 and the samples of the period (0: none) and of the start. A pattern of two axes is made axis by
@@ -79,18 +79,16 @@ def raster(values: Values, timing: Timing) -> Movement:
     t = np.where(np.abs(t - line_s) < 1e-9, line_s, t)
     u = np.maximum(t - line_s, 0.0) / turn_s
     s, ds, _ = smooth_step(u)
-    area = u**4 * (2.5 + u * (u - 3.0))
-    travelled = speed * np.minimum(t, line_s) + speed * turn_s * (u - 2.0 * area)
+    travelled = speed * np.minimum(t, line_s) + speed * turn_s * (u - 2.0 * _area(u))
     position = center + sign * (travelled - 0.5 * length)
     velocity = sign * speed * (1.0 - 2.0 * s)
     acceleration = -sign * speed * 2.0 * ds / turn_s
     on_line = (u == 0.0) & (index >= 0)
     if lead:
-        head = slice(0, min(lead, timing.count))
-        start = _lead_in(np.arange(timing.count, dtype=np.float64)[head] * dt, lead * dt,
-                         -0.5 * length, speed, turn_s)
-        position[head] = center + start[0]
-        velocity[head], acceleration[head] = start[1], start[2]
+        x, velocity[:lead], acceleration[:lead] = _lead_in(
+            np.arange(float(min(lead, timing.count))) * dt, lead * dt, -0.5 * length, speed,
+            turn_s)
+        position[:lead] = center + x
     out_s = values.number("lead_out_s")
     if out_s > 0.0:
         turn = values.samples(turn_s, "turnaround_s", timing)
@@ -122,7 +120,7 @@ def _lead_in(t: Array, duration: float, end: float, speed: float,
     s, ds, dds = smooth_step(t / move)
     u = np.maximum(t - move, 0.0) / rush
     v, dv, _ = smooth_step(u)
-    return (before * s + speed * rush * u**4 * (2.5 + u * (u - 3.0)),
+    return (before * s + speed * rush * _area(u),
             before * ds / move + speed * v,
             before * dds / move**2 + speed * dv / rush)
 
@@ -219,31 +217,87 @@ def point_to_point(values: Values, timing: Timing) -> Movement:
     dwell = values.samples(values.number("dwell_s"), "dwell_s", timing) * dt
     delay = values.samples(values.number("delay_s"), "delay_s", timing)
     targets = [*points[1:], *([points[0]] if repeat and points[0] != points[-1] else [])]
-    starts, states, jerks = [0.0], [(points[0], 0.0, 0.0)], [0.0]
+    parts = [(0.0, points[0], 0.0, 0.0, 0.0)]   # start, position, velocity, acceleration, jerk
     now, here = dwell, points[0]
     for target in targets:
         times, pushes = segments(target - here, *limits) if target != here else (
             np.zeros(7), np.zeros(7))
         x, v, a = here, 0.0, 0.0
         for seconds, push in zip(times.tolist(), pushes.tolist(), strict=True):
-            starts.append(now)
-            states.append((x, v, a))
-            jerks.append(push)
+            parts.append((now, x, v, a, push))
             x, v, a = (x + seconds * (v + seconds * (a / 2.0 + seconds * push / 6.0)),
                        v + seconds * (a + seconds * push / 2.0), a + seconds * push)
             now += seconds
         here = target
-        starts.append(now)
-        states.append((here, 0.0, 0.0))
-        jerks.append(0.0)
+        parts.append((now, here, 0.0, 0.0, 0.0))
         # A movement ends between samples; the next one starts on one.
         now = math.ceil((now + dwell) / dt - 1e-9) * dt
     period = max(1, round(now / dt)) if repeat else 0
     index = np.maximum(np.arange(timing.count) - delay, 0)
     t = (index % period if period else index) * dt
-    part = np.searchsorted(starts, t + 1e-12, side="right") - 1
-    since, push = t - np.asarray(starts)[part], np.asarray(jerks)[part]
-    x, v, a = np.asarray(states)[part].T
+    table = np.array(parts)
+    start, x, v, a, push = table[np.searchsorted(table[:, 0], t + 1e-12, side="right") - 1].T
+    since = t - start
     held = (push == 0.0) & (v == 0.0) & (a == 0.0)
     return (x + since * (v + since * (a / 2.0 + since * push / 6.0)),
             v + since * (a + since * push / 2.0), a + since * push, held, period, delay)
+
+
+def staircase_parameters(suffix: str, unit: str, step: float) -> tuple[Parameter, ...]:
+    """Return the parameter table of steps in `unit`."""
+    return (
+        Parameter(f"start_{suffix}", 0.0, unit, "first level of a staircase"),
+        Parameter(f"step_{suffix}", step, unit, "height of each stair"),
+        Parameter("count", 1.0, "", "number of stairs", 1.0, 1e6),
+        Parameter("dwell_s", 1.0, "s", "time from one step to the next", 1e-6),
+        Parameter("delay_s", 0.0, "s", "extra time on the first level", 0.0),
+        Parameter("rise_s", 0.0, "s", "time of a smooth move to the next level; 0 = a jump", 0.0),
+    )
+
+
+def staircase_options(suffix: str, unit: str) -> tuple[Option, ...]:
+    """Return the options of steps in `unit`."""
+    return (
+        Option(f"levels_{suffix}", (), "levels in order, instead of a staircase", unit=unit),
+        Option("down_again", False, "walk the levels back down to the first"),
+        Option("repeat", False, "start over after the last level instead of holding it"),
+    )
+
+
+def staircase(values: Values, timing: Timing, suffix: str) -> Movement:
+    """Return position, rate and curvature (N,), where a level is held (N,), period and start.
+
+    A jump has no derivatives: rate and curvature are zero there. The period is in samples, 0 if
+    the levels are not repeated.
+    """
+    levels = values.numbers(f"levels_{suffix}")
+    if not levels.size:
+        levels = (values.number(f"start_{suffix}")
+                  + values.number(f"step_{suffix}")
+                  * np.arange(values.whole("count") + 1, dtype=np.float64))
+    repeat = values.flag("repeat")
+    if values.flag("down_again"):
+        levels = np.concatenate((levels, levels[-2::-1]))
+    if repeat and levels.size > 1 and levels[-1] == levels[0]:
+        levels = levels[:-1]
+    dwell = values.samples(values.number("dwell_s"), "dwell_s", timing)
+    delay = values.samples(values.number("delay_s"), "delay_s", timing)
+    rise = values.number("rise_s")
+    if rise > dwell * timing.sample_period_s * (1.0 + 1e-9):
+        raise values.error("rise_s", f"rise_s = {rise:g} s is longer than dwell_s = "
+                                     f"{dwell * timing.sample_period_s:g} s")
+
+    since = np.arange(timing.count) - delay
+    stair = np.maximum(since, 0) // dwell
+    now, before = (each % levels.size if repeat else np.minimum(each, levels.size - 1)
+                   for each in (stair, stair - 1))
+    before = np.where(stair == 0, now, before)
+    height = levels[now] - levels[before]
+    period = dwell * levels.size if repeat else 0
+    if rise == 0.0:
+        zero = np.zeros(timing.count)
+        return (levels[now], zero, zero.copy(), np.ones(timing.count, dtype=bool), period, delay)
+    u = (since - stair * dwell) * timing.sample_period_s / rise
+    s, ds, dds = smooth_step(u)
+    return (levels[before] + height * s, height * ds / rise, height * dds / rise**2,
+            (height == 0.0) | (u >= 1.0), period, delay)

@@ -14,8 +14,6 @@ from dfm_stage.arrays import Array, Lines
 from dfm_stage.model.parameter import Option, Parameter
 from dfm_stage.trajectory import csv_signal as _csv
 from dfm_stage.trajectory import scans as _scans
-from dfm_stage.trajectory import staircase as _staircase
-from dfm_stage.trajectory import stepped_sine as _stepped
 from dfm_stage.trajectory import waveform as _waveform
 from dfm_stage.trajectory.kind import Kind, Movement, Timing, Values, choose
 from dfm_stage.trajectory.waveform import Segment, Waveform
@@ -84,9 +82,9 @@ REFERENCE_KINDS: dict[str, Kind[Reference]] = {kind.name: kind for kind in (
     _kind("hold", "stay at one position",
          (Parameter("position_m", 0.0, "m", "position to hold"),), _hold),
     _kind("steps", "a list of levels or a staircase, by jumps or smooth moves",
-         _staircase.staircase_parameters("m", "m", 1e-3),
-         lambda values, timing: _staircase.staircase(values, timing, "m"),
-         _staircase.staircase_options("m", "m")),
+         _scans.staircase_parameters("m", "m", 1e-3),
+         lambda values, timing: _scans.staircase(values, timing, "m"),
+         _scans.staircase_options("m", "m")),
     _kind("raster", "scan lines there and back with smooth turnarounds",
          _scans.RASTER_PARAMETERS, _scans.raster),
     _kind("spiral", "out from the middle and back in; each axis gets its part",
@@ -157,11 +155,6 @@ class Excitation:
     segments: tuple[Segment, ...] = ()
 
     @property
-    def time_s(self) -> Array:
-        """Sample times, shape (N,), s."""
-        return np.arange(self.voltage.size, dtype=np.float64) * self.sample_period_s
-
-    @property
     def _period_s(self) -> float:
         return max(1, self.period_samples) * self.sample_period_s
 
@@ -216,16 +209,16 @@ EXCITATION_KINDS: dict[str, Kind[Excitation]] = {kind.name: kind for kind in (
                 _levels(lambda values, timing: (
                     np.full(timing.count, values.number("voltage_v")), 0))),
     _excitation("steps", "a list of levels or a staircase, by jumps or smooth moves",
-                _staircase.staircase_parameters("v", "V", 0.5),
-                _levels(lambda values, timing: _staircase.staircase(values, timing, "v")[::4]),
-                _staircase.staircase_options("v", "V")),
+                _scans.staircase_parameters("v", "V", 0.5),
+                _levels(lambda values, timing: _scans.staircase(values, timing, "v")[::4]),
+                _scans.staircase_options("v", "V")),
     _excitation("csv", "voltages from a CSV file, each row held to the next",
                 _csv.csv_parameters("voltage"), _levels(_csv.csv_voltage), _csv.CSV_OPTIONS),
     _excitation("sine", "one frequency", _waveform.sine_parameters("v", "V", 0.08),
                 partial(_waveform.sine, suffix="v")),
     _excitation("stepped_sine", "one frequency after another, each settled and then measured",
-                _stepped.STEPPED_SINE_PARAMETERS, _stepped.stepped_sine,
-                _stepped.STEPPED_SINE_OPTIONS),
+                _waveform.STEPPED_SINE_PARAMETERS, _waveform.stepped_sine,
+                _waveform.STEPPED_SINE_OPTIONS),
     _excitation("chirp", "a sweep through a band of frequencies",
                 _waveform.chirp_parameters("v", "V", 0.08),
                 partial(_waveform.chirp, suffix="v"), _waveform.CHIRP_OPTIONS),

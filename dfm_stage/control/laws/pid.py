@@ -27,8 +27,7 @@ from dfm_stage.control.errors import ControlError
 from dfm_stage.control.feedforward import feedforward_gains
 from dfm_stage.control.gains import GAIN_PARAMETERS, PidGains
 from dfm_stage.control.law import OUTPUT_LIMIT, Law, Setup
-from dfm_stage.control.sampled import controller_response
-from dfm_stage.control.stage import highest_mode, sample_model
+from dfm_stage.control.stage import controller_response, highest_mode, sample_model
 from dfm_stage.control.tuning_runs import TUNING_PARAMETERS, GainRaising, RelayRun, TuningRun
 from dfm_stage.model.parameter import Option
 

@@ -225,7 +225,12 @@ class CopleyAscii(LineDevice):
         if question is Parameter.ACTUAL_CURRENT:
             return AmplifierStatus(current_a=value * self.count_a)
         if question is Parameter.STATUS:
-            return self._judged(copley.Status(value))
+            bits = copley.Status(value)
+            self._notes["drive status"] = words(bits)
+            trouble, limit = bits & copley.TRIPPING, bits & copley.LIMIT_SWITCHES
+            return AmplifierStatus(trouble=words(trouble) if trouble else "",
+                                   travel_limit=words(limit) if limit else "",
+                                   notes=dict(self._notes))
         if question is Parameter.LATCHED_FAULTS:
             faults = copley.Faults(value)
             self._notes["latched faults"] = words(faults)
@@ -236,14 +241,6 @@ class CopleyAscii(LineDevice):
         else:
             self._notes["bus voltage"] = f"{value * copley.VOLT_PER_COUNT:g} V"
         return AmplifierStatus(notes=dict(self._notes))
-
-    def _judged(self, status: copley.Status) -> AmplifierStatus:
-        trouble = status & copley.TRIPPING
-        limit = status & copley.LIMIT_SWITCHES
-        self._notes["drive status"] = words(status)
-        return AmplifierStatus(trouble=words(trouble) if trouble else "",
-                               travel_limit=words(limit) if limit else "",
-                               notes=dict(self._notes))
 
     def clear_faults(self) -> str:
         """Clear what the drive latched and return it.

@@ -239,8 +239,8 @@ class CopleyAsciiEmulator:
             return max(peak, continuous)
         if self._over_since is None:
             self._over_since = now
-        over_ms = (now - self._over_since) * 1e3
-        return peak if over_ms < self.ram[Parameter.PEAK_TIME] else continuous
+        return (peak if (now - self._over_since) * 1e3 < self.ram[Parameter.PEAK_TIME]
+                else continuous)
 
     def current(self, now: float) -> float:
         """Return the output current, A."""

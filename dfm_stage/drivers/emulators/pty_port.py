@@ -145,7 +145,9 @@ class PtyPort:
         self._emulator.advance(now)
         self._collect(now)
         self._deliver(now)
-        wait = min(longest_s, self._next() - time.monotonic())
+        due = min(self._emulator.next_event(), *(
+            queue[0][0] for queue in (self._arriving, self._leaving) if queue), math.inf)
+        wait = min(longest_s, due - time.monotonic())
         handles = list(others)
         if self._master is None:
             wait = min(wait, self._away_until - now)
@@ -179,8 +181,8 @@ class PtyPort:
         try:
             data = os.read(self._master, 4096)
         except OSError:
-            return
-        if now < self._silent_until:
+            data = b""
+        if not data or now < self._silent_until:
             return
         rate = self._client_baud()
         begin = max(self._in_free, now)
@@ -231,7 +233,3 @@ class PtyPort:
             data = bytes(self._random.randrange(0x80, 0x100) for _ in data)
         with contextlib.suppress(OSError):
             os.write(self._master, data)
-
-    def _next(self) -> float:
-        return min(self._emulator.next_event(), *(
-            queue[0][0] for queue in (self._arriving, self._leaving) if queue), math.inf)

@@ -174,9 +174,9 @@ class QsbDEmulator:
     def _send_sample(self, now: float) -> None:
         assert self._stream is not None  # noqa: S101
         value = self._read(self._stream, now)
-        threshold = self._registers[Register.THRESHOLD]
-        if self._reported is not None and (
-                abs((value - self._reported + 2**31) % 2**32 - 2**31) < threshold):
+        if self._reported is not None and abs(
+                (value - self._reported + 2**31) % 2**32 - 2**31
+                ) < self._registers[Register.THRESHOLD]:
             return
         self._reported = value
         self._send(Reply("s", self._stream, value, self._next_tick & 0xFFFFFFFF))

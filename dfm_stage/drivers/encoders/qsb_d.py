@@ -76,10 +76,8 @@ class QsbD(LineDevice):
         identity = qsb.Identity.of(self._command(qsb.READ_IDENTITY).data)
         if identity.type != "D":
             raise IdentityError(f"{self._path}: {identity} answers where a QSB-D is expected")
-        for command in _SETUP:
+        for command in (*_SETUP, qsb.set_interval(self._interval), qsb.RESET_TIMESTAMP):
             self._command(command)
-        self._command(qsb.set_interval(self._interval))
-        self._command(qsb.RESET_TIMESTAMP)
         status = qsb.Status(self._command(qsb.READ_STATUS).data & 0xFF)
         if not status & qsb.Status.COUNT_ENABLED:
             raise IdentityError(f"{self._path}: {identity} does not count: its status is "
@@ -163,8 +161,8 @@ class QsbD(LineDevice):
         self._last_tick = tick
         if elapsed <= 0.0 or tick - self._first_tick < self._settling_ticks:
             return None
-        seq = (tick - self._first_tick) // self._interval
-        return EncoderSample(seq & 0xFFFFFFFF, stamp_ns, counts, elapsed)
+        return EncoderSample((tick - self._first_tick) // self._interval & 0xFFFFFFFF, stamp_ns,
+                             counts, elapsed)
 
     # Index
 

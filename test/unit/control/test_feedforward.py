@@ -25,7 +25,7 @@ from dfm_stage.control import (
     shape,
     shaper,
 )
-from dfm_stage.control.sampled import controller_response
+from dfm_stage.control.stage import controller_response
 from dfm_stage.model import Model, Plant, Simulator, load_model
 
 H = 1e-3

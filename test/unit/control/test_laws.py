@@ -28,7 +28,7 @@ from dfm_stage.control import (
     shaper,
 )
 from dfm_stage.control.laws import LawFileError
-from dfm_stage.control.sampled import closed_loop_poles, controller_response
+from dfm_stage.control.stage import closed_loop_poles, controller_response
 from dfm_stage.model import Plant, load_model
 
 H = 1e-3

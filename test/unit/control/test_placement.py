@@ -18,7 +18,7 @@ from dfm_stage.control import (
     pid_with_margin,
     sample_stage,
 )
-from dfm_stage.control.sampled import closed_loop_poles, controller_response
+from dfm_stage.control.stage import closed_loop_poles, controller_response
 
 PAPER = {"mass": 1.082, "damping": 1.845, "stiffness": 650.0, "force_constant": 1.082,
          "delay": 1e-3, "amplifier_time_constant": 1e-3}

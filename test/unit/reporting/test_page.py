@@ -20,7 +20,7 @@ from dfm_stage.reporting import (
     new_figure,
     time_figure,
 )
-from dfm_stage.reporting.drawing import GRID, INK, PAPER, SERIES, SOFT, to_svg
+from dfm_stage.reporting.figures import GRID, INK, PAPER, SERIES, SOFT, to_svg
 
 EVIL = '<script>alert("1")</script> & \'quoted\''
 VOID = {"meta", "br", "hr", "img", "link", "input"}
