@@ -11,10 +11,10 @@ PLACES = (of_identification, of_diagnosis)
 
 
 def markdown() -> str:
-    """Every decision in a line of its own."""
+    """Every decision in a line of its own, in the order of their files."""
     lines = ["| name | value | unit | meaning | set on |", "|---|---|---|---|---|"]
     lines += [f"| `{d.name}` | {d.value:g} | {d.unit} | {d.meaning} | {d.set_on} |"
-              for d in TABLE.values()]
+              for place in PLACES for d in map(TABLE.get, vars(place)) if d is not None]
     return "\n".join(lines) + "\n"
 
 

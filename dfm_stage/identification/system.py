@@ -21,9 +21,9 @@ from dfm_stage.identification.coordinates import group, late_parameters
 from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
-from dfm_stage.identification.scales import typical_size
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.scales import typical_size
 
 BASE_STEP, EFFECT_STEP, CURVED_STEP = 1e-5, 1e-4, 1e-3
 """Steps of differences over the size: by a base parameter, by one of a linear effect, by one of a

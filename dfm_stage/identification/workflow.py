@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.arrays import Array
+from dfm_stage.identification.coordinates import late_parameters
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
@@ -218,11 +219,9 @@ def _shape_of(model: Model | None) -> dict[str, Any]:
     """Return which transfer function to fit, as `fit_transfer_function` takes it."""
     if model is None:
         return {}
-    plant = linear_plant(model)
+    plant, late = linear_plant(model), late_parameters(model, tuple(model.parameters())).values()
     return {"modes": len(plant.modes), "free_body": plant.modes[0].stiffness <= 0.0,
-            "lag": "amplifier_time_constant" in model.base
-            or model.effect("amplifier_bandwidth") is not None,
-            "delay": "delay" in model.base or model.effect("transport_delay") is not None}
+            "lag": "lag" in late, "delay": "delay" in late}
 
 
 def _respond(sources: Sequence[Source], shape: Mapping[str, Any],

@@ -20,6 +20,7 @@ from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import Parameter, SimulationError
 from dfm_stage.model.plan import Plan, parameter_table
 from dfm_stage.model.registry import EFFECTS
+from dfm_stage.model.scales import typical_size
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
 
 Rounding = Callable[[float], float]
@@ -265,7 +266,7 @@ class Simulator:
         """Offsets of a parameter, and the weights of [centre, *offsets] in its derivative."""
         limits = Parameter(name, 0.0, "", "") if name.startswith("initial.") \
             else self.model.parameter(name)
-        step = RELATIVE_STEP * (abs(value) or _typical(name, self.model))
+        step = RELATIVE_STEP * (abs(value) or typical_size(self.model, name))
         if limits.low <= value - step and value + step <= limits.high:
             return (-step, step), np.array([0.0, -0.5, 0.5]) / step
         if value + 2.0 * step > limits.high:
@@ -307,21 +308,6 @@ def rounding_of(model: Model) -> tuple[Rounding, ...]:
     """What the effects of a one-axis model that round do to one reading."""
     return tuple(partial(hook, dither=0.0, p=tuple(use.parameters.values()))
                  for use in model.effects if (hook := EFFECTS[use.name].encode) is not None)
-
-
-def _typical(name: str, model: Model) -> float:
-    """A size a parameter that is zero may take."""
-    mass, period = model.base["mass"], model.sample_period
-    rate = max(np.sqrt(model.base.get("stiffness", 0.0) / mass), 1e-3 / period)
-    natural = {"stiffness": mass * rate ** 2, "damping": mass * rate, "delay": period,
-               "amplifier_time_constant": period, "encoder_zero": 1e-6,
-               "initial.amplifier": 1.0, "initial.coil": 1.0}
-    if name.startswith("initial.") and name not in natural:
-        return 1e-4 * rate if name.endswith("velocity") else 1e-4
-    effect, _, own = name.partition(".")
-    if effect in EFFECTS and own in EFFECTS[effect].priors:
-        return EFFECTS[effect].priors[own].typical
-    return float(natural.get(name, 1.0))
 
 
 def _simulate(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,

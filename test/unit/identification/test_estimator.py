@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from dfm_stage.identification import Problem, Run, Unknown
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.fit import search
-from dfm_stage.identification.scales import typical_size
 from dfm_stage.identification.system import System, rounding_step
 from dfm_stage.identification.weights import (
     Weight,
@@ -19,6 +18,7 @@ from dfm_stage.identification.weights import (
     white_weights,
 )
 from dfm_stage.model import EFFECTS, Model, Simulator
+from dfm_stage.model.scales import typical_size
 
 H, N = 1e-3, 2500
 STAGE = Model("stage", H, {"mass": 1.1, "damping": 2.0, "stiffness": 640.0, "force_constant": 1.1,

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.description import Model
+from dfm_stage.model.registry import EFFECTS
 
 SOFTEST = 1e-3
 """Stiffness (N/m) with which the size of a damping is estimated where there is no spring."""
+SMALL_MOTION, SMALL_READING = 1e-4, 1e-6
+"""Sizes (m, m/s) of an initial state, and of an encoder's zero (m)."""
 SLIGHT = 0.02
 """Twice a damping ratio that is slight."""
 
@@ -22,7 +25,12 @@ def typical_size(model: Model, address: str) -> float:
     if value > 0.0:
         return value
     mass, period = model.base["mass"], model.sample_period
+    rate = math.sqrt(max(model.base.get("stiffness", 0.0) / mass, 1.0))
+    if address.startswith("initial."):
+        lagged = address in ("initial.amplifier", "initial.coil")
+        return 1.0 if lagged else SMALL_MOTION * (rate if address.endswith("velocity") else 1.0)
     natural = {"amplifier_time_constant": period, "delay": period, "stiffness": mass,
+               "encoder_zero": SMALL_READING,
                "damping": SLIGHT * math.sqrt(mass * max(model.base.get("stiffness", 0.0),
                                                         SOFTEST))}
     if address in natural:
