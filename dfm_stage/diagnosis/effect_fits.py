@@ -206,7 +206,7 @@ class Fits:
         return (*self.free, *own)
 
     def polished(self, names: Names, current: Fit) -> Fit:
-        """The fit of `names` at the bottom of its valley, for the values that are told."""
+        """The fit of `names` at its minimum, for the values that are told."""
         if not names:
             return current
         found = self._fit(current.model, self.parameters(current.model), current, iterations=30,

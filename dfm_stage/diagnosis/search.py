@@ -204,9 +204,9 @@ class Search(Fits):
         return names, current
 
     def restarted(self, names: Names, current: Fit) -> Fit | None:
-        """A better fit of the same effects, each looked for anew beside the others; None if there
-        is none. A first look, with others still in the residual, may have started a search in
-        the wrong valley."""
+        """A better fit of the same effects, each screened anew beside the others; None if there is
+        none. A first screen, with others still in the residual, may have led to another local
+        minimum."""
         if not names or current.system.springless \
                 or current.chi2 < RESTART_ABOVE * current.white.size:
             return None
@@ -316,8 +316,7 @@ class Search(Fits):
             self.reweigh(weights_of(current.residuals))
             current = self.refitted(names, current)
             bare = self.fitted((), current)
-            limit = FIRST if len(names) == 1 else FURTHER
-            if len(names) == 1 and bare.chi2 - current.chi2 < limit:
+            if len(names) == 1 and bare.chi2 - current.chi2 < FIRST:
                 names, current = (), bare
                 continue
             if len(names) > 1:
