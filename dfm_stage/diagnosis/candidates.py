@@ -32,8 +32,8 @@ def starts(name: str, at: Conditions) -> list[Parameters]:
 def late_splits(model: Model, free: tuple[str, ...]) -> list[Parameters]:
     """Other ways to share the whole lateness out: nearly all of it to one free parameter.
 
-    Lag, delay and inductance act alike to first order, and a search may end in a local minimum where
-    one stands in for another. Empty where fewer than two are free.
+    Lag, delay and inductance act alike to first order, and a search may end in a local minimum
+    where one stands in for another. Empty where fewer than two are free.
     """
     values = model.parameters()
     per_second = {"coil": model.base.get("coil_resistance", 0.0)}

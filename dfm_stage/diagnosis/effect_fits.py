@@ -138,10 +138,6 @@ class Fits:
         known = self.fits.get((frozenset(names), self.weighing))
         return known if known is not None and known.chi2 <= found.chi2 else self.keep(names, found)
 
-    def refitted(self, names: Sequence[str], start: Fit) -> Fit:
-        """The same effects under the present weights."""
-        return self.fitted(names, start)
-
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW) -> Fit:
         """`others_first`: fit all else around the new effects first, and only then them, too.

@@ -188,7 +188,7 @@ class Search(Fits):
                    zip(first_weights(current), self.weights, strict=True)
                    for a, b in zip(new, old, strict=True)):
                 self.weigh_at_first(current)
-                current = self.refitted(names, current)
+                current = self.fitted(names, current)
         return names, current
 
     def _twin_instead(self, before: Names, names: Names, current: Fit) -> tuple[Names, Fit]:
@@ -262,7 +262,7 @@ class Search(Fits):
                 return names, current, rivals
             names, current = better
             self.reweigh(weights_of(current.residuals))
-            current = self.refitted(names, current)
+            current = self.fitted(names, current)
         return names, current, self._all_rivals(names, current)
 
     def _all_rivals(self, names: Names, current: Fit) -> dict[str, list[Rival]]:
@@ -314,7 +314,7 @@ class Search(Fits):
         """
         while True:
             self.reweigh(weights_of(current.residuals))
-            current = self.refitted(names, current)
+            current = self.fitted(names, current)
             bare = self.fitted((), current)
             if len(names) == 1 and bare.chi2 - current.chi2 < FIRST:
                 names, current = (), bare
