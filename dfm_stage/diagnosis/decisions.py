@@ -197,9 +197,9 @@ MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that
                       "gets when it is shared out anew.")
 STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 60e6, "steps", "Integration steps after which no "
                             "further candidate that is slow to simulate is tried.", BOUND)
-STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 100e6, "steps", "The same for any with a "
+STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 80e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
-MOST_STEPS = _search("MOST_STEPS", 150e6, "steps", "Integration steps after which every fit ends "
+MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps after which every fit ends "
                      "where it is.", BOUND)
 STEPS_A_FIT = _search("STEPS_A_FIT", 24e6, "steps", "Integration steps of one fit at most.", BOUND)
 
