@@ -23,7 +23,7 @@ from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.scales import typical_size
+from dfm_stage.model.scales import NEGLIGIBLE, typical_size
 
 BASE_STEP, EFFECT_STEP, CURVED_STEP = 1e-5, 1e-4, 1e-3
 """Steps of differences over the size: by a base parameter, by one of a linear effect, by one of a
@@ -119,7 +119,9 @@ class System(Problem):
                     CURVED_STEP if is_nonlinear(head) else EFFECT_STEP)
             if name in special:
                 coordinates, k = special[name]
-                yield Unknown(name, value, abs(value) or float(coordinates.scale[k]),
+                typical = float(coordinates.scale[k])
+                size = abs(value) if abs(value) > NEGLIGIBLE * typical else typical
+                yield Unknown(name, value, size,
                               max(float(coordinates.low[k]), low),
                               min(float(coordinates.high[k]), max(high, abs(value))),
                               coordinates.units[k], step=step)

@@ -18,12 +18,18 @@ SLIGHT = 0.02
 def typical_size(model: Model, address: str) -> float:
     """The size of a parameter of `model`, in its unit; never zero.
 
-    Where the value is zero: of an effect's parameter the middle of its usual range, of a base
-    parameter what changes the motion within a sample or a radian per second.
+    Its value; where that is zero, of an effect's parameter the middle of its usual range, of a
+    base parameter what changes the motion within a sample or a radian per second.
     """
-    value = abs(model.parameters().get(address, 0.0))
-    if value > 0.0:
-        return value
+    value, typical = abs(model.parameters().get(address, 0.0)), _typical(model, address)
+    return value if value > NEGLIGIBLE * typical else typical
+
+
+NEGLIGIBLE = 1e-9
+"""Share of its typical size below which a value is a zero that a search left at its bound."""
+
+
+def _typical(model: Model, address: str) -> float:
     mass, period = model.base["mass"], model.sample_period
     rate = math.sqrt(max(model.base.get("stiffness", 0.0) / mass, 1.0))
     if address.startswith("initial."):

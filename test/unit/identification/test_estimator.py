@@ -166,3 +166,12 @@ def test_every_parameter_has_a_size():
             assert typical_size(model, f"{name}.{parameter.name}") > 0.0
     assert typical_size(STAGE, "stiffness") == 640.0
     assert typical_size(Model("free", H, {"mass": 2.0, "damping": 1.0}), "stiffness") == 2.0
+
+
+def test_a_value_left_next_to_zero_does_not_freeze_the_search():
+    run = run_of(STAGE, noise=1e-7, seed=9)
+    nothing = {"amplifier_time_constant": 1.5e-14, "delay": 1.5e-14}
+    system = System(STAGE.with_parameters(nothing), [run], FREE)
+    found = search(system, white(system), system.start, iterations=60)
+    assert found.chi2 < 1.1 * N
+    assert found.model.base["delay"] == pytest.approx(1.3e-3, rel=0.05)
