@@ -247,7 +247,7 @@ def test_rivals_that_keep_taking_turns_are_all_compared_with_the_last_of_them(mo
     others = dict(zip(names, reversed(names), strict=True))
     monkeypatch.setattr(search, "_rivals", lambda name, rest, current: [
         Rival(others[name], -1.0, both[others[name]])])
-    monkeypatch.setattr(search, "refitted", lambda chosen, _: both[chosen[0]])
+    monkeypatch.setattr(search, "fitted", lambda chosen, *_: both[chosen[0]])
     turns = iter(range(1000))
     monkeypatch.setattr(search, "score", lambda _: float(next(turns)))
     last, _, rivals = search.compare(names[:1], both[names[0]])
