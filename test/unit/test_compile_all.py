@@ -51,7 +51,8 @@ with tempfile.TemporaryDirectory() as folder:
         writer.write(topic, bytes(4) + bytes([2, 0, 0, 0]) + b"a" + bytes(1), 0, 0)
         writer.close()
         read_bag(writer.directory)
-assert {each.__name__ for each in made} >= {"stamp", "start", "force", "step", "sense", "encode"}, made
+assert {each.__name__ for each in made} >= {
+    "stamp", "start", "force", "step", "sense", "encode"}, made
 assert all(each.cache_hits == 1 for each in made)
 for function in (record.run, record.peek, setup.prepare, setup.reset, setup.restart,
                  record_kernels.locate, decode_kernels.decode):
