@@ -105,7 +105,8 @@ class Problem:
         one batch; where a side cannot be simulated, from the other one."""
         if not chosen:
             return
-        rows, widths = [x], []
+        rows: list[Array] = [] if central else [x]
+        widths = []
         for k in chosen:
             unknown, up, down = self.unknowns[k], x.copy(), x.copy()
             step = unknown.step * max(unknown.scale, TINY)
@@ -115,11 +116,15 @@ class Problem:
             rows += [up, down] if central else [up if up[k] > x[k] else down]
             widths.append((up[k] - x[k], x[k] - down[k]))
         found = self.signals(index, np.array(rows), simulate)
-        for slopes, outputs in zip(out, found, strict=True):
+        # between two finite sides the centre is not looked at, and need not be simulated
+        centre = [f[0] for f in found] if not central or all(
+            np.isfinite(f[:, -1]).all() for f in found) else [
+            f[0] for f in self.signals(index, x[None, :], simulate)]
+        for slopes, outputs, here in zip(out, found, centre, strict=True):
             for j, (k, width) in enumerate(zip(chosen, widths, strict=True)):
-                up, down = (outputs[2 * j + 1], outputs[2 * j + 2]) if central else \
-                    (outputs[j + 1], outputs[0]) if width[0] else (outputs[0], outputs[j + 1])
-                slopes[k] = _slope(up, down, outputs[0], width)
+                up, down = (outputs[2 * j], outputs[2 * j + 1]) if central else \
+                    (outputs[j + 1], here) if width[0] else (here, outputs[j + 1])
+                slopes[k] = _slope(up, down, here, width)
 
 
 TINY = 1e-300
