@@ -297,7 +297,7 @@ def test_the_guard_watches_in_open_loop_too(loop):
 def test_feedforward_notch_and_shaper_come_from_the_model(loop):
     stage = loop(plant="raster_bench", model="raster_bench")
     stage.set(feedforward="model", notch="model")
-    assert stage.node._laws.by_name["pid"].gains.notch_hz == pytest.approx(16.02)
+    assert stage.node._laws.by_name["pid"].gains.notch_hz == pytest.approx(16.02, rel=1e-12)
     with pytest.raises(DfmError, match="feedforward model needs the parameter model"):
         stage.set(model="")
 

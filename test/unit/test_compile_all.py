@@ -18,6 +18,8 @@ from dfm_stage.model.kernel import hooks, record, setup
 from dfm_stage.recording import BagWriter, read_bag, record_kernels, decode_kernels
 import pathlib, tempfile
 
+made, code = [], hooks.callback
+hooks.callback = lambda *given: made.append(code(*given)) or made[-1]
 frozen = np.ones(64)
 frozen.flags.writeable = False
 for model in (load_model("paper_stage"), load_model("paper_two_mode"), load_model("xy_stage")):
@@ -30,8 +32,6 @@ base = {"mass": 1, "damping": 2, "stiffness": 600, "delay": 0.0015}
 effects = {"cubic_stiffness": {}, "coulomb_friction": {}, "hysteresis": {}, "second_mode": {},
            "cross_axis_coupling": {}, "encoder_quantization": {}, "periodic_disturbance": {},
            "thermal_drift": {}}
-made, code = [], hooks.callback
-hooks.callback = lambda *given: made.append(code(*given)) or made[-1]
 for chosen in ((), tuple(effects)):
     uses = tuple(EffectUse(n, EFFECTS[n].defaults) for n in chosen)
     model = Model("m", 1e-3, base=base, effects=uses)
@@ -51,8 +51,7 @@ with tempfile.TemporaryDirectory() as folder:
         writer.write(topic, bytes(4) + bytes([2, 0, 0, 0]) + b"a" + bytes(1), 0, 0)
         writer.close()
         read_bag(writer.directory)
-assert {each.__name__ for each in made} >= {
-    "stamp", "start", "force", "step", "sense", "encode"}, made
+assert len(made) == 9, made
 assert all(each.cache_hits == 1 for each in made)
 for function in (record.run, record.peek, setup.prepare, setup.reset, setup.restart,
                  record_kernels.locate, decode_kernels.decode):
