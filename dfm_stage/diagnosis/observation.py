@@ -12,12 +12,12 @@ from dfm_stage.diagnosis.decisions import (
     DIED_OUT,
     FITTED_SHARE,
     LEAD_IN,
-    SAME_PERIOD,
     SHORTEST,
     SHORTEST_PERIOD,
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
+from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.model import Model

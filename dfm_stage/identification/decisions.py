@@ -137,3 +137,6 @@ EQUAL = decision(
     "EQUAL", 0.15, "1", meaning=
     "Spread over the largest, up to which changes are equal in words.",
     set_on=ESTIMATOR)
+SAME_PERIOD = decision(
+    "SAME_PERIOD", 1e-6, "1", meaning="Relative difference of two sampling periods that are the "
+    "same.", set_on=FIRST_FORM)

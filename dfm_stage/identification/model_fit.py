@@ -9,6 +9,7 @@ import numpy as np
 
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import ACCURATE
+from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.output_error import estimate
 from dfm_stage.identification.plant import LinearPlant, Mode
@@ -139,10 +140,6 @@ def _check(run: Run, model: Model) -> None:
     if run.start == "periodic" and (run.period is None or run.input.size % run.period):
         raise IdentificationError(f"{run.name}: a periodic run is a whole number of periods: "
                                   "cut it and give the period in samples")
-
-
-SAME_PERIOD = 1e-6
-"""Relative difference up to which two sample periods are the same."""
 
 
 def _named_apart(runs: Sequence[Run]) -> tuple[Run, ...]:

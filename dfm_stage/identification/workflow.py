@@ -11,6 +11,7 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.coordinates import late_parameters
+from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
@@ -36,8 +37,6 @@ from dfm_stage.model import BASE_PARAMETERS, Model
 
 LIMITS = {parameter.name: parameter for parameter in BASE_PARAMETERS}
 
-PERIOD_TOLERANCE = 1e-6
-"""Relative difference up to which two sampling periods are the same."""
 SPRING_HELPS = 0.98
 """Misfit over that of a free body which a spring must come below, or it explains nothing more."""
 TIMES_TRANSIENT = 3
@@ -209,7 +208,7 @@ def _check_alike(sources: Sequence[Source]) -> None:
             raise IdentificationError(f"{source.name} is in {' and '.join(units)}, {first.name} "
                                       f"in {first.axis.input_unit} and "
                                       f"{first.axis.position_unit}: use records in the same units")
-        if abs(source.sample_period / first.sample_period - 1.0) > PERIOD_TOLERANCE:
+        if abs(source.sample_period / first.sample_period - 1.0) > SAME_PERIOD:
             raise IdentificationError(f"{source.name} is sampled every {source.sample_period:g} "
                                       f"s, {first.name} every {first.sample_period:g} s: resample "
                                       "one of them")
