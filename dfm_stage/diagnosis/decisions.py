@@ -88,6 +88,49 @@ OUTSTANDING = decision(
     "OUTSTANDING", 3.0, "1", meaning="A vibration must take this many times what vibrations at "
     "neighbouring lines take.", set_on=NEIGHBOUR_FORM)
 
+# -- blocks, and effects that explain a part -----------------------------------------------------
+
+REAL = "Silverbox and EMPS, and real.md's records: prototypes of November 2026"
+BLOCKS = decision(
+    "BLOCKS", 24, "1", meaning="Blocks into which all records together are cut where their spread "
+    "is the uncertainty.", set_on="derivation: Student's t with 23 degrees of freedom is within "
+    "6 % of the normal's, and blocks stay long")
+SHORTEST_BLOCK = decision(
+    "SHORTEST_BLOCK", 100, "samples", meaning="Shortest block.",
+    set_on="derivation: some periods of the motion of a stage that is sampled fast enough")
+SIZE_GROUPS = decision(
+    "SIZE_GROUPS", 3, "1", meaning="Groups of blocks by size of motion between which a "
+    "parameter's constancy is looked at.", set_on=REAL)
+BLOCK_MARGIN = decision(
+    "BLOCK_MARGIN", 3.0, "block standard errors", meaning="By this much held-out blocks must be "
+    "worse without an effect, and with a rival in its place, which joins the class otherwise.",
+    set_on=REAL)
+NAMED_SHARE = decision(
+    "NAMED_SHARE", 0.8, "1", meaning="Share of the predictable held-out gap from which effects "
+    "that leave a remainder are named.", set_on=REAL)
+PARTIAL_SHARE = decision(
+    "PARTIAL_SHARE", 0.3, "1", meaning="The same from which they are told as a part.",
+    set_on=REAL)
+FURTHER_PART = decision(
+    "FURTHER_PART", 0.3, "1", meaning="Share of what is left above the noise that a further "
+    "effect must take on held-out blocks where a remainder stays.", set_on=REAL)
+INCONSTANT = decision(
+    "INCONSTANT", 0.1, "1", meaning="Gain of a parameter that may differ with the size of motion, "
+    "above which the effect stands in for another.", set_on=REAL)
+PARAMETER_PART = decision(
+    "PARAMETER_PART", 0.05, "1", meaning="Share of what is left that a further parameter of an "
+    "effect must take where a remainder stays.", set_on="derivation: less is within the spread of "
+    "24 blocks")
+MOST_GRADED = decision(
+    "MOST_GRADED", 3, "1", meaning="Effects that are told at most beside a remainder.",
+    set_on="derivation: each takes 0.3 of what the others leave; a fourth would take 0.1 of all")
+GRADED_RIVALS = decision(
+    "GRADED_RIVALS", 3, "1", meaning="Rivals of one effect that are fitted where a remainder "
+    "stays.", set_on="derivation: processor time")
+RIVAL_GAIN = decision(
+    "RIVAL_GAIN", 0.4, "1", meaning="Screened gain over the effect's own from which such a rival "
+    "is fitted.", set_on="derivation: it takes less than half of the gap otherwise")
+
 # -- what is left over ---------------------------------------------------------------------------
 
 EXCESS = decision(
@@ -243,6 +286,13 @@ LEAD_IN = decision(
     "before the record began dies out.", set_on=FIRST_FORM)
 SHORTEST = decision(
     "SHORTEST", 400, "samples", meaning="Shortest record that is diagnosed.", set_on=FIRST_FORM)
+WINDOWS = decision(
+    "WINDOWS", 50, "1", meaning="Windows with a state of their own into which a record of a body "
+    "without a spring is cut where its model leaves a gross gap.", set_on="EMPS: windows of 0.25 "
+    "to 1 s of 25 s give the published parameters")
+SHORTEST_WINDOW = decision(
+    "SHORTEST_WINDOW", 200, "samples", meaning="Shortest such window.",
+    set_on="derivation: two states of 200 samples cost a hundredth of the information")
 SHORTEST_PERIOD = decision(
     "SHORTEST_PERIOD", 100, "samples", meaning="Shortest period of an excitation that is used.",
     set_on=FIRST_FORM)

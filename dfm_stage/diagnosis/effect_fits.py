@@ -125,6 +125,13 @@ class Fits:
             found = min(found, again, key=lambda f: f.chi2)
         return self.keep(names, found)
 
+    def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = ()) -> Fit:
+        """The fit with the effects `names` from one beginning, without what is freed last: enough
+        to rank by the power left where no set reaches the noise."""
+        key = frozenset(names), self.weighing
+        return self.fits[key] if key in self.fits else self.keep(
+            names, self._from(start.model, names, start, hits, 0.0))
+
     def in_place_of(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
         are the same motion (`Effect.twins`)."""

@@ -13,6 +13,7 @@ from enum import Enum
 from typing import Any, Literal
 
 from dfm_stage.arrays import Array
+from dfm_stage.diagnosis.margins import Constancy, Signal
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.identification.quantity import Quantity
 
@@ -26,18 +27,25 @@ DropReason = Enum("DropReason", [
     "SURROGATES",     # does no better on held-out records than its surrogates
     "LINE_OF_INPUT",  # a vibration at a line of the input, beside a remainder
     "AT_BOUND",       # a parameter is at its bound, and without an interval
+    # where a remainder stays:
+    "BLOCKS",         # held-out blocks are not worse without it
+    "SMALL_PART",     # takes too little of what is left on held-out blocks
+    "INCONSTANT",     # needs another size for every size of motion: stands in for something else
+    "RIVALS",         # rivals of no common class do as well
 ])
 
 
 @dataclass(frozen=True)
 class Errors:
     """What a model leaves of some records: RMS and chi-square of `count` weighted samples, and
-    the RMS of its change from sample to sample. Infinite where it cannot be simulated."""
+    the RMS of its change from sample to sample. `power` is the mean square of the signal that is
+    judged. Infinite where it cannot be simulated."""
 
     rms: float
     chi2: float
     count: int = 0
     change_rms: float = math.inf
+    power: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -64,8 +72,8 @@ class RivalEvidence:
     parameters paid for, and how it predicts.
 
     `distance_over_noise` is the length within which it yields, for an effect that has one.
-    `margin_by_blocks` is by how much it loses on held-out blocks, in block standard errors:
-    carried, not used yet.
+    `margin` is by how much it loses on held-out blocks, in block standard errors; `related` says
+    that the library has both in one class.
     """
 
     name: str
@@ -73,21 +81,23 @@ class RivalEvidence:
     price: float
     held_out: Errors
     distance_over_noise: float = math.inf
-    margin_by_blocks: float | None = None
+    margin: float = math.inf
+    related: bool = True
 
 
 @dataclass(frozen=True)
 class EffectEvidence:
     """One effect of the hypothesis: parameters, the model without it, its rivals, and whether
-    held-out records exercise it. `predictable_share` is the share of the predictable held-out
-    power that it takes: carried, not used yet."""
+    held-out records exercise it. `margin` is by how much the held-out blocks are worse without it,
+    in block standard errors, `constancy` whether its size is the same for every size of motion."""
 
     name: str
     parameters: Mapping[str, Quantity]
     without: ModelEvidence
     rivals: tuple[RivalEvidence, ...] = ()
     exercised: bool = True
-    predictable_share: float | None = None
+    margin: float = math.inf
+    constancy: Constancy | None = None
 
 
 @dataclass(frozen=True)
@@ -139,6 +149,17 @@ class Noise:
 
 
 @dataclass(frozen=True)
+class Judged:
+    """Where held-out power is compared: in which signal, in windows of how many seconds, the power
+    of its noise, and the RMS that a black box would leave, where one was tried."""
+
+    signal: Signal = "position"
+    window_s: float | None = None
+    noise_power: float = 0.0
+    predictable: float | None = None
+
+
+@dataclass(frozen=True)
 class Comparison:
     """One record for the report: time (s) and reading (N,), and what each model leaves of it
     (N,), those that can be simulated."""
@@ -173,8 +194,10 @@ class Evidence:
     of the records themselves; `split` says that no record was held out and a part of each was
     instead, `not_compared` are effects whose fits were not begun or finished for want of work.
 
-    Carried, not used yet: `witness`, what the force domain says by itself (effects with shares),
-    and the `conventions` of the input, one for each record, as diagnosis.json is to hold them.
+    `graded` says that the effects were found by how much of the gap they explain, because no set
+    of them reaches the noise. Carried, not used yet: `witness`, what the force domain says by
+    itself (effects with shares), and the `conventions` of the input, one for each record, as
+    diagnosis.json is to hold them.
     """
 
     records: tuple[str, ...]
@@ -195,5 +218,7 @@ class Evidence:
     warnings: tuple[str, ...] = ()
     split: bool = False
     not_compared: tuple[str, ...] = ()
+    judged: Judged = field(default_factory=Judged)
+    graded: bool = False
     witness: Mapping[str, float] | None = None
     conventions: tuple[Mapping[str, Any], ...] | None = None

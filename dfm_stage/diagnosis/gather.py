@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from dfm_stage.arrays import Array
+from dfm_stage.diagnosis.alike import shares_class
+from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import AS_GIVEN, STEP_GRID
 from dfm_stage.diagnosis.evidence import (
@@ -17,6 +19,7 @@ from dfm_stage.diagnosis.evidence import (
     EffectEvidence,
     Errors,
     Evidence,
+    Judged,
     ModelEvidence,
     Motion,
     Noise,
@@ -35,6 +38,7 @@ from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
 from dfm_stage.identification.system import rounding_step
+from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS
 
 
@@ -47,9 +51,11 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
     search, held = trial.search, (trial.held, trial.held_weights)
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
+    judged = judged_in(h)
     given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
     seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
-    retuned, extended = _of_model(runs, h.bare, seen[1]), _of_model(runs, h.fit, seen[2])
+    retuned = _of_model(runs, h.bare, seen[1], judged)
+    extended = _of_model(runs, h.fit, seen[2], judged)
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
                           description=retuned.description or extended.description)
@@ -57,15 +63,28 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
         tuple(r.name for r in runs), runs[0].unit,
         Noise(weight.rms, weight.source, noise_floor_from_periods(
             h.fit.residuals[0][0], repeats.period) if repeats is not None else None),
-        _motion(runs, h.bare), ModelEvidence(_errors(fitted_given), _errors(given)), retuned,
-        extended, tuple(_effect(trial, h, name, extended.parameters) for name in h.names),
+        _motion(runs, h.bare),
+        ModelEvidence(_errors(fitted_given, judged), _errors(given, judged)),
+        retuned, extended, tuple(effect_evidence(trial, h, name, extended.parameters, seen[2],
+                                                 judged) for name in h.names),
         base_shares={n: h.fit.model.base.get(n, 1.0) / abs(search.model.base[n])
                      for n in ("damping", "stiffness", "force_constant")
                      if n in search.free and search.model.base.get(n, 0.0) != 0.0},
         offset=_offset(h.bare, search.library),
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
-        split=split, not_compared=tuple(search.not_compared))
+        split=split, not_compared=tuple(search.not_compared), judged=judged)
+
+
+def judged_in(h: Hypothesis) -> Judged:
+    """The signal in which held-out powers are compared: a body without a spring drifts by
+    whatever small force there is, and is judged in velocity."""
+    system = h.fit.system if h.fit.ok else h.bare.system
+    signal: Signal = "velocity" if system.springless else "position"
+    left = h.fit.residuals if h.fit.ok else []
+    noise = white_weights(left)[0][0].rms if left else 0.0
+    window = max(run.window for run in system.runs) * system.runs[0].sample_period
+    return Judged(signal, window or None, noise**2 * (2.0 if signal == "velocity" else 1.0))
 
 
 def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
@@ -88,8 +107,9 @@ def with_next_experiment(trial: Trial, h: Hypothesis, evidence: Evidence,
         [search.parameters(rival.model) for rival in rivals], search.noise))
 
 
-def _errors(seen: Prediction) -> Errors:
-    return Errors(seen.rms, seen.chi2, seen.count, _change_rms(seen.residuals))
+def _errors(seen: Prediction, judged: Judged) -> Errors:
+    return Errors(seen.rms, seen.chi2, seen.count, _change_rms(seen.residuals),
+                  power(seen.residuals, judged.signal))
 
 
 def _change_rms(residuals: Sequence[Sequence[Array]]) -> float:
@@ -103,11 +123,14 @@ def _motion(runs: Sequence[Observation], bare: Fit) -> Motion:
                   all(float(np.ptp(r.input)) == 0.0 for r in runs), bare.system.springless)
 
 
-def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction) -> ModelEvidence:
-    fitted = Errors(found.rms, found.chi2, found.white.size, _change_rms(found.residuals))
+def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,
+              judged: Judged) -> ModelEvidence:
+    fitted = Errors(found.rms, found.chi2, found.white.size, _change_rms(found.residuals),
+                    power(found.residuals, judged.signal))
     if not found.ok:
-        return ModelEvidence(fitted, _errors(seen))
-    evidence = ModelEvidence(fitted, _errors(seen), _values(found), _findings(runs, found))
+        return ModelEvidence(fitted, _errors(seen, judged))
+    evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found),
+                             _findings(runs, found))
     return replace(evidence, description=describe(runs, found.residuals)
                    if evidence.remainder else None)
 
@@ -126,17 +149,24 @@ def _values(found: Fit) -> dict[str, Quantity]:
             for n, q in found.quantities().items()}
 
 
-def _effect(trial: Trial, h: Hypothesis, name: str,
-            values: Mapping[str, Quantity]) -> EffectEvidence:
+def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str, Quantity],
+                    seen: Prediction, judged: Judged) -> EffectEvidence:
+    """What speaks for one effect of a hypothesis whose fit leaves `seen` of held-out records."""
     search, fit = trial.search, h.fit
     rest = tuple(n for n in h.names if n != name)
-    without = search.fitted(rest, fit)
-    seen = trial.predicted(without.model)
-    rivals = (_rival(trial, h, r) for r in h.rivals.get(name, ()))
+    without = search.fitted(rest, fit) if rest else h.bare
+    missed = trial.predicted(without.model)
+    own = powers([*fit.residuals, *seen.residuals], judged.signal)
+    rivals = (_rival(trial, h, name, r, own, judged) for r in h.rivals.get(name, ()))
+    size = EFFECTS[name].sizes[0]
     return EffectEvidence(
         name, _own(trial, h, name, values),
-        ModelEvidence(Errors(without.rms, without.chi2, without.white.size), _errors(seen)),
-        tuple(rivals), name not in h.not_exercised)
+        ModelEvidence(Errors(without.rms, without.chi2, without.white.size,
+                             power=power(without.residuals, judged.signal)),
+                      _errors(missed, judged)),
+        tuple(rivals), name not in h.not_exercised,
+        margin(powers([*without.residuals, *missed.residuals], judged.signal), own),
+        constancy(fit, f"{name}.{size}"))
 
 
 def _own(trial: Trial, h: Hypothesis, name: str,
@@ -170,12 +200,15 @@ def _searched_to(trial: Trial, address: str, value: float) -> float:
     return STEP_GRID * value / travel
 
 
-def _rival(trial: Trial, h: Hypothesis, rival: Rival) -> RivalEvidence:
+def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Array,
+           judged: Judged) -> RivalEvidence:
     use = rival.fit.model.effect(rival.name)
     distance = math.inf if use is None else EFFECTS[rival.name].yields_within(use.parameters)
-    return RivalEvidence(rival.name, rival.cost, rival.price(h.fit),
-                         _errors(trial.predicted(rival.fit.model)),
-                         distance / trial.search.weights[0][0].rms)
+    seen = trial.predicted(rival.fit.model)
+    return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
+                         distance / trial.search.weights[0][0].rms,
+                         margin(powers([*rival.fit.residuals, *seen.residuals], judged.signal),
+                                own), shares_class(rival.name, name))
 
 
 def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:

@@ -14,6 +14,8 @@ from dfm_stage.diagnosis.decisions import (
     LEAD_IN,
     SHORTEST,
     SHORTEST_PERIOD,
+    SHORTEST_WINDOW,
+    WINDOWS,
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
@@ -149,6 +151,11 @@ def split_by_time(runs: Sequence[Observation],
             late.append(replace(run.part(cut, size, lead=400),
                                 name=f"{run.name}, last {100 - round(100 * share)} %"))
     return early, late
+
+
+def in_windows(run: Observation) -> Observation:
+    """The run with a state that starts anew in each of about WINDOWS windows."""
+    return replace(run, window=max(run.input.size // WINDOWS, SHORTEST_WINDOW))
 
 
 def _dies_out(output: Array, cut: int) -> bool:

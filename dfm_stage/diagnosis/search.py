@@ -166,14 +166,15 @@ class Search(Fits):
 
     def run(self) -> tuple[Names, Fit]:
         """Add effects until nothing helps; return them in the order they came, and the fit."""
-        return self._grown((), self.begin())
+        return self.grown((), self.begin())
 
     def second(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
         """Go on from `names` without the barred effects; None where nothing helps."""
         found = self.extend(names, current)
-        return None if found is None else self._grown(*self.pruned(*found))
+        return None if found is None else self.grown(*self.pruned(*found))
 
-    def _grown(self, names: Names, current: Fit) -> tuple[Names, Fit]:
+    def grown(self, names: Names, current: Fit) -> tuple[Names, Fit]:
+        """Go on from `names` and their fit until nothing helps."""
         while current.ok and len(names) < MOST_EFFECTS:
             self.step("screening every effect")
             found = self.extend(names, current)

@@ -12,15 +12,21 @@ from dfm_stage.diagnosis.decisions import (
     AT_REST,
     AT_REST_INPUT,
     BASE_AT_ZERO,
+    BLOCK_MARGIN,
+    EXCESS,
     FIRST,
+    FURTHER_PART,
     GROSS_GAP,
     HELD_OUT_FLOOR,
+    INCONSTANT,
     JOINT_LOSS,
     MARGIN,
     MOST_OF_GAP,
+    NAMED_SHARE,
     NOT_EXERCISED,
     OFFSET_NOISE,
     OFFSET_SIGMAS,
+    PARTIAL_SHARE,
     PRESLIDING_DISTANCE,
     RETUNE_GAIN,
     RETUNE_RATIO,
@@ -34,7 +40,7 @@ from dfm_stage.diagnosis.evidence import (
     Which,
 )
 
-Kind = Literal["none", "retune", "named", "ambiguous", "unknown", "not_excited"]
+Kind = Literal["none", "retune", "named", "partial", "ambiguous", "unknown", "not_excited"]
 
 
 # The rule that decided.
@@ -43,6 +49,7 @@ Reason = Enum("Reason", [
     "GROSS_GAP",      # they take most of a gross gap
     "AT_FLOOR",       # with them held-out records are predicted to the noise floor
     "JOINT_FIT",      # one set of values brings fitted and held-out records to the noise floor
+    "GRADED",         # they explain enough of the gap on held-out blocks
     # the effects fall:
     "BARELY_FITTED",  # held-out records do not exercise them, and the fitted ones show little
     "NOT_HELD_OUT",   # they lower the fitted gap, not the held-out one
@@ -94,13 +101,14 @@ class Rejection:
 
 @dataclass(frozen=True)
 class Found:
-    """An effect found: its class, its share of the gap's power, and the rise in chi-square
-    without it."""
+    """An effect found: its class, its share of the gap's held-out power and of what is predictable
+    of it, and the rise in chi-square without it."""
 
     name: str
     members: tuple[str, ...]
     share: float
     loss: float
+    predictable_share: float | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +117,7 @@ class Verdict:
 
     `effects` stand in the order in which they shrank the gap. `undecided` are the names that the
     data do not tell apart, `shown` the model whose gap is told, `model` the one to go on with.
+    `complete` says that nothing but noise is left.
     """
 
     kind: Kind
@@ -121,11 +130,18 @@ class Verdict:
     shown: Which = "retuned"
     model: Which = "given"
 
+    @property
+    def complete(self) -> bool:
+        """Whether the model to go on with leaves nothing but noise."""
+        return not self.remainder and self.kind != "unknown"
+
 
 def verdict(e: Evidence) -> Verdict:
     """Judge the evidence."""
-    outcome = judge_hypothesis(e)
     names = {x.name for x in e.effects}
+    if e.graded and names:
+        return _graded(e, names)
+    outcome = judge_hypothesis(e)
     if outcome.stands:
         classes = {x.name: _class(e, x) for x in e.effects}
         found = sorted((_found(e, x, classes[x.name]) for x in e.effects), key=lambda f: -f.loss)
@@ -185,6 +201,83 @@ def judge_hypothesis(e: Evidence) -> Outcome:
                    (*doubts, Doubt(Reason.ABOVE_FLOOR, names, ratio)))
 
 
+def _graded(e: Evidence, names: set[str]) -> Verdict:
+    """The verdict on effects that leave a remainder, by how much they explain."""
+    classes = {x.name: _graded_class(x) for x in e.effects}
+    found = sorted((_found(e, x, classes[x.name]) for x in e.effects), key=lambda f: -f.loss)
+    undecided = tuple(m for members in classes.values() for m in members if len(members) > 1)
+    explained = explained_share(e)
+    kind: Kind = "unknown"
+    if explained >= PARTIAL_SHARE:
+        kind = "partial" if explained < NAMED_SHARE else "ambiguous" if undecided else "named"
+    if kind == "unknown":
+        return Verdict(kind, Reason.GRADED, rejected=tuple(_rejected(e, set())), remainder=True)
+    return Verdict(kind, Reason.GRADED, tuple(found), undecided, (), tuple(_rejected(e, names)),
+                   True, "extended", "extended")
+
+
+def explained_share(e: Evidence) -> float:
+    """Share of what is predictable of the held-out gap that all effects explain together."""
+    return _above(e, e.extended.held_out.power) / max(_predictable(e), 1e-300)
+
+
+def _above(e: Evidence, power: float) -> float:
+    """Share of the held-out gap's power above the noise that a model leaving `power` explains."""
+    noise = e.judged.noise_power
+    gap = max(e.retuned.held_out.power - noise, 1e-300)
+    return 1.0 - (power - noise) / gap
+
+
+def _predictable(e: Evidence) -> float:
+    """Share of the held-out gap that a black box predicts; never below what the effects do."""
+    limit = e.judged.predictable
+    if limit is None:
+        return 1.0
+    best = max(_above(e, limit**2), _above(e, e.extended.held_out.power))
+    return min(max(best, 0.0), 1.0)
+
+
+def _graded_class(effect: EffectEvidence) -> tuple[str, ...]:
+    """The effect and the rivals that held-out blocks do not part from it."""
+    return (effect.name, *(r.name for r in effect.rivals if r.margin < BLOCK_MARGIN))
+
+
+def fallen(e: Evidence) -> tuple[str, DropReason] | None:
+    """The weakest effect that does not stand where a remainder stays, and why."""
+    ranked = sorted(e.effects, key=lambda x: x.without.held_out.power)
+    for x in ranked:
+        reason = _falls(e, x)
+        if reason is not None:
+            return x.name, reason
+    return None
+
+
+def _main(e: Evidence) -> EffectEvidence:
+    """The effect that takes most of the held-out gap."""
+    return max(e.effects, key=lambda x: x.without.held_out.power)
+
+
+def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
+    left = x.without.held_out.power - e.judged.noise_power
+    taken = x.without.held_out.power - e.extended.held_out.power
+    unrelated = [r for r in x.rivals if r.margin < BLOCK_MARGIN and not r.related]
+    rules = (
+        (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
+        (taken < FURTHER_PART * left, DropReason.SMALL_PART),
+        (x.constancy is not None and x.constancy.gain > INCONSTANT
+         and x.constancy.gain > BLOCK_MARGIN * x.constancy.se, DropReason.INCONSTANT),
+        (len(unrelated) > (1 if x is _main(e) else 0), DropReason.RIVALS))
+    return next((reason for holds, reason in rules if holds), None)
+
+
+def needs_grading(e: Evidence) -> bool:
+    """Whether a gap stays that no set of effects brings to the noise."""
+    outcome = judge_hypothesis(e)
+    real = e.retuned.remainder if not e.effects else True
+    return not outcome.stands and real and (
+        e.retuned.held_out.power > EXCESS**2 * e.judged.noise_power)
+
+
 def needs_joint_fit(e: Evidence) -> bool:
     """Whether the verdict hangs on one fit to fitted and held-out records that is not there."""
     return e.joint is None and judge_hypothesis(e).reason is Reason.ABOVE_FLOOR
@@ -227,8 +320,9 @@ def _not_parted(e: Evidence, rival: RivalEvidence) -> bool:
 
 def _found(e: Evidence, effect: EffectEvidence, members: tuple[str, ...]) -> Found:
     loss = effect.without.fitted.chi2 - e.extended.fitted.chi2
-    share = loss / max(e.retuned.fitted.chi2 - e.extended.fitted.count, 1.0)
-    return Found(effect.name, members, min(max(share, 0.0), 1.0), loss)
+    taken = _above(e, e.extended.held_out.power) - _above(e, effect.without.held_out.power)
+    share = min(max(taken, 0.0), 1.0)
+    return Found(effect.name, members, share, loss, min(share / max(_predictable(e), 1e-9), 1.0))
 
 
 def _offset(e: Evidence) -> Found | None:

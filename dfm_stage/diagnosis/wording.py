@@ -38,6 +38,11 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.SURROGATES: "lowers the held-out error no more than when shifted",
     DropReason.LINE_OF_INPUT: "stands at a line of the input, as the model's own error does",
     DropReason.AT_BOUND: "its parameters run to the edge of their range",
+    DropReason.BLOCKS: "held-out blocks are not clearly worse without it",
+    DropReason.SMALL_PART: "takes little of what is left on held-out blocks",
+    DropReason.INCONSTANT: "needs another size for every size of motion: it stands in for "
+    "something else",
+    DropReason.RIVALS: "several unlike effects do as well in its place",
     Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
     Rejected.EXCLUDED: "{about}",
     Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
@@ -53,6 +58,10 @@ def sentence(e: Evidence, v: Verdict) -> str:
         tail = "; a remainder stays" if v.remainder else ""
         return (f"The model lacks {_listed([f.name for f in v.effects])}: with it the held-out "
                 f"gap falls to {ratio:.2f} times the noise floor{tail}.")
+    if v.kind == "partial":
+        share = sum(f.predictable_share or 0.0 for f in v.effects)
+        return (f"A part of what is missing behaves like {_listed([f.name for f in v.effects])}: "
+                f"{share:.0%} of what is predictable; the rest is in no effect of the library.")
     if v.kind == "ambiguous":
         kinds = "; ".join(" or ".join(map(_spoken, f.members)) for f in v.effects)
         return f"Something is missing that these data do not tell apart: {kinds}."

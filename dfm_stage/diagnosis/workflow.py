@@ -6,13 +6,19 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from dfm_stage.diagnosis.decisions import GROSS_GAP
 from dfm_stage.diagnosis.errors import DiagnosisError
+from dfm_stage.diagnosis.evidence import Evidence
+from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import gather, with_joint_fit, with_next_experiment
-from dfm_stage.diagnosis.hypothesis import Trial
-from dfm_stage.diagnosis.observation import Observation, observe, split_by_time
+from dfm_stage.diagnosis.grading import graded
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.observation import Observation, in_windows, observe, split_by_time
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.verdict import leaves_open, needs_joint_fit, verdict
+from dfm_stage.diagnosis.verdict import leaves_open, needs_grading, needs_joint_fit, verdict
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
@@ -73,21 +79,53 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
                split: bool) -> Diagnosis:
     """Search, test, gather the evidence, judge it and put it into words."""
     search.step("measuring the gap")
-    names, found = search.run()
-    if not found.ok:
+    first = search.begin()
+    if not first.ok:
         raise DiagnosisError(f"model {search.model.name}: cannot be simulated on "
                              f"{search.runs[0].name}: the motion escapes or the parameters leave "
                              "their limits; correct the model")
     trial = Trial(search, held, seed)
-    hypothesis = trial.run(names, found)
-    evidence = gather(trial, hypothesis, warnings, split)
-    if needs_joint_fit(evidence):
-        evidence = with_joint_fit(trial, hypothesis, evidence)
-    first = verdict(evidence)
-    if leaves_open(first):
-        evidence = with_next_experiment(trial, hypothesis, evidence, first.undecided)
+    if drifts(first):
+        trial = _in_windows(trial)
+        hypothesis, evidence = graded(trial, Hypothesis((), *2 * (trial.search.begin(),)),
+                                      warnings, split)
+    else:
+        hypothesis, evidence = _judged_to_noise(trial, first, warnings, split)
+    search = trial.search
+    settled = verdict(evidence)
+    if leaves_open(settled):
+        evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
     search.step("judging")
     models = {"given": search.model, "retuned": hypothesis.bare.model,
               "extended": hypothesis.fit.model}
-    judged = verdict(evidence)
-    return told(evidence, judged, models[judged.model])
+    answer = verdict(evidence)
+    return told(evidence, answer, models[answer.model])
+
+
+def _judged_to_noise(trial: Trial, first: Fit, warnings: Sequence[str],
+                     split: bool) -> tuple[Hypothesis, Evidence]:
+    """The effects that bring the gap to the noise; where none do, those that explain most."""
+    hypothesis = trial.run(*trial.search.grown((), first))
+    evidence = gather(trial, hypothesis, warnings, split)
+    if needs_joint_fit(evidence):
+        evidence = with_joint_fit(trial, hypothesis, evidence)
+    if needs_grading(evidence):
+        part, told_part = graded(trial, hypothesis, warnings, split)
+        if part.names:
+            return part, told_part
+    return hypothesis, evidence
+
+
+def drifts(bare: Fit) -> bool:
+    """Whether a body without a spring misses so much force that its position says nothing."""
+    change = max(float(np.std(np.diff(run.output))) for run in bare.system.runs)
+    left = rms([np.diff(parts[0]) for parts in bare.residuals])
+    return bare.system.springless and left > GROSS_GAP * change
+
+
+def _in_windows(trial: Trial) -> Trial:
+    """The same with states that start anew in every window."""
+    old = trial.search
+    search = Search(old.model, [in_windows(r) for r in old.runs], old.free, library=old.library,
+                    step=old.step)
+    return Trial(search, [in_windows(r) for r in trial.held], trial.seed)

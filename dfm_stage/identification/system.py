@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextvars import ContextVar
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -72,7 +73,8 @@ class System(Problem):
         self.trusted = "encoder_zero" in model.base or "encoder_zero" in free
         constant = next(e for e in EFFECTS.values() if e.adds_to == "constant_force")
         self.push = ""
-        if pushed and self.springless and model.effect(constant.name) is None:
+        if pushed and self.springless and model.effect(constant.name) is None \
+                and not any(run.window for run in runs):
             self.push = f"{constant.name}.{constant.parameters[0].name}"
             model = model.with_effect(constant.name, constant.defaults)
         self.model = _ready(model, self.free)
@@ -135,11 +137,16 @@ class System(Problem):
         spread = float(np.std(run.output)) or 1e-9
         speed = float(np.std(np.diff(run.output))) / run.sample_period or 1e-9
         unit = self.model.position_unit
-        for state in self.states if run.start == "free" else ():
-            moving = state.endswith("velocity")
-            first = float(run.output[0]) if state == "position" and self.springless else 0.0
-            yield Unknown(f"initial.{state}", first, speed if moving else spread,
-                          unit=f"{unit}/s" if moving else unit, run=index)
+        for part in run.windows if run.start == "free" else ():
+            known = {"position": float(run.output[part][0]),
+                     "velocity": first_slope(run.output[part]) / run.sample_period}
+            for state in self.states:
+                moving = state.endswith("velocity")
+                first = known.get(state, 0.0) if self.springless and (
+                    run.window or state == "position") else 0.0
+                yield Unknown(_at_window(f"initial.{state}", run, part), first,
+                              speed if moving else spread,
+                              unit=f"{unit}/s" if moving else unit, run=index)
         usual = -1 if self.springless or self.trusted else 0
         if self.rounded and run.trend is None and usual == 0:
             yield Unknown("offset", 0.0, spread, unit=unit, run=index)
@@ -238,16 +245,20 @@ class System(Problem):
         return out
 
     def _run(self, run: Run, names: Sequence[str], table: Array, signal: str,
-             light: bool) -> Array:
-        """One signal (P, N) of one run for rows (P, m) of parameters."""
+             light: bool, before: float | None = None) -> Array:
+        """One signal (P, N) of one run for rows (P, m) of parameters; `before` is the input that
+        acted before it, by default its first."""
         simulator = self.light if light else self.simulator
+        if run.window:
+            return self._by_window(run, names, table, signal, light)
         periodic = run.start == "periodic" and run.period is not None
         driven = run.input[:run.period] if periodic else run.input
         steps = np.zeros(len(table), dtype=np.int64)
         try:
             found = simulator.run_many(
                 driven, names, table, signal=signal, other=run.other, steady_state=periodic,
-                past_input=0.0 if run.start == "rest" else float(run.input[0]), partial=periodic,
+                past_input=0.0 if run.start == "rest" else (
+                    float(run.input[0]) if before is None else before), partial=periodic,
                 dither=self.dither or None, steps=steps,
                 threads=1 if driven.size * len(table) < PARALLEL else None)
         except SimulationError:
@@ -256,6 +267,23 @@ class System(Problem):
             self.work += float(steps.sum())
             _TAKEN.set(_TAKEN.get() + float(steps.sum()))
         return np.tile(found, (1, run.input.size // driven.size)) if periodic else found
+
+    def _by_window(self, run: Run, names: Sequence[str], table: Array, signal: str,
+                   light: bool) -> Array:
+        """The same, window by window: one that a row does not move is simulated once for all."""
+        out = np.empty((len(table), run.input.size))
+        for part in run.windows:
+            own = {_at_window(f"initial.{state}", run, part): f"initial.{state}"
+                   for state in self.states}
+            used = [k for k, n in enumerate(names) if n in own or WINDOW not in n]
+            rows, which = np.unique(table[:, used], axis=0, return_inverse=True)
+            alone = replace(
+                run, input=run.input[part], output=run.output[part], window=0,
+                other=None if run.other is None else run.other[part])
+            found = self._run(alone, [own.get(names[k], names[k]) for k in used], rows, signal,
+                              light, float(run.input[max(part.start - 1, 0)]))
+            out[:, part] = found[which.ravel()]
+        return out
 
     def _table(self, index: int, rows: Array) -> tuple[list[str], Array, NDArray[np.bool_]]:
         """Names and values (P, m) of the simulator's parameters for one run, and which rows are
@@ -337,6 +365,24 @@ def _ready(model: Model, names: Iterable[str]) -> Model:
     absent = {n: 1.0 if n == "force_constant" else 0.0 for n in names
               if "." not in n and n not in model.base}
     return model.with_parameters(absent) if absent else model
+
+
+WINDOW = "@"
+"""Stands between the name of an unknown and the sample at which its window begins."""
+SLOPE_SAMPLES = 20
+"""Samples over which the velocity at the beginning of a window is first read off."""
+
+
+def _at_window(name: str, run: Run, part: slice) -> str:
+    """The name of an unknown that belongs to one window of a run."""
+    return f"{name}{WINDOW}{part.start}" if run.window else name
+
+
+def first_slope(output: Array) -> float:
+    """Change a sample at the beginning of `output` (N,), by least squares."""
+    first = output[:SLOPE_SAMPLES]
+    ramp = np.arange(first.size) - 0.5 * (first.size - 1)
+    return float(ramp @ first / max(float(ramp @ ramp), 1.0))
 
 
 def _is_mechanical(state: str) -> bool:

@@ -40,6 +40,10 @@ class Recorded(Protocol):
     def sample_period(self) -> float:
         """s"""
 
+    @property
+    def window(self) -> int:
+        """Samples after which the state starts anew, 0 for never"""
+
 
 @dataclass(frozen=True)
 class Conditions:
@@ -66,6 +70,11 @@ class Conditions:
     frequencies: tuple[float, ...] = ()
     periods: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
+
+    @property
+    def windowed(self) -> bool:
+        """Whether the state of a body without a spring starts anew every so often."""
+        return not self.base.get("stiffness", 0.0) and any(run.window for run in self.runs)
 
     @classmethod
     def of(cls, base: Mapping[str, float], drive_kind: str, runs: Sequence[Recorded],

@@ -17,8 +17,9 @@ class ForceOffset(Effect):
     """On a linear spring it is told from the encoder's zero only where that is known."""
 
     def hidden_because(self, at: Conditions) -> str | None:
-        """An unknown zero of the encoder does the same."""
-        return None if "encoder_zero" in at.base else \
+        """An unknown zero of the encoder does the same, but not where a body without a spring
+        starts anew in every window."""
+        return None if "encoder_zero" in at.base or at.windowed else \
             "without a trusted encoder_zero it is an offset of the encoder"
 
 

@@ -1,0 +1,168 @@
+"""Effects that explain a part: the search where no set of effects reaches the noise.
+
+Sets are ranked by the power they leave, not by chi-square: where a model error remains, every bit
+of structure lowers chi-square by thousands. An effect stays while held-out blocks are worse
+without it, and no rival outside its class does as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dfm_stage.diagnosis.alike import at_upper_end
+from dfm_stage.diagnosis.decisions import (
+    FURTHER_PART,
+    GRADED_RIVALS,
+    MOST_GRADED,
+    PARAMETER_PART,
+    PRESLIDING_DISTANCE,
+    RIVAL_GAIN,
+    SHORT_LIST,
+)
+from dfm_stage.diagnosis.effect_fits import Names
+from dfm_stage.diagnosis.evidence import DropReason, Evidence
+from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.gather import gather
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.screen import Hit
+from dfm_stage.diagnosis.search import Rival, Search
+from dfm_stage.diagnosis.verdict import fallen
+from dfm_stage.diagnosis.verification import weights_like
+from dfm_stage.model import EFFECTS
+from dfm_stage.model.effect import Parameters
+
+Begins = Sequence[dict[str, Parameters]]
+"""Sets of effects to begin with: name -> where its parameters begin."""
+
+
+def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str], split: bool,
+           begins: Begins = ()) -> tuple[Hypothesis, Evidence]:
+    """The hypothesis that explains most of the gap, with its evidence.
+
+    `begins` are sets that the force domain proposes. What the search found, and what it dropped,
+    is tried as well. Where nothing stands, the hypothesis is empty.
+    """
+    search = trial.search
+    bare = h.bare
+    search.weigh_at_first(bare)
+    bare = search.once((), bare)
+    trial.held_weights = weights_like(trial.held, search.weights)
+    names, found = _largest(search, bare, [*_found_before(search, h), *begins])
+    names, found = _further(search, names, found)
+    dropped: dict[str, DropReason] = {}
+    while True:
+        h = Hypothesis(names, found, bare,
+                       {n: list(_rivals(search, n, names, found)) for n in names})
+        judged = replace(gather(trial, h, warnings, split), graded=True)
+        weakest = fallen(judged)
+        if weakest is None:
+            trial.dropped.update({n: r for n, r in dropped.items() if n not in names})
+            return h, judged
+        name, reason = weakest
+        better = _better_rival(h, name)
+        if better is not None and better.name not in dropped:
+            names = tuple(better.name if n == name else n for n in names)
+            found = better.fit
+        else:
+            names = tuple(n for n in names if n != name)
+            found = search.once(names, found)
+        dropped[name] = reason
+
+
+def _found_before(search: Search, h: Hypothesis) -> Iterator[dict[str, Parameters]]:
+    """The sets that the search fitted: its answer, and the best single effects."""
+    if h.names:
+        yield _own(search, h.fit)
+    singles: dict[str, Fit] = {}
+    for (names, _), found in search.fits.items():
+        if len(names) == 1 and found.ok:
+            name = next(iter(names))
+            if name not in singles or found.rms < singles[name].rms:
+                singles[name] = found
+    for found in sorted(singles.values(), key=lambda f: f.rms)[:2]:
+        yield _own(search, found)
+    if not search.hits:
+        search.step("screening every effect")
+        _, hits = search.screened(h.bare, ())
+        search.hits.update({x.name: x for x in reversed(hits)})
+    for hit in sorted(search.hits.values(), key=lambda x: -x.gain)[:SHORT_LIST]:
+        if hit.name not in singles:
+            yield {hit.name: hit.parameters}
+
+
+def _own(search: Search, found: Fit) -> dict[str, Parameters]:
+    """The effects of a fit that the given model does not have."""
+    return {use.name: dict(use.parameters) for use in found.model.effects
+            if search.model.effect(use.name) is None}
+
+
+def _largest(search: Search, bare: Fit, begins: Begins) -> tuple[Names, Fit]:
+    """The set that leaves the least power, a further effect paid for by what it must take."""
+    best: tuple[Names, Fit] = (), bare
+    for begin in begins:
+        names = tuple(begin)
+        search.step(f"fitting {' and '.join(names)}")
+        hits = [Hit(n, 0.0, dict(p), np.zeros((0, 0)), np.zeros(0)) for n, p in begin.items()]
+        found = search.once(names, bare, hits)
+        if _usable(found, names) and _score(names, found) < _score(*best):
+            best = names, found
+    return best
+
+
+def _usable(found: Fit, names: Names) -> bool:
+    """Whether every effect can be told from what it becomes at an end of its range: a force that
+    yields over less than what is left cannot be told from dry friction."""
+    return found.ok and not at_upper_end(found, names) and not any(
+        use.name in names and EFFECTS[use.name].yields_within(use.parameters)
+        < PRESLIDING_DISTANCE * found.rms for use in found.model.effects)
+
+
+def _score(names: Names, found: Fit) -> float:
+    """Power left, with what each further effect and parameter must take of it at least."""
+    return found.chi2 * (1.0 - FURTHER_PART) ** -max(len(names) - 1, 0) \
+        * (1.0 - PARAMETER_PART) ** -len(found.system.free)
+
+
+def _further(search: Search, names: Names, found: Fit) -> tuple[Names, Fit]:
+    """Add effects one by one while each takes enough of what is left on the fitted records."""
+    while 0 < len(names) < MOST_GRADED and found.ok:
+        search.step("screening what is left")
+        _, hits = search.screened(found, names)
+        trials = []
+        for hit in list({h.name: h for h in reversed(hits)}.values())[-SHORT_LIST // 2:]:
+            search.step(f"fitting {hit.name} beside {' and '.join(names)}")
+            trial = search.once((*names, hit.name), found, [hit])
+            if _usable(trial, (hit.name,)):
+                trials.append(((*names, hit.name), trial))
+        best = min(trials, key=lambda t: t[1].chi2, default=None)
+        if best is None or _score(*best) >= _score(names, found):
+            break
+        names, found = best
+    return names, found
+
+
+def _rivals(search: Search, name: str, names: Names, found: Fit) -> Iterator[Rival]:
+    """The effects that the screen ranks highest in the place of one."""
+    rest = tuple(n for n in names if n != name)
+    without = search.once(rest, found)
+    if not without.ok:
+        return
+    _, hits = search.screened(without, rest)
+    best = {h.name: h for h in reversed(hits)}
+    own = best[name].gain if name in best else max((h.gain for h in best.values()), default=0.0)
+    listed = sorted((h for h in best.values() if h.name != name
+                     and h.gain > RIVAL_GAIN * own), key=lambda h: -h.gain)
+    for hit in listed[:GRADED_RIVALS]:
+        search.step(f"fitting {hit.name} in place of {name}")
+        rival = search.once((*rest, hit.name), without, [hit])
+        if _usable(rival, (hit.name,)):
+            yield Rival(hit.name, rival.chi2 - found.chi2, rival)
+
+
+def _better_rival(h: Hypothesis, name: str) -> Rival | None:
+    """The rival that leaves least, where it leaves less than the effect itself."""
+    better = [r for r in h.rivals.get(name, ()) if r.cost < 0.0]
+    return min(better, key=lambda r: r.cost, default=None)

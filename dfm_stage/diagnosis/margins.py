@@ -1,0 +1,160 @@
+"""Comparisons by blocks: contiguous stretches of the records are the unit that is resampled.
+
+Where a model leaves more than noise, its samples are no independent draws; blocks much longer
+than what the stage remembers nearly are (Kuensch, Annals of Statistics 17, 1989). Powers are
+compared in logarithms, so that the block with the largest motion does not decide alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dfm_stage.arrays import Array
+from dfm_stage.diagnosis.decisions import BLOCKS, SHORTEST_BLOCK, SIZE_GROUPS
+from dfm_stage.diagnosis.fit import Fit
+
+Signal = Literal["position", "velocity", "force"]
+
+
+def judged_signal(residual: Array, judged: Signal) -> Array:
+    """The residual (N,) of one run in the signal that is judged; velocity as its change."""
+    return np.asarray(np.diff(residual)) if judged == "velocity" else residual
+
+
+def cuts(sizes: Sequence[int]) -> list[list[slice]]:
+    """Blocks of equal length of runs of `sizes` samples, about BLOCKS in all, at least one a
+    run."""
+    length = max(sum(sizes) // BLOCKS, SHORTEST_BLOCK)
+    found = []
+    for size in sizes:
+        edges = np.linspace(0, size, max(size // length, 1) + 1).astype(int)
+        found.append([slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    return found
+
+
+def powers(residuals: Sequence[Sequence[Array]], judged: Signal = "position") -> Array:
+    """Mean square (B,) of the output's residual in each block; infinite without residuals."""
+    if not residuals:
+        return np.full(1, math.inf)
+    signals = [judged_signal(parts[0], judged) for parts in residuals]
+    return np.array([float(np.mean(s[part] ** 2)) for s, parts in
+                     zip(signals, cuts([s.size for s in signals]), strict=True) for part in parts])
+
+
+def power(residuals: Sequence[Sequence[Array]], judged: Signal = "position") -> float:
+    """Mean square of the output's residual over all runs; infinite without residuals."""
+    if not residuals:
+        return math.inf
+    signals = [judged_signal(parts[0], judged) for parts in residuals]
+    return float(sum(s @ s for s in signals)) / max(sum(s.size for s in signals), 1)
+
+
+def margin(rival: Array, own: Array) -> float:
+    """By how many standard errors of the mean log ratio the blocks' powers (B,) of a rival exceed
+    one's own; infinite where the rival cannot be simulated."""
+    if rival.size != own.size or not np.all(np.isfinite(rival)):
+        return math.inf
+    if not np.all(np.isfinite(own)):
+        return -math.inf
+    ratio = np.log(np.maximum(rival, 1e-300) / np.maximum(own, 1e-300))
+    if ratio.size < 2:
+        return 0.0
+    error = float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size)
+    return float(np.mean(ratio)) / max(error, 1e-12)
+
+
+@dataclass(frozen=True)
+class Constancy:
+    """What letting a parameter differ between small, middle and large motion gains on blocks left
+    out: mean logarithm of the RMS without over with, and its standard error. About zero for the
+    effect itself; a stand-in needs another value for every size of motion."""
+
+    gain: float
+    se: float
+
+
+def constancy(found: Fit, address: str) -> Constancy | None:
+    """The constancy of one parameter of a fit, to first order about its minimum; None where the
+    fit does not know it or there are too few blocks."""
+    system = found.system
+    shared = [k for k, u in enumerate(system.unknowns) if u.run is None]
+    place = next((k for k in shared if u_name(found, k) == address), None)
+    if place is None or not found.ok:
+        return None
+    blocks, sizes = _rows(found)
+    if len(blocks) < 2 * SIZE_GROUPS:
+        return None
+    group = _groups(sizes)
+    if len(set(group)) < 2:
+        return None
+    norms = np.linalg.norm(found.jacobian[:, shared], axis=0)
+    used = [k for k, n in zip(shared, norms, strict=True) if n > 0.0]
+    scale = np.linalg.norm(found.jacobian[:, used], axis=0)
+    own = used.index(place) if place in used else -1
+    if own < 0:
+        return None
+    plain, split = [], []
+    count = len(used)
+    for rows, g in zip(blocks, group, strict=True):
+        j, r = found.jacobian[rows][:, used] / scale, found.white[rows]
+        wide = np.zeros((j.shape[0], count - 1 + SIZE_GROUPS))
+        wide[:, :count - 1] = np.delete(j, own, axis=1)
+        wide[:, count - 1 + g] = j[:, own]
+        plain.append((j, r))
+        split.append((wide, r))
+    ratio = np.asarray(0.5 * np.log(_left_out(plain) / _left_out(split)))
+    return Constancy(float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size))
+
+
+def u_name(found: Fit, index: int) -> str:
+    """The address of the parameter that an unknown of a fit is, or stands for."""
+    return found.system.free[index] if index < found.system.count else ""
+
+
+def _rows(found: Fit) -> tuple[list[slice], Array]:
+    """The blocks of a fit as rows of its Jacobian, output only, with the RMS of the motion."""
+    blocks, sizes, at = [], [], 0
+    lengths = [parts[0].size - ws[0].order
+               for parts, ws in zip(found.residuals, found.weights, strict=True)]
+    for run, ws, parts, length in zip(found.system.runs, found.weights, cuts(lengths), lengths,
+                                      strict=True):
+        output = run.output[run.skip + ws[0].order:]
+        for part in parts:
+            blocks.append(slice(at + part.start, at + part.stop))
+            sizes.append(float(np.std(output[part])))
+        at += length + sum(m.size - w.order for m, w in zip(run.measured[1:], ws[1:], strict=True))
+    return blocks, np.array(sizes)
+
+
+def _groups(sizes: Array) -> list[int]:
+    """Small, middle and large blocks, as many of each."""
+    rank = np.argsort(np.argsort(sizes))
+    return [int(g) for g in rank * SIZE_GROUPS // sizes.size]
+
+
+def _left_out(blocks: Sequence[tuple[Array, Array]]) -> Array:
+    """Mean square (B,) of each block's residual with the parameters that the others give."""
+    grams = [j.T @ j for j, _ in blocks]
+    scores = [j.T @ r for j, r in blocks]
+    gram, score = np.sum(grams, axis=0), np.sum(scores, axis=0)
+    found = []
+    for (j, r), own, part in zip(blocks, grams, scores, strict=True):
+        left = gram - own
+        step = np.linalg.lstsq(left, score - part, rcond=1e-9)[0]
+        found.append(float(np.mean((r - j @ step) ** 2)))
+    return np.maximum(np.array(found), 1e-300)
+
+
+def score_by_blocks(found: Fit) -> tuple[Array, float]:
+    """The middle (n, n) of the sandwich covariance with blocks as clusters, and its degrees of
+    freedom (Liang and Zeger, Biometrika 73, 1986): it covers parameters that drift."""
+    blocks, _ = _rows(found)
+    scores = np.array([found.jacobian[rows].T @ found.white[rows] for rows in blocks])
+    count = len(blocks)
+    factor = count / max(count - 1.0, 1.0)
+    return np.asarray(scores.T @ scores) * factor, float(max(count - 1, 1))
