@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 
 from dfm_stage.cli.command import (
     COLUMNS,
+    CONVENTION,
     NO_REPORT,
     TONES,
     Options,
@@ -65,6 +66,7 @@ OPTIONS: Options = (
            help="how often --run does so (default: %(default)s)"),
     option("--seed", type=int, default=0, help="fixes what is shuffled (default: 0)"),
     COLUMNS,
+    CONVENTION,
     json_option("diagnosis.json"),
     NO_REPORT,
 )

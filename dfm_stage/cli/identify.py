@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from dfm_stage.cli.command import (
     COLUMNS,
+    CONVENTION,
     NO_REPORT,
     CheckFailedError,
     command,
@@ -64,6 +65,7 @@ OPTIONS = (
     option("--skip", type=float, default=0.0, metavar="SECONDS",
            help="leave out the start of each record"),
     COLUMNS,
+    CONVENTION,
     json_option("identify.json"),
     NO_REPORT,
 )

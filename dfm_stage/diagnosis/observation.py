@@ -81,6 +81,9 @@ def observe(record: Record, model: Model, axis: str | None = None,
     if len(record) < SHORTEST:
         raise DiagnosisError(f"{called}: {len(record)} samples are too few for a diagnosis; "
                              f"record at least {SHORTEST}")
+    if data.measures != "position":
+        raise DiagnosisError(f"{called}: the output is a measured {data.measures}, which a "
+                             "diagnosis cannot use yet; record the position")
     unit = data.position_unit
     if unit != model.position_unit:
         raise DiagnosisError(f"{called}: the output is in {unit}, the model in "

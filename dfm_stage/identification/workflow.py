@@ -202,6 +202,11 @@ def plant_quantity(fit: ModelFit, function: Callable[[LinearPlant], float],
 
 def _check_alike(sources: Sequence[Source]) -> None:
     first = sources[0]
+    for source in sources:
+        if source.axis.measures != "position":
+            raise IdentificationError(f"{source.name}: the output is a measured "
+                                      f"{source.axis.measures}, which cannot be fitted yet: "
+                                      "record the position")
     for source in sources[1:]:
         units = (source.axis.input_unit, source.axis.position_unit)
         if units != (first.axis.input_unit, first.axis.position_unit):

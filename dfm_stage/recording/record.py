@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from dfm_stage.recording.errors import RecordError
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
+Measured: TypeAlias = Literal["position", "velocity", "acceleration"]
+HOLDS = ("zero", "first", "band_limited")
+"""What an input does between its samples: stand, go straight to the next, or be band-limited."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +29,16 @@ class AxisRecord:
     Attributes
     ----------
     input : volts as applied (A with a current drive), in `input_unit`
-    position : in `position_unit`; metres unless the source measures something else
+    position : in `position_unit`; metres unless the source measures something else. Where
+        `measures` says so it is the measured velocity or acceleration instead, in `output_unit`
     current : A, or None if it was not measured
     reference : wanted position in `position_unit`, or None
     extra : whatever else the source holds for this axis, for instance `excitation` (V), `command`
         (V) and `plant_position` (m) from a bag
+    velocity : measured beside the position, in `position_unit`/s, or None
+    measures : what `position` holds
+    input_hold : what the input does between its samples, one of HOLDS; None to estimate it
+    input_shift : samples by which the input acts later than its column says; None to estimate it
     """
 
     input: FloatArray
@@ -40,11 +48,21 @@ class AxisRecord:
     current: FloatArray | None = None
     reference: FloatArray | None = None
     extra: Mapping[str, FloatArray] = field(default_factory=dict)
+    velocity: FloatArray | None = None
+    measures: Measured = "position"
+    input_hold: str | None = None
+    input_shift: float | None = None
+
+    @property
+    def output_unit(self) -> str:
+        """The unit of what `position` holds."""
+        return self.position_unit + {"position": "", "velocity": "/s", "acceleration": "/s^2"}[
+            self.measures]
 
     def arrays(self) -> dict[str, FloatArray]:
         """Return every array there is, by the name of its attribute or of the extra."""
         named = {"input": self.input, "position": self.position, "current": self.current,
-                 "reference": self.reference}
+                 "reference": self.reference, "velocity": self.velocity}
         return {name: array for name, array in named.items() if array is not None} | {
             **self.extra}
 
