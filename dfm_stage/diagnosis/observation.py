@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.decisions import (
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
+from dfm_stage.identification.convention import find_convention
 from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.identification.run import Run
@@ -56,9 +57,7 @@ class Observation(Run):
             count = (stop - first - begin) // found.period
             found = Periodicity(found.period, begin, count) if count >= 2 else None
         return replace(
-            self, input=self.input[cut], output=self.output[cut],
-            current=None if self.current is None else self.current[cut],
-            other=None if self.other is None else self.other[cut],
+            self.sliced(cut),
             reference=None if self.reference is None else self.reference[cut],
             periodicity=found, skip=max(start - first, LEAD_IN),
             start_s=self.start_s + first * self.sample_period)
@@ -99,10 +98,13 @@ def observe(record: Record, model: Model, axis: str | None = None,
     others = [n for n in record.axes if n != chosen]
     other = _usable(record.axes[others[0]].position if len(others) == 1 else None)
     quiet = None if other is None else denoised(other)
+    found = find_convention(data.input, data.position, hold=data.input_hold,
+                            shift=data.input_shift)
     return Observation(called, np.asarray(data.input, float), np.asarray(data.position, float),
                        record.sample_period, unit=unit, current=_usable(data.current),
                        other=quiet, reference=_usable(data.reference),
-                       periodicity=_periodicity(data.extra.get("excitation"), data.input))
+                       periodicity=_periodicity(data.extra.get("excitation"), data.input)
+                       ).by(found)
 
 
 def _axis_name(record: Record, axis: str | None) -> str:

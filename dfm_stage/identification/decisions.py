@@ -140,3 +140,44 @@ EQUAL = decision(
 SAME_PERIOD = decision(
     "SAME_PERIOD", 1e-6, "1", meaning="Relative difference of two sampling periods that are the "
     "same.", set_on=FIRST_FORM)
+
+# -- the convention of the input -----------------------------------------------------------------
+
+TIMING_FORM = ("held and continuous simulations (five kinds of stage, four inputs), and Silverbox, "
+               "looked at while it was set: not a blind result")
+HELD_LEAST = decision(
+    "HELD_LEAST", 0.3, "samples", meaning="An input that acts surely earlier than this is not "
+    "held; a held one acts at 0.5 or later, 0.38 with what the regression does not know.",
+    set_on=TIMING_FORM)
+HELD_SIGMAS = decision(
+    "HELD_SIGMAS", 4.0, "standard errors", meaning="What surely is.", set_on=TIMING_FORM)
+LATE_RATIO = decision(
+    "LATE_RATIO", 1.3, "1", meaning="What the regression leaves with an input that is half a "
+    "sample late or more, over what it leaves at best, above which it is not held: a second mode "
+    "reaches 1.1.", set_on=TIMING_FORM)
+HOLD_RATIO = decision(
+    "HOLD_RATIO", 2.0, "1", meaning="What is left with a band-limited input over what is left "
+    "with another kind, from which it is that kind.", set_on=TIMING_FORM)
+UNEXPLAINED = decision(
+    "UNEXPLAINED", 0.3, "1", meaning="Share of the input's RMS that the regression may leave and "
+    "still tell its timing: a second mode in the middle of the band leaves 0.9.",
+    set_on=TIMING_FORM)
+TIMING_KNOWN = decision(
+    "TIMING_KNOWN", 0.1, "samples", meaning="Standard error above which a record does not show "
+    "when its input acts.", set_on=TIMING_FORM)
+TIMING_FLOOR = decision(
+    "TIMING_FLOOR", 0.01, "samples", meaning="Least standard error that is told: the regression "
+    "is no exact model.", set_on=TIMING_FORM)
+TIMING_BLOCKS = decision(
+    "TIMING_BLOCKS", 20, "1", meaning="Parts of a record, each left out once, whose spread is the "
+    "standard error.", set_on=TIMING_FORM)
+EARLY_SHIFT = decision(
+    "EARLY_SHIFT", 0.1, "samples", meaning="A shift smaller than this is none.",
+    set_on=TIMING_FORM)
+EARLIEST = decision(
+    "EARLIEST", -1.0, "samples", meaning="Shift of a column that is a whole sample early.",
+    set_on="derivation: a logger that writes the command of the next sample")
+FINER = decision(
+    "FINER", 4, "steps", meaning="Steps a sample for an input that is not held.",
+    set_on="derivation: the images of a frequency f lie at 4 - f sampling rates and beyond, and a "
+    "mass moves by (f / (4 - f))^3 of the motion at f: 1e-4 at a fifth of the rate")

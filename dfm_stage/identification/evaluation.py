@@ -86,10 +86,9 @@ def hold_out(sources: Sequence[Source], holdout: Sequence[Source], fit: ModelFit
     cut = 3 * whole.input.size // 4
     if whole.input.size - cut < FEWEST_HELD_OUT:
         return ()
-    early = replace(whole, input=whole.input[:cut], output=whole.output[:cut])
+    early = whole.sliced(slice(0, cut))
     before = min(cut, LEAD_IN)
-    late = replace(whole, input=whole.input[cut - before:], output=whole.output[cut - before:],
-                   skip=before)
+    late = replace(whole.sliced(slice(cut - before, None)), skip=before)
     part = fit_model(fit.model, [early, *(s.run() for s in sources[1:])], names, noise=noise)
     if not part.estimate.ok:
         return ()

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
+
+from typing_extensions import Self
 
 from dfm_stage.arrays import Array
+from dfm_stage.identification.convention import HELD, Convention, Drive, drive_of
 
 Start = Literal["free", "rest", "periodic"]
+AnyRun = TypeVar("AnyRun", bound="Run")
 
 
 @dataclass(frozen=True)
 class Run:
-    """One axis of one record: `input` (N,) held from sample k on, `output` (N,) before it acts.
+    """One axis of one record: `input` (N,) and `output` (N,), which is sampled before it acts.
 
     The first `skip` samples are simulated but not compared. `start` says how the state at sample
     0 is found: "free" estimates position and velocity, "rest" takes zero, "periodic" takes the
@@ -22,6 +26,9 @@ class Run:
     `other` (N,) is the position of the neighbouring axis, where they were recorded. With `window`
     the state is estimated anew every so many samples (multiple shooting: Bock and Plitt, IFAC
     1984): what little the model misses then has no time to carry a body without a spring away.
+
+    The input is held from sample k on, unless the record's `convention` says otherwise: then
+    `drive` is what a simulator takes. `by` makes it, `sliced` keeps it right at the cuts.
     """
 
     name: str
@@ -35,6 +42,20 @@ class Run:
     current: Array | None = None
     other: Array | None = None
     window: int = 0
+    convention: Convention = HELD
+    drive: Drive | None = None
+
+    def by(self, convention: Convention) -> Self:
+        """Return the same run by another convention of its input."""
+        return replace(self, convention=convention, drive=drive_of(
+            self.input, convention, self.start == "periodic"))
+
+    def sliced(self, part: slice) -> Self:
+        """Return some of the samples; what is known of all of them is left as it is."""
+        return replace(self, input=self.input[part], output=self.output[part],
+                       current=None if self.current is None else self.current[part],
+                       other=None if self.other is None else self.other[part],
+                       drive=None if self.drive is None else self.drive.sliced(part))
 
     @property
     def windows(self) -> list[slice]:

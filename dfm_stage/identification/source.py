@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from dfm_stage.arrays import Array
+from dfm_stage.identification.convention import Convention, find_convention
 from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.recording import AxisRecord
@@ -31,7 +33,14 @@ class Source:
 
     def run(self) -> Run:
         """Return what output-error estimation takes."""
-        return Run(self.name, self.axis.input, self.axis.position, self.sample_period)
+        return Run(self.name, self.axis.input, self.axis.position, self.sample_period
+                   ).by(self.convention)
+
+    @cached_property
+    def convention(self) -> Convention:
+        """What the input does between its samples: given with the record, or found in it."""
+        return find_convention(self.axis.input, self.axis.position, hold=self.axis.input_hold,
+                               shift=self.axis.input_shift)
 
     @property
     def period(self) -> int | None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.arrays import Array
+from dfm_stage.identification.convention import Drive, interpolated
 from dfm_stage.identification.coordinates import group, late_parameters
 from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
@@ -92,6 +93,7 @@ class System(Problem):
         self.light = Simulator(light) if self.nonlinear else self.simulator
         self.slow = any(EFFECTS[n].advance is not None for n in self.nonlinear)
         """Whether a simulation follows states with memory, and is worth being spared."""
+        self._finer: dict[tuple[int, bool], Simulator] = {}
         self.work = 0.0
         """Integration steps that simulations with nonlinear forces have taken."""
         self.noise = noise
@@ -248,25 +250,53 @@ class System(Problem):
              light: bool, before: float | None = None) -> Array:
         """One signal (P, N) of one run for rows (P, m) of parameters; `before` is the input that
         acted before it, by default its first."""
-        simulator = self.light if light else self.simulator
         if run.window:
             return self._by_window(run, names, table, signal, light)
+        drive = Drive(run.input) if run.drive is None else run.drive
+        simulator = self._stepping(drive.factor, light)
         periodic = run.start == "periodic" and run.period is not None
-        driven = run.input[:run.period] if periodic else run.input
+        driven = drive.values[:drive.factor * (run.period or 0)] if periodic else drive.values
+        other = run.other if run.other is None or drive.factor == 1 else interpolated(
+            run.other, drive.factor, periodic=periodic)[:driven.size]
+        names, table = self._with_delay(names, table, drive.delay)
         steps = np.zeros(len(table), dtype=np.int64)
         try:
             found = simulator.run_many(
-                driven, names, table, signal=signal, other=run.other, steady_state=periodic,
+                driven, names, table, signal=signal, other=other, steady_state=periodic,
                 past_input=0.0 if run.start == "rest" else (
-                    float(run.input[0]) if before is None else before), partial=periodic,
+                    float(driven[0]) if before is None else before), partial=periodic,
                 dither=self.dither or None, steps=steps,
-                threads=1 if driven.size * len(table) < PARALLEL else None)
+                threads=1 if driven.size * len(table) < PARALLEL else None)[:, ::drive.factor]
         except SimulationError:
             return np.full((len(table), run.input.size), np.nan)
         if self.nonlinear and not light:
             self.work += float(steps.sum())
             _TAKEN.set(_TAKEN.get() + float(steps.sum()))
-        return np.tile(found, (1, run.input.size // driven.size)) if periodic else found
+        return np.tile(found, (1, run.input.size // found.shape[1])) if periodic else found
+
+    def _stepping(self, factor: int, light: bool) -> Simulator:
+        """A simulator that takes `factor` inputs a sample."""
+        usual = self.light if light else self.simulator
+        if factor == 1:
+            return usual
+        if (factor, light) not in self._finer:
+            model = usual.model
+            self._finer[factor, light] = Simulator(replace(
+                model, sample_period=model.sample_period / factor))
+        return self._finer[factor, light]
+
+    def _with_delay(self, names: Sequence[str], table: Array,
+                    samples: float) -> tuple[Sequence[str], Array]:
+        """Rows of parameters with a delay more, of so many sample periods."""
+        if samples == 0.0:
+            return names, table
+        longer = samples * self.model.sample_period
+        if "delay" not in names:
+            own = np.full((len(table), 1), self.model.base.get("delay", 0.0) + longer)
+            return [*names, "delay"], np.hstack([table, own])
+        table = table.copy()
+        table[:, list(names).index("delay")] += longer
+        return names, table
 
     def _by_window(self, run: Run, names: Sequence[str], table: Array, signal: str,
                    light: bool) -> Array:
@@ -277,9 +307,7 @@ class System(Problem):
                    for state in self.states}
             used = [k for k, n in enumerate(names) if n in own or WINDOW not in n]
             rows, which = np.unique(table[:, used], axis=0, return_inverse=True)
-            alone = replace(
-                run, input=run.input[part], output=run.output[part], window=0,
-                other=None if run.other is None else run.other[part])
+            alone = replace(run.sliced(part), window=0)
             found = self._run(alone, [own.get(names[k], names[k]) for k in used], rows, signal,
                               light, float(run.input[max(part.start - 1, 0)]))
             out[:, part] = found[which.ravel()]

@@ -1,0 +1,383 @@
+"""What an input does between its samples: found in the record, and turned into steps to simulate.
+
+A held input acts half a sample late on average, one sampled at the same instant as the output
+behind anti-alias filters does not; a simulator that holds the input cannot follow the second. How
+late the input acts is read off the equation of motion: u(t - tau) is regressed on filtered
+acceleration, velocity, position and usual nonlinear functions of them, and the tau that leaves
+least is looked for. What is late cannot be told from a lag or a delay of the stage, and is left
+to these; what is early is a convention.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from dfm_stage.arrays import Array
+from dfm_stage.identification.decisions import (
+    EARLIEST,
+    EARLY_SHIFT,
+    FINER,
+    HELD_LEAST,
+    HELD_SIGMAS,
+    HOLD_RATIO,
+    LATE_RATIO,
+    TIMING_BLOCKS,
+    TIMING_FLOOR,
+    TIMING_KNOWN,
+    UNEXPLAINED,
+)
+
+Hold = Literal["zero", "first", "band_limited"]
+Source = Literal["estimated", "assumed", "given"]
+
+LATENESS: Mapping[Hold, float] = {"zero": 0.5, "first": 0.0, "band_limited": 0.0}
+"""Samples by which an input acts late on average that stands, goes straight, or is band-limited."""
+SINCS: Mapping[Hold, int] = {"zero": 1, "first": 2, "band_limited": 0}
+"""Power of sinc by which the kinds weaken what is in the samples."""
+WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Standard deviations (samples) of the Gaussian filters that are tried."""
+LAGS = np.arange(-1.5, 3.01, 0.25)
+"""Values of tau (samples) at which the regression is made; it is smooth in between."""
+GRID = np.arange(LAGS[0], LAGS[-1] + 0.005, 0.01)
+TAIL = 6.0
+"""Widths of a filter after which its response is over."""
+FEWEST = 20
+"""Least samples of a record over those that a filter takes at each end."""
+LONGEST = 2**15
+"""Samples that are looked at, from the part that moves most: more make timing no surer."""
+LONGEST_DIVISOR = 8
+
+
+@dataclass(frozen=True)
+class Convention:
+    """What the input of one record does between its samples, and how it is known.
+
+    The value that acts at t_k is column(t_k - `shift` T): `shift` samples, never above zero where
+    it is found, because what is late is a delay. `sigma` is its standard error. `late` is how much
+    later than the hold says the input acts, with `late_sigma`: lag and delay of the stage, or of
+    the column; None where the record does not show it.
+    """
+
+    hold: Hold = "zero"
+    shift: float = 0.0
+    sigma: float | None = None
+    source: Source = "assumed"
+    late: float | None = None
+    late_sigma: float | None = None
+
+    @property
+    def held(self) -> bool:
+        """Whether the input is what every simulator takes: held, and neither early nor late."""
+        return self.hold == "zero" and self.shift == 0.0
+
+    def to_dict(self, record: str) -> dict[str, Any]:
+        """As diagnosis.json and identify.json keep it."""
+        return {"record": record, "input_hold": self.hold,
+                "input_shift_samples": {"value": self.shift,
+                                        "ci95": _interval(self.shift, self.sigma)},
+                "estimated": self.source == "estimated", "source": self.source,
+                "late_samples": {"value": self.late, "ci95": _interval(self.late,
+                                                                      self.late_sigma)}}
+
+    @property
+    def words(self) -> str:
+        """The convention in one sentence."""
+        if self.hold == "zero" and self.shift == 0.0:
+            text = "the input is taken as held from each sample to the next"
+        else:
+            kind = {"zero": "held from each sample to the next", "band_limited": "band-limited",
+                    "first": "going straight from each sample to the next"}[self.hold]
+            when = "both columns were sampled at the same instant" if self.shift == 0.0 else \
+                f"the input acts {abs(self.shift):.3g} samples " \
+                f"{'before' if self.shift < 0.0 else 'after'} its column says"
+            text = f"{when}; the input is taken as {kind}"
+        return text + self._how
+
+    @property
+    def _how(self) -> str:
+        if self.source == "given":
+            return " (given)"
+        if self.source == "assumed":
+            return " (assumed: the record does not show it)"
+        if self.late is not None and self.late_sigma is not None \
+                and self.late > HELD_SIGMAS * self.late_sigma:
+            return f" (it acts {self.late:.2g} samples later: not told from a lag or a delay)"
+        return ""
+
+
+HELD = Convention()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """An input as a simulator takes it: `values` (factor N,), each held for a part 1 / `factor`
+    of the sample period, and all of it `delay` sample periods late."""
+
+    values: Array
+    factor: int = 1
+    delay: float = 0.0
+
+    def sliced(self, part: slice) -> Drive:
+        """Return the input of some of the samples."""
+        samples = range(*part.indices(self.values.size // self.factor))
+        first = self.factor * samples.start
+        return Drive(self.values[first:first + self.factor * len(samples)], self.factor,
+                     self.delay)
+
+
+def drive_of(values: Array, convention: Convention, periodic: bool = False) -> Drive | None:
+    """Return the input `values` (N,) as a simulator takes it; None where it is held as it stands.
+
+    A held input that is early is exact. Others become FINER steps a sample, so large that the
+    motion is that of the input between its samples (see `steps_of`).
+    """
+    if convention.held or values.size < 4:
+        return None
+    if convention.hold == "zero":
+        ahead = math.ceil(-convention.shift)
+        at = np.arange(values.size) + ahead
+        at = at % values.size if periodic else np.clip(at, 0, values.size - 1)
+        return Drive(values[at], delay=ahead + convention.shift)
+    if convention.hold == "first":
+        return Drive(_straight(values, convention.shift, FINER, periodic), FINER)
+    return Drive(interpolated(values, FINER, 0.5 / FINER - convention.shift, periodic, steps=True),
+                 FINER)
+
+
+def interpolated(values: Array, factor: int, offset: float = 0.0, periodic: bool = False,
+                 steps: bool = False) -> Array:
+    """Return a band-limited signal at times (k / factor + offset) T, shape (factor N,).
+
+    At its ends a signal that is not periodic is taken to go on as its own reflection in the end
+    point. With `steps` each value is that of a step of T / factor about the time: a step weakens a
+    frequency by a sinc, which is taken out, so that only images near `factor` times the sampling
+    rate are left.
+    """
+    count = values.size
+    line, wave = (np.zeros(2), values) if periodic else _reflected(values)
+    spectrum = np.fft.rfft(wave)
+    if wave.size % 2 == 0:
+        spectrum[-1] = 0.5 * spectrum[-1]
+    omega = 2.0 * np.pi * np.arange(spectrum.size) / wave.size
+    spectrum = spectrum * np.exp(1j * omega * offset)
+    if steps:
+        spectrum /= np.sinc(omega / (2.0 * np.pi * factor))
+    fine = np.fft.irfft(spectrum, factor * wave.size)[:factor * count] * factor
+    return np.asarray(fine + line[0] + line[1] * (np.arange(factor * count) / factor + offset))
+
+
+def _straight(values: Array, shift: float, factor: int, periodic: bool) -> Array:
+    """Steps for an input that goes straight from sample to sample, (factor N,).
+
+    Means over the steps, less a twelfth of their second difference: a step in the place of a slope
+    s moves x'' = u by s h^3 / 12 too much, which adds up to h^2 u / 12.
+    """
+    middle = (np.arange(-1, factor * values.size + 1) + 0.5) / factor - shift
+    edges = np.concatenate((middle - 0.5 / factor, middle[-1:] + 0.5 / factor))
+    knots = np.arange(-3, values.size + 4)
+    at = knots % values.size if periodic else np.clip(knots, 0, values.size - 1)
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (values[at][1:] + values[at][:-1]))))
+    place = np.clip(np.floor(edges).astype(int) + 3, 0, knots.size - 2)
+    rest = edges - knots[place]
+    here, there = values[at][place], values[at][place + 1]
+    means = np.diff(area[place] + rest * (here + 0.5 * rest * (there - here))) * factor
+    return np.asarray(means[1:-1] - np.diff(means, 2) / 12.0)
+
+
+def _reflected(values: Array) -> tuple[Array, Array]:
+    """The line through first and last value, as value and slope, and what is left with its
+    reflection in the end points, (2 N - 2,): periodic, without a jump."""
+    slope = float(values[-1] - values[0]) / (values.size - 1)
+    left = values - values[0] - slope * np.arange(values.size)
+    return np.array([values[0], slope]), np.concatenate((left, -left[-2:0:-1]))
+
+
+# -- the estimate -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What one filter says: the tau (samples) that leaves least and its block-jackknife standard
+    error, RMS left over that of the input, and the same if tau may not be below half a sample."""
+
+    tau: float
+    sigma: float
+    left: float
+    left_late: float
+
+
+def find_convention(input_: Array, output: Array, derivative: int = 0, *,
+                    hold: str | None = None, shift: float | None = None) -> Convention:
+    """Return the convention of one record from input (N,) and output (N,).
+
+    `derivative` says of which order in the position's time derivatives the output is. What is
+    given by hand (`hold`, `shift`) is taken as it is.
+    """
+    if hold is not None or shift is not None:
+        kind: Hold = "zero" if hold is None else hold  # type: ignore[assignment]
+        return Convention(kind, 0.0 if shift is None else shift, source="given")
+    u, y = _livest(input_, output)
+    if np.ptp(u) == 0.0 or np.ptp(y) == 0.0 or not (np.all(np.isfinite(u))
+                                                    and np.all(np.isfinite(y))):
+        return HELD
+    seen = [(width, t) for width in WIDTHS
+            if (t := timing(u, y, width, derivative)) is not None and t.left < UNEXPLAINED]
+    if not seen:
+        return HELD
+    width, best = min(seen, key=lambda w: w[1].sigma)
+    if best.sigma > TIMING_KNOWN:
+        return HELD
+    sigma = math.hypot(best.sigma, TIMING_FLOOR)
+    if best.tau + HELD_SIGMAS * best.sigma >= HELD_LEAST:
+        return Convention("zero", source="estimated", late=best.tau - LATENESS["zero"],
+                          late_sigma=sigma)
+    if best.left_late < LATE_RATIO * best.left:
+        return HELD
+    kind, tau = _kind(u, y, width, best, derivative)
+    early = tau - LATENESS[kind]
+    if early > -max(EARLY_SHIFT, HELD_SIGMAS * sigma):
+        return Convention(kind, 0.0, sigma, "estimated", early, sigma)
+    return Convention(kind, early, sigma, "estimated", 0.0, sigma)
+
+
+def _kind(u: Array, y: Array, width: float, best: Timing, derivative: int) -> tuple[Hold, float]:
+    """The kind of interpolation of an input that is not simply held, and its tau.
+
+    Band-limited, unless the regression leaves much less with another one; where kinds leave the
+    same, an input that is a whole sample early is a held one of the sample before.
+    """
+    found: dict[Hold, Timing] = {"band_limited": best}
+    for kind in ("zero", "first"):
+        other = timing(u, y, width, derivative, SINCS[kind])
+        if other is not None:
+            found[kind] = other
+    lowest = min(found, key=lambda k: found[k].left)
+    if lowest != "band_limited" and HOLD_RATIO * found[lowest].left <= best.left:
+        return lowest, found[lowest].tau
+    whole = abs(best.tau - LATENESS["zero"] - EARLIEST) < EARLY_SHIFT
+    if whole and "zero" in found and found["zero"].left < HOLD_RATIO * best.left:
+        return "zero", EARLIEST + LATENESS["zero"]
+    return "band_limited", best.tau
+
+
+def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0) -> Timing | None:
+    """Regress the input on the motion through one Gaussian filter of `width` samples.
+
+    `sincs` is the power of sinc with which the input is weakened between its samples. None where
+    the record is too short for the filter.
+    """
+    cut = int(TAIL * width) + 8
+    inner = slice(cut, u.size - cut)
+    if u.size < FEWEST * cut:
+        return None
+    columns = _features(y, width, derivative)[:, inner]
+    columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=1)), 1e-300)[:, None]
+    delayed = _delayed(u, width, sincs)[:, inner]
+    delayed -= delayed.mean(axis=1, keepdims=True)
+    edges = np.linspace(0, columns.shape[1], TIMING_BLOCKS + 1).astype(int)
+    parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
+    gram = np.array([columns[:, p] @ columns[:, p].T for p in parts])
+    cross = CubicSpline(LAGS, [delayed[:, p] @ columns[:, p].T for p in parts], axis=1)(GRID)
+    power = CubicSpline(LAGS, [np.sum(delayed[:, p] ** 2, axis=1) for p in parts], axis=1)(GRID)
+    whole = gram.sum(axis=0), cross.sum(axis=0), power.sum(axis=0)
+    left = _left(*whole)
+    if left is None:
+        return None
+    without = [_left(whole[0] - g, whole[1] - c, whole[2] - p)
+               for g, c, p in zip(gram, cross, power, strict=True)]
+    taus = np.array([_least(each) for each in without if each is not None])
+    spread = math.sqrt((taus.size - 1) * float(np.var(taus)))
+    late = float(np.min(left[LATENESS["zero"] <= GRID]))
+    at = _least(left)
+    inside = GRID[0] < at < GRID[-1]
+    return Timing(at, spread if inside else math.inf, math.sqrt(float(left.min())),
+                  math.sqrt(late))
+
+
+def _left(gram: Array, cross: Array, power: Array) -> Array | None:
+    """Share of the input's power (G,) that a regression leaves at each tau of the grid."""
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > RANK * values[-1]
+    if values[-1] <= 0.0 or np.any(power <= 0.0):
+        return None
+    taken = np.sum((cross @ vectors[:, kept]) ** 2 / values[kept], axis=1)
+    return np.asarray(np.maximum(1.0 - taken / power, 0.0))
+
+
+RANK = 1e-12
+"""Eigenvalue over the largest below which columns are the same."""
+
+
+def _least(left: Array) -> float:
+    """Where on the grid the least lies, by a parabola through its neighbours."""
+    at = int(np.argmin(left))
+    if not 0 < at < left.size - 1:
+        return float(GRID[at])
+    before, here, after = left[at - 1:at + 2]
+    bend = before - 2.0 * here + after
+    return float(GRID[at] + (0.5 * (before - after) / bend if bend > 0.0 else 0.0)
+                 * (GRID[1] - GRID[0]))
+
+
+def _delayed(u: Array, width: float, sincs: int) -> Array:
+    """The filtered input at every lag, (L, N)."""
+    line, wave = _reflected(u)
+    omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
+    spectrum = np.fft.rfft(wave) * np.exp(-0.5 * (omega * width) ** 2)
+    spectrum *= np.sinc(omega / (2.0 * np.pi)) ** sincs
+    time = np.arange(u.size)
+    return np.array([np.fft.irfft(spectrum * np.exp(-1j * omega * lag), wave.size)[:u.size]
+                     + line[0] + line[1] * (time - lag) for lag in LAGS])
+
+
+def _features(y: Array, width: float, derivative: int) -> Array:
+    """Filtered motion and usual nonlinear functions of it, (F, N)."""
+    line, wave = _reflected(y)
+    omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
+    spectrum = np.fft.rfft(wave)
+    filter_ = np.exp(-0.5 * (omega * width) ** 2)
+
+    def moved(order: int, weights: Array) -> Array:
+        """The position's derivative of some order; integrals but for a polynomial."""
+        turns = np.where(omega > 0.0, 1j * omega, 1.0) ** (order - derivative)
+        turns[0] = float(order == derivative)
+        found = np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size]
+        if order == derivative:
+            found += line[0] + line[1] * np.arange(y.size)
+        return np.asarray(found + line[1] if order == derivative + 1 else found)
+
+    def filtered(values: Array) -> Array:
+        ends, folded = _reflected(values)
+        return np.asarray(np.fft.irfft(np.fft.rfft(folded) * filter_, wave.size)[:y.size]
+                          + ends[0] + ends[1] * np.arange(values.size))
+
+    x, v, a = (moved(order, filter_) for order in range(3))
+    raw = moved(0, np.ones(omega.size))
+    raw -= raw.mean()
+    drift = np.linspace(-1.0, 1.0, y.size) ** np.arange(derivative + 1)[:, None]
+    return np.array([a, v, x, *drift, filtered(np.sign(v)), filtered(raw**3), filtered(raw**2),
+                     filtered(np.abs(v) * v)])
+
+
+def _livest(u: Array, y: Array) -> tuple[Array, Array]:
+    """At most LONGEST samples, those in which the output changes most."""
+    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    if u.size <= LONGEST:
+        return u, y
+    change = np.concatenate(([0.0], np.cumsum(np.diff(y) ** 2)))
+    starts = np.arange(0, u.size - LONGEST, LONGEST // LONGEST_DIVISOR)
+    first = int(starts[int(np.argmax(change[starts + LONGEST - 1] - change[starts]))])
+    return u[first:first + LONGEST], y[first:first + LONGEST]
+
+
+def _interval(value: float | None, sigma: float | None) -> list[float] | None:
+    if value is None or sigma is None or not math.isfinite(sigma):
+        return None
+    return [value - 1.96 * sigma, value + 1.96 * sigma]

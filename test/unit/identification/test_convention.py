@@ -1,0 +1,238 @@
+"""What an input does between its samples: followed exactly, found in records, never invented."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from dfm_stage.identification import Run
+from dfm_stage.identification.convention import (
+    HELD,
+    Convention,
+    drive_of,
+    find_convention,
+    interpolated,
+)
+from dfm_stage.identification.system import System
+from dfm_stage.model import Model, Simulator
+
+PERIOD = 1e-3
+LAG, DELAY = 0.3e-3, 0.25e-3
+BASE = {"mass": 0.8, "damping": 3.0, "stiffness": 0.8 * (2 * math.pi * 12.0) ** 2,
+        "force_constant": 2.0}
+LATE = {**BASE, "amplifier_time_constant": LAG, "delay": DELAY}
+HIGHEST = 0.2
+"""Of the sampling rate: up to here the input of these records reaches."""
+
+
+def multisine(count: int, seed: int = 3) -> np.ndarray:
+    """Periodic in `count` samples, up to HIGHEST."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.zeros(count // 2 + 1, dtype=complex)
+    lines = np.arange(3, int(HIGHEST * count))
+    spectrum[lines] = np.exp(2j * math.pi * rng.random(lines.size))
+    wave = np.fft.irfft(spectrum, count)
+    return wave / np.std(wave)
+
+
+def steady(column: np.ndarray, base: dict[str, float], shift: float = 0.0) -> np.ndarray:
+    """The stage's answer to a band-limited periodic input, by its frequency response."""
+    s = 2j * math.pi * np.fft.rfftfreq(column.size) / PERIOD
+    gain = base["force_constant"] / (base["mass"] * s * s + base["damping"] * s
+                                     + base["stiffness"])
+    gain /= 1.0 + s * base.get("amplifier_time_constant", 0.0)
+    gain *= np.exp(-s * (base.get("delay", 0.0) + shift * PERIOD))
+    return np.fft.irfft(np.fft.rfft(column) * gain, column.size)
+
+
+def simulated(run: Run, base: dict[str, float], **values: float) -> np.ndarray:
+    """What estimation takes for the output of a run."""
+    system = System(Model("stage", PERIOD, base=base), [run], list(values))
+    x = system.start.copy()
+    return system.simulated(0, x[None, :])[0][0]
+
+
+def left_of(run: Run, base: dict[str, float], wanted: np.ndarray) -> float:
+    return float(np.std(simulated(run, base) - wanted) / np.std(wanted))
+
+
+@pytest.mark.parametrize("shift", [0.0, -0.4, -1.0])
+def test_a_band_limited_input_is_followed_between_its_samples(shift: float) -> None:
+    column = multisine(2000)
+    run = Run("bl", column, steady(column, LATE, shift), PERIOD, start="periodic", period=2000)
+    assert left_of(run.by(Convention("band_limited", shift)), LATE, run.output) < 1e-4
+    assert left_of(run, LATE, run.output) > 0.02
+
+
+def test_the_ends_of_a_band_limited_record_hardly_matter() -> None:
+    column = multisine(4000)
+    output = steady(column, BASE)
+    run = Run("bl", column, output, PERIOD, start="rest").by(Convention("band_limited"))
+    free = simulated(run, BASE)
+    decay = 0.5 * BASE["damping"] / BASE["mass"]
+    turns = math.sqrt(BASE["stiffness"] / BASE["mass"] - decay**2)
+    decayed = np.exp(-decay * PERIOD * np.arange(4000))
+    turning = turns * PERIOD * np.arange(4000)
+    ringing = np.stack([decayed * np.cos(turning), decayed * np.sin(turning)]).T
+    inner = slice(50, -50)
+    left = (output - free)[inner]
+    left -= ringing[inner] @ np.linalg.lstsq(ringing[inner], left, rcond=None)[0]
+    assert np.std(left) < 3e-4 * np.std(output)
+
+
+def test_a_straight_input_is_that_of_lsim() -> None:
+    column = multisine(2000)
+    system = ([BASE["force_constant"]], np.polymul(
+        [BASE["mass"], BASE["damping"], BASE["stiffness"]], [LAG, 1.0]))
+    wanted = lsim(system, column, PERIOD * np.arange(2000))[1]
+    base = {**BASE, "amplifier_time_constant": LAG}
+    run = Run("foh", column, wanted, PERIOD, start="rest").by(Convention("first"))
+    assert left_of(run, base, wanted) < 2e-4
+
+
+@pytest.mark.parametrize(("shift", "late"), [(-1.0, 0.0), (-0.4, 0.6), (-1.25, 0.75)])
+def test_a_held_input_that_is_early_is_exact(shift: float, late: float) -> None:
+    column = multisine(2000)
+    ahead = math.ceil(-shift)
+    moved = np.append(column[ahead:], np.repeat(column[-1], ahead))
+    base = {**LATE, "delay": DELAY + late * PERIOD}
+    wanted = Simulator(Model("late", PERIOD, base=base)).run(moved, past_input=moved[0]).reading
+    run = Run("early", column, wanted, PERIOD).by(Convention("zero", shift))
+    assert left_of(run, LATE, wanted) < 1e-12
+
+
+def test_a_delay_that_is_fitted_stays_a_delay() -> None:
+    column = multisine(2000)
+    run = Run("early", column, column, PERIOD).by(Convention("zero", -0.4))
+    held = simulated(run, LATE)
+    assert np.array_equal(simulated(run, LATE, delay=DELAY), held)
+
+
+def test_a_held_input_is_simulated_as_ever() -> None:
+    column = multisine(500)
+    run = Run("held", column, column, PERIOD)
+    assert run.by(HELD).drive is None
+    wanted = Simulator(Model("stage", PERIOD, base=LATE)).run(column, past_input=column[0])
+    assert np.array_equal(simulated(run.by(HELD), LATE), wanted.reading)
+
+
+def test_a_part_of_a_run_keeps_the_input_of_the_whole() -> None:
+    column = multisine(600)
+    run = Run("bl", column, column, PERIOD).by(Convention("band_limited"))
+    part = run.sliced(slice(100, 250))
+    assert part.drive is not None
+    assert run.drive is not None
+    assert np.array_equal(part.drive.values, run.drive.values[400:1000])
+    assert part.output.size == 150
+
+
+def test_the_neighbour_s_position_is_followed_between_samples() -> None:
+    column, other = np.zeros(1500), multisine(1500, seed=8) * 1e-3
+    model = Model("x", PERIOD, base=BASE).with_effect("cross_axis_coupling",
+                                                      {"stiffness": 400.0, "ratio": 0.01})
+    held = System(model, [Run("x", column, column, PERIOD, other=other)], [])
+    fine = System(model, [Run("x", column, column, PERIOD, other=other).by(
+        Convention("band_limited"))], [])
+    wanted, found = (s.simulated(0, s.start[None, :])[0][0] for s in (held, fine))
+    assert np.std(found - wanted) < 1e-3 * np.std(wanted)
+
+
+def test_interpolation_passes_through_the_samples() -> None:
+    values = np.random.default_rng(0).standard_normal(301)
+    assert interpolated(values, 4)[::4] == pytest.approx(values, abs=1e-12)
+
+
+def test_steps_of_a_straight_input_have_its_mean() -> None:
+    ramp = np.linspace(0.0, 5.0, 51)
+    drive = drive_of(ramp, Convention("first"))
+    assert drive is not None
+    assert drive.values[8:-8] == pytest.approx((np.arange(8, 196) + 0.5) / 40.0)
+
+
+# -- finding it ----------------------------------------------------------------------------------
+
+
+def recorded(hold: str, seed: int, base: dict[str, float] = BASE, noise: float = 1e-3,
+             shift: float = 0.0, count: int = 8000,
+             **effects: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of a stage, made on steps of a twentieth of a sample, apart from what is tested."""
+    rng = np.random.default_rng(seed)
+    column = multisine(count, seed)
+    fine = 20
+    model = Model("stage", PERIOD / fine, base=base)
+    for name, parameters in effects.items():
+        model = model.with_effect(name, parameters)
+    at = (np.arange(fine * count) + 0.5) / fine - shift
+    if hold == "zero":
+        acting = column[np.clip(np.floor(at).astype(int), 0, count - 1)]
+    elif hold == "first":
+        acting = np.interp(at, np.arange(count), column)
+    else:
+        spectrum = np.fft.rfft(column)
+        omega = 2.0 * np.pi * np.arange(spectrum.size) / count
+        acting = np.fft.irfft(spectrum * np.exp(1j * omega * (0.5 / fine - shift)),
+                              fine * count) * fine
+    output = Simulator(model).run(acting).reading[::fine]
+    return column, output + noise * np.std(output) * rng.standard_normal(count)
+
+
+@pytest.mark.parametrize("effects", [
+    {}, {"cubic_stiffness": {"k3": 1e9}}, {"coulomb_friction": {"force": 0.2}},
+    {"second_mode": {"share": 0.1, "frequency": 60.0, "damping_ratio": 0.02}},
+    {"quadratic_damping": {"coefficient": 300.0}}])
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_a_held_input_is_left_alone(effects: dict[str, dict[str, float]], noise: float) -> None:
+    found = find_convention(*recorded("zero", 5, noise=noise, **effects))
+    assert found.held
+
+
+@pytest.mark.parametrize("hold", ["first", "band_limited"])
+def test_an_input_that_is_not_held_is_found(hold: str) -> None:
+    found = find_convention(*recorded(hold, 6, noise=1e-5))
+    assert (found.hold, found.shift, found.source) == (hold, 0.0, "estimated")
+    assert found.sigma is not None
+    assert found.sigma < 0.03
+
+
+@pytest.mark.parametrize(("hold", "shift"), [("zero", -1.0), ("band_limited", -0.7)])
+def test_an_input_that_is_early_is_found(hold: str, shift: float) -> None:
+    found = find_convention(*recorded(hold, 7, noise=1e-5, shift=shift))
+    assert found.hold == hold
+    assert found.shift == pytest.approx(shift, abs=0.03)
+
+
+@pytest.mark.parametrize("base", [BASE, LATE])
+def test_what_is_late_is_never_corrected(base: dict[str, float]) -> None:
+    found = find_convention(*recorded("zero", 8, base, shift=1.0))
+    assert found.held
+    assert found.late is not None
+    assert found.late > 0.9
+    assert "not told from a lag or a delay" in found.words
+
+
+def test_a_measured_velocity_tells_it_too() -> None:
+    column, position = recorded("band_limited", 9, noise=0.0)
+    between = interpolated(position, 64)
+    speed = (between[65::64] - between[63::64][:7999]) * 32.0 / PERIOD
+    found = find_convention(column[1:1 + speed.size], speed, derivative=1)
+    assert (found.hold, found.shift) == ("band_limited", 0.0)
+
+
+def test_without_motion_it_is_assumed() -> None:
+    rng = np.random.default_rng(1)
+    for output in (np.zeros(2000), rng.standard_normal(2000)):
+        found = find_convention(rng.standard_normal(2000), output)
+        assert found == HELD
+        assert "assumed" in found.words
+
+
+def test_what_is_given_by_hand_is_taken() -> None:
+    column, output = recorded("zero", 5)
+    found = find_convention(column, output, hold="band_limited", shift=-0.25)
+    assert (found.hold, found.shift, found.source) == ("band_limited", -0.25, "given")
+    assert find_convention(column, output, shift=-1.0).hold == "zero"
+
+
