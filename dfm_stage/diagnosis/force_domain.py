@@ -238,7 +238,7 @@ class Terms:
         effect = EFFECTS[name]
         values = np.array([parameters.get(n, d) for n, d in effect.defaults.items()])
         parts = [part for applies, part in _PARTS if applies(effect)]
-        if not parts or not_judged(effect):
+        if not parts:
             return np.empty(0)
         return np.concatenate([sum(part(self, run, effect, values) for part in parts)[run.kept]
                                for run in self.runs])
@@ -298,7 +298,10 @@ class Terms:
                                                             strict=True)))
         omega = run.grid.omega
         changed = np.zeros(omega.size, dtype=complex)
-        changed[1:] = 1.0 / _response(self.bare, omega[1:]) - 1.0 / _response(whole, omega[1:])
+        needed = 1.0 / _response(whole, omega[1:])
+        if effect.late is not None:     # beside the timing of the input, which is free
+            needed *= np.exp(-1j * omega[1:] * linear_part(whole).lag_s)
+        changed[1:] = 1.0 / _response(self.bare, omega[1:]) - needed
         return run.operated(changed)
 
 
@@ -319,14 +322,16 @@ _PARTS: tuple[tuple[Callable[[Effect], bool], _Part], ...] = (
     (lambda e: e.adds_to == "command_limit", Terms.limited),
     (lambda e: e.other_force is not None, Terms.other),
     (lambda e: e.sense is not None, Terms.sensed),
-    (lambda e: e.stamp is not None and e.stage != "amplifier", Terms.stamped))
+    (lambda e: e.stamp is not None, Terms.stamped))
 """Which effects have a part, and the force of it."""
 
 
-def not_judged(effect: Effect) -> str | None:
+def not_judged(effect: Effect, spring: bool = True) -> str | None:
     """Why an effect has no term in the equation of forces, in words; None where it has."""
-    if effect.late is not None:
-        return "the timing of the input is free: it stands for every slight lag"
+    if effect.late is not None and effect.stamp is None:
+        return "the timing of the input is free: it stands for every slight delay"
+    if effect.sense is not None and not (spring or effect.couples or reads(effect.sense, 0)):
+        return "without a spring a drift of the reading is a constant force"
     if effect.rounds:
         return "a rounded reading is noise in the force domain"
     if not any(applies(effect) for applies, _ in _PARTS):

@@ -43,7 +43,7 @@ BLOCKS = 30
 """Blocks over all records: enough for a standard error, each still with many periods."""
 SHORTEST_BLOCK = 40
 """Kept samples of the shortest block."""
-NOISE_SHARE = 0.05
+NOISE_SHARE = 0.01
 """Share of the missing force's power that noise may make up: the narrowest filter that keeps
 below it is taken."""
 SWAMPED = 0.5
@@ -322,7 +322,7 @@ class _Inquiry:
         at, refused = self.conditions(), {}
         for name in library:
             effect = EFFECTS[name]
-            why = not_judged(effect) or excluded(name, self.model, at)
+            why = not_judged(effect, self.terms.linear.stiffness > 0.0) or excluded(name, self.model, at)
             if effect.adds_to == "constant_force" and not self.setting.offset:
                 why = None          # without a spring an encoder's zero is no force
             points = [] if why else starts(name, at)
@@ -631,5 +631,5 @@ class _Figures:
         return max(told)
 
 
-MOST_NOISE = 0.9
+MOST_NOISE = 0.5
 """Share of noise beyond which a share above it has no meaning."""
