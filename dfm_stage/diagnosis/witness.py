@@ -46,6 +46,9 @@ SHORTEST_BLOCK = 40
 NOISE_SHARE = 0.01
 """Share of the missing force's power that noise may make up: the narrowest filter that keeps
 below it is taken."""
+BIASED = 0.1
+"""Noise of the acceleration over its RMS behind a filter that is wide enough: noise in a term
+biases its coefficient by the square."""
 SWAMPED = 0.5
 """Share of noise in what is missing, behind the best filter, above which nothing can be told."""
 EARLIEST, LATEST = -2.0, 4.0
@@ -206,17 +209,21 @@ def _settled(runs: Sequence[RunForces], model: Model) -> tuple[_Setting, float,
     period = runs[0].run.sample_period
     lag = model.base.get("amplifier_time_constant", 0.0)
     timing = Timing(model.base.get("delay", 0.0) + 0.5 * period, lag, True)
+    shortest = min(run.grid.size for run in runs)
+    widths = [w for w in WIDTHS if shortest >= 4.0 * EDGE * w + 4 * SHORTEST_BLOCK]
+    if not widths:
+        raise DiagnosisError("the records are too short for a look at forces")
+    biased = {w: max(run.noise_rms(run.grid.omega**2, w) / float(np.std(run.derivative(2, w)))
+                     for run in runs) for w in widths}
+    usable = [w for w in widths if biased[w] < BIASED] or [min(widths, key=lambda w: biased[w])]
     best: tuple[float, _Setting] | None = None
-    for width in WIDTHS:
-        if min(run.grid.size for run in runs) < 4.0 * EDGE * width + 4 * SHORTEST_BLOCK:
-            break
+    for width in usable:
         setting, share = _noise_share(_setting(at_width(runs, width), model, timing))
         if best is None or share < best[0]:
             best = share, setting
         if share < NOISE_SHARE:
             break
-    if best is None:
-        raise DiagnosisError("the records are too short for a look at forces")
+    assert best is not None
     timing, error = _timed(best[1].runs, model, timing)
     setting, share = _noise_share(_setting(best[1].runs, model, timing))
     return setting, share, (timing.late / period, error / period)
