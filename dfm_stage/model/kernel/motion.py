@@ -17,6 +17,8 @@ Everything lives in the flat array `work`; arguments called node, state, z, ... 
 
 from __future__ import annotations
 
+from math import inf
+
 from dfm_stage.model.kernel.algebra import cubic_at, outside, row_value
 from dfm_stage.model.kernel.compiled import at, inlined, lean, pointer
 from dfm_stage.model.kernel.events import bristle_force, cell, pushed
@@ -99,7 +101,8 @@ def slip(layout: Layout, theta: Array, work: Array, table: int, direction: int, 
     if directed and _reverses(direction * v0, direction * v1, direction * v2, direction * v3):
         return REVERSAL
     unresolved = abs(C0 * f0 + C1 * f1 + C2 * f2 + C3 * f3)
-    if not last and not (settled and unresolved <= UNRESOLVED * largest):
+    # an iteration that overflows is no answer, though infinity is within any share of infinity
+    if not last and not (settled and unresolved <= UNRESOLVED * largest < inf):
         return TOO_COARSE
     work[head + CUBIC_PART] = unresolved
     work[head + SCALE] = largest

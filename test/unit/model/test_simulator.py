@@ -289,6 +289,18 @@ def test_a_force_too_stiff_to_follow_ends_in_nan_and_not_in_minutes_of_tiny_step
         stiff.run(drive)
 
 
+@pytest.mark.parametrize("lag", [0.0, 1e-9, 1e-5])
+def test_a_step_whose_iteration_overflows_is_halved(lag: float) -> None:
+    """Strong drag from a high speed, against m/c ln(1 + c v t/m): over a whole sample the force is
+    squared in each iteration until it is infinite, which is no answer."""
+    mass, drag, speeds, time = 1.3, 2.8e5, np.linspace(0.01, 0.2, 96), PERIOD * np.arange(50)
+    base = {"mass": mass, "damping": 0.0, "amplifier_time_constant": lag}
+    model = Model("drag", PERIOD, base).with_effect("quadratic_damping", {"coefficient": drag})
+    found = Simulator(model).run_many(0.0 * time, ["initial.velocity"], speeds[:, None])
+    exact = mass / drag * np.log1p(drag / mass * speeds[:, None] * time)
+    assert found == pytest.approx(exact, rel=1e-5, abs=1e-12)
+
+
 @pytest.mark.timeout(60)
 def test_a_loop_whose_state_is_lost_ends_in_nan_and_not_never():
     """In an iteration that does not contract the motion may be anything before it is given up."""
