@@ -42,10 +42,8 @@ JOINT_LOSS = decision(
     "JOINT_LOSS", 1.05, "1", meaning="Fitted RMS of a fit to all records over that of the fit "
     "to the fitted ones, up to which one set of values serves both.", set_on=FIRST_FORM)
 GROSS_GAP = decision(
-    "GROSS_GAP", 0.05, "1", meaning="A gap above this share of the motion is gross: what takes "
-    "most of it is named even where a remainder stays.", set_on=MOTOR_BENCH)
-MOST_OF_GAP = decision(
-    "MOST_OF_GAP", 0.9, "1", meaning="Share of a gross gap's held-out power that is most of it.",
+    "GROSS_GAP", 0.05, "1", meaning="Change of the reading that is missed, over the whole change, "
+    "above which the position of a body without a spring is judged in windows.",
     set_on=MOTOR_BENCH)
 BASE_AT_ZERO = decision(
     "BASE_AT_ZERO", 1e-9, "1", meaning="Damping, stiffness or force constant below this share of "
@@ -112,7 +110,7 @@ PARTIAL_SHARE = decision(
     "PARTIAL_SHARE", 0.3, "1", meaning="The same from which they are told as a part.",
     set_on=REAL)
 FURTHER_PART = decision(
-    "FURTHER_PART", 0.3, "1", meaning="Share of what is left above the noise that a further "
+    "FURTHER_PART", 0.5, "1", meaning="Share of what is left above the noise that a further "
     "effect must take on held-out blocks where a remainder stays.", set_on=REAL)
 INCONSTANT = decision(
     "INCONSTANT", 0.1, "1", meaning="Gain of a parameter that may differ with the size of motion, "
@@ -124,6 +122,12 @@ PARAMETER_PART = decision(
 MOST_GRADED = decision(
     "MOST_GRADED", 3, "1", meaning="Effects that are told at most beside a remainder.",
     set_on="derivation: each takes 0.3 of what the others leave; a fourth would take 0.1 of all")
+MARGIN_OVER_LARGER = decision(
+    "MARGIN_OVER_LARGER", 2.0, "block standard errors", meaning="The same over a rival that has "
+    "more parameters, and does worse with them.", set_on=REAL)
+PROPOSED = decision(
+    "PROPOSED", 2, "1", meaning="Single effects, and pairs, that the force domain proposes for a "
+    "fit beside its best set.", set_on="derivation: processor time")
 GRADED_RIVALS = decision(
     "GRADED_RIVALS", 3, "1", meaning="Rivals of one effect that are fitted where a remainder "
     "stays.", set_on="derivation: processor time")
@@ -238,12 +242,14 @@ AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from
                  "parameter is at it.")
 MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that one parameter "
                       "gets when it is shared out anew.")
-STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 60e6, "steps", "Integration steps after which no "
+STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration steps after which no "
                             "further candidate that is slow to simulate is tried.", BOUND)
-STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 80e6, "steps", "The same for any with a "
+STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 60e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
-MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps after which every fit ends "
+MOST_STEPS = _search("MOST_STEPS", 75e6, "steps", "Integration steps after which every fit ends "
                      "where it is.", BOUND)
+GRADING_STEPS = _search("GRADING_STEPS", 40e6, "steps", "Integration steps of the search for "
+                        "effects that explain a part.", BOUND)
 STEPS_A_FIT = _search("STEPS_A_FIT", 24e6, "steps", "Integration steps of one fit at most.", BOUND)
 
 # -- noise ---------------------------------------------------------------------------------------

@@ -46,6 +46,7 @@ class Fits:
     noise: float = 0.0
     """RMS of the output's noise, over which a quantised reading is averaged."""
     begun: float = field(default_factory=steps_taken)
+    most_steps: float = MOST_STEPS
     not_compared: dict[str, None] = field(default_factory=dict)
     """Effects whose fits were not begun, or not finished, for want of work, in that order."""
 
@@ -53,6 +54,10 @@ class Fits:
     def steps(self) -> float:
         """Integration steps taken since this search was made: its work."""
         return steps_taken() - self.begun
+
+    def begin_work(self, most_steps: float) -> None:
+        """Allow so many integration steps from now on."""
+        self.begun, self.most_steps = steps_taken(), most_steps
 
     def conditions(self, model: Model) -> Conditions:
         """Sizes that occur in the fitted runs."""
@@ -187,8 +192,8 @@ class Fits:
         """A fit within what is left of the work that may be done."""
         found = fit(model, self.runs, free, self.weights, earlier=start.locals,
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
-                    allowance=min(max(MOST_STEPS - self.steps, 0.0), STEPS_A_FIT))
-        if self.steps > MOST_STEPS:
+                    allowance=min(max(self.most_steps - self.steps, 0.0), STEPS_A_FIT))
+        if self.steps > self.most_steps:
             self.not_compared.update(dict.fromkeys(found.system.nonlinear))
         return found
 

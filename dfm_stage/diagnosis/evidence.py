@@ -73,7 +73,7 @@ class RivalEvidence:
 
     `distance_over_noise` is the length within which it yields, for an effect that has one.
     `margin` is by how much it loses on held-out blocks, in block standard errors; `related` says
-    that the library has both in one class.
+    that the library has both in one class, `larger` that it has more parameters.
     """
 
     name: str
@@ -83,6 +83,7 @@ class RivalEvidence:
     distance_over_noise: float = math.inf
     margin: float = math.inf
     related: bool = True
+    larger: bool = False
 
 
 @dataclass(frozen=True)
@@ -220,5 +221,5 @@ class Evidence:
     not_compared: tuple[str, ...] = ()
     judged: Judged = field(default_factory=Judged)
     graded: bool = False
-    witness: Mapping[str, float] | None = None
+    witness: Mapping[str, Any] | None = None
     conventions: tuple[Mapping[str, Any], ...] | None = None

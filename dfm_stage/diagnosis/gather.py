@@ -35,6 +35,7 @@ from dfm_stage.diagnosis.remainder import Finding, describe, findings
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verification import Prediction, joint, predict
+from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
 from dfm_stage.identification.system import rounding_step
@@ -85,6 +86,24 @@ def judged_in(h: Hypothesis) -> Judged:
     noise = white_weights(left)[0][0].rms if left else 0.0
     window = max(run.window for run in system.runs) * system.runs[0].sample_period
     return Judged(signal, window or None, noise**2 * (2.0 if signal == "velocity" else 1.0))
+
+
+def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
+    """Add what the force domain says: shares of effects, margins over rivals, and how much of the
+    gap a black box would predict."""
+    if seen is None or seen.cannot_tell:
+        return evidence
+    noise, gap = evidence.judged.noise_power, evidence.retuned.held_out.power
+    predictable = math.sqrt(noise + seen.left**2 * max(gap - noise, 0.0))
+    named = {x.name for x in evidence.effects}
+    effects = tuple(replace(x, rivals=tuple(
+        replace(r, margin=max(r.margin, seen.margins.get(r.name, 0.0)))
+        for r in x.rivals)) if x.name in seen.best.names else x for x in evidence.effects)
+    told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
+    return replace(evidence, effects=effects, witness={
+        "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
+        "predictable": 1.0 - seen.left**2, "margins": dict(seen.margins)},
+        judged=replace(evidence.judged, predictable=predictable))
 
 
 def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
@@ -208,7 +227,8 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Array,
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
                          margin(powers([*rival.fit.residuals, *seen.residuals], judged.signal),
-                                own), shares_class(rival.name, name))
+                                own), shares_class(rival.name, name),
+                         len(rival.fit.system.free) > len(h.fit.system.free))
 
 
 def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:

@@ -16,21 +16,25 @@ from dfm_stage.diagnosis.alike import at_upper_end
 from dfm_stage.diagnosis.decisions import (
     FURTHER_PART,
     GRADED_RIVALS,
+    GRADING_STEPS,
     MOST_GRADED,
     PARAMETER_PART,
     PRESLIDING_DISTANCE,
+    PROPOSED,
     RIVAL_GAIN,
     SHORT_LIST,
 )
 from dfm_stage.diagnosis.effect_fits import Names
+from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit
-from dfm_stage.diagnosis.gather import gather
+from dfm_stage.diagnosis.gather import gather, with_witness
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.verdict import fallen
 from dfm_stage.diagnosis.verification import weights_like
+from dfm_stage.diagnosis.witness import Witness, witness
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.effect import Parameters
 
@@ -38,25 +42,28 @@ Begins = Sequence[dict[str, Parameters]]
 """Sets of effects to begin with: name -> where its parameters begin."""
 
 
-def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str], split: bool,
-           begins: Begins = ()) -> tuple[Hypothesis, Evidence]:
+def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
+           split: bool) -> tuple[Hypothesis, Evidence]:
     """The hypothesis that explains most of the gap, with its evidence.
 
-    `begins` are sets that the force domain proposes. What the search found, and what it dropped,
-    is tried as well. Where nothing stands, the hypothesis is empty.
+    What the search found and what it dropped is tried, and what the force domain proposes. Where
+    nothing stands, the hypothesis is empty.
     """
     search = trial.search
+    search.begin_work(GRADING_STEPS)
+    search.step("judging in the force domain")
+    seen = _heard(trial)
     bare = h.bare
     search.weigh_at_first(bare)
     bare = search.once((), bare)
     trial.held_weights = weights_like(trial.held, search.weights)
-    names, found = _largest(search, bare, [*_found_before(search, h), *begins])
+    names, found = _largest(search, bare, [*_proposed(search, seen), *_found_before(search, h)])
     names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
     while True:
         h = Hypothesis(names, found, bare,
                        {n: list(_rivals(search, n, names, found)) for n in names})
-        judged = replace(gather(trial, h, warnings, split), graded=True)
+        judged = with_witness(replace(gather(trial, h, warnings, split), graded=True), seen)
         weakest = fallen(judged)
         if weakest is None:
             trial.dropped.update({n: r for n, r in dropped.items() if n not in names})
@@ -72,6 +79,31 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str], split: bool,
         dropped[name] = reason
 
 
+def _heard(trial: Trial) -> Witness | None:
+    """What the force domain says; None where the records are too short for it."""
+    search = trial.search
+    try:
+        return witness([replace(r, window=0) for r in search.runs], search.model, search.library,
+                       held=[replace(r, window=0) for r in trial.held])
+    except DiagnosisError:
+        return None
+
+
+def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parameters]]:
+    """The sets that explain most of the missing force."""
+    if seen is None or seen.cannot_tell:
+        return
+    listed = [seen.best, *seen.singles[:PROPOSED], *seen.pairs[:PROPOSED]]
+    told: set[frozenset[str]] = set()
+    for each in listed:
+        allowed = all(n in search.library and n not in search.barred for n in each.names)
+        if each.names and allowed and frozenset(each.names) not in told \
+                and each.share > RIVAL_GAIN * seen.best.share:
+            told.add(frozenset(each.names))
+            yield {n: {p: each.parameters[f"{n}.{p}"] for p in EFFECTS[n].defaults}
+                   for n in each.names}
+
+
 def _found_before(search: Search, h: Hypothesis) -> Iterator[dict[str, Parameters]]:
     """The sets that the search fitted: its answer, and the best single effects."""
     if h.names:
@@ -84,7 +116,7 @@ def _found_before(search: Search, h: Hypothesis) -> Iterator[dict[str, Parameter
                 singles[name] = found
     for found in sorted(singles.values(), key=lambda f: f.rms)[:2]:
         yield _own(search, found)
-    if not search.hits:
+    if not search.hits and not search.runs[0].window:
         search.step("screening every effect")
         _, hits = search.screened(h.bare, ())
         search.hits.update({x.name: x for x in reversed(hits)})

@@ -16,12 +16,11 @@ from dfm_stage.diagnosis.decisions import (
     EXCESS,
     FIRST,
     FURTHER_PART,
-    GROSS_GAP,
     HELD_OUT_FLOOR,
     INCONSTANT,
     JOINT_LOSS,
     MARGIN,
-    MOST_OF_GAP,
+    MARGIN_OVER_LARGER,
     NAMED_SHARE,
     NOT_EXERCISED,
     OFFSET_NOISE,
@@ -46,7 +45,6 @@ Kind = Literal["none", "retune", "named", "partial", "ambiguous", "unknown", "no
 # The rule that decided.
 Reason = Enum("Reason", [
     # the effects stand:
-    "GROSS_GAP",      # they take most of a gross gap
     "AT_FLOOR",       # with them held-out records are predicted to the noise floor
     "JOINT_FIT",      # one set of values brings fitted and held-out records to the noise floor
     "GRADED",         # they explain enough of the gap on held-out blocks
@@ -185,8 +183,6 @@ def judge_hypothesis(e: Evidence) -> Outcome:
     allowed = NOT_EXERCISED if idle else 0.0
     if not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed:
         return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
-    if _takes_most_of_a_gross_gap(e) and not _base_at_zero(e):
-        return Outcome(True, Reason.GROSS_GAP, doubts)
     if e.extended.remainder:
         return Outcome(False, Reason.NEAR, (Doubt(Reason.NEAR, names),))
     limit = HELD_OUT_FLOOR * e.noise.rms
@@ -208,7 +204,7 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
     undecided = tuple(m for members in classes.values() for m in members if len(members) > 1)
     explained = explained_share(e)
     kind: Kind = "unknown"
-    if explained >= PARTIAL_SHARE:
+    if explained >= PARTIAL_SHARE and not _base_at_zero(e):
         kind = "partial" if explained < NAMED_SHARE else "ambiguous" if undecided else "named"
     if kind == "unknown":
         return Verdict(kind, Reason.GRADED, rejected=tuple(_rejected(e, set())), remainder=True)
@@ -239,7 +235,12 @@ def _predictable(e: Evidence) -> float:
 
 def _graded_class(effect: EffectEvidence) -> tuple[str, ...]:
     """The effect and the rivals that held-out blocks do not part from it."""
-    return (effect.name, *(r.name for r in effect.rivals if r.margin < BLOCK_MARGIN))
+    return (effect.name, *(r.name for r in effect.rivals if _level(r)))
+
+
+def _level(rival: RivalEvidence) -> bool:
+    """Whether held-out blocks do not part a rival from an effect that leaves a remainder."""
+    return rival.margin < (MARGIN_OVER_LARGER if rival.larger else BLOCK_MARGIN)
 
 
 def fallen(e: Evidence) -> tuple[str, DropReason] | None:
@@ -260,7 +261,7 @@ def _main(e: Evidence) -> EffectEvidence:
 def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
     left = x.without.held_out.power - e.judged.noise_power
     taken = x.without.held_out.power - e.extended.held_out.power
-    unrelated = [r for r in x.rivals if r.margin < BLOCK_MARGIN and not r.related]
+    unrelated = [r for r in x.rivals if _level(r) and not r.related]
     rules = (
         (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
         (taken < FURTHER_PART * left, DropReason.SMALL_PART),
@@ -286,20 +287,6 @@ def needs_joint_fit(e: Evidence) -> bool:
 def leaves_open(v: Verdict) -> bool:
     """Whether another experiment would tell more."""
     return v.kind not in ("none", "retune", "named")
-
-
-def _takes_most_of_a_gross_gap(e: Evidence) -> bool:
-    """In position; without a spring in velocity, since whatever small force there is drifts, and
-    only against the retuned model."""
-    if e.motion.springless:
-        motion, gap = e.motion.change_rms, e.retuned.fitted.change_rms
-        first, after = e.retuned.held_out.change_rms, e.extended.held_out.change_rms
-    else:
-        motion, gap = e.motion.rms, min(e.retuned.fitted.rms, e.given.fitted.rms)
-        first = min(e.retuned.held_out.rms, e.given.held_out.rms)
-        after = e.extended.held_out.rms
-    taken = 1.0 - (after / max(first, 1e-300)) ** 2
-    return gap > GROSS_GAP * motion and taken > MOST_OF_GAP
 
 
 def _base_at_zero(e: Evidence) -> bool:
