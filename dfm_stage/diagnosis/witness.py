@@ -46,7 +46,7 @@ SHORTEST_BLOCK = 40
 NOISE_SHARE = 0.01
 """Share of the missing force's power that noise may make up: the narrowest filter that keeps
 below it is taken."""
-BIASED = 0.1
+BIASED = 0.3
 """Noise of the acceleration over its RMS behind a filter that is wide enough: noise in a term
 biases its coefficient by the square."""
 SWAMPED = 0.5
@@ -256,8 +256,9 @@ def _timed(runs: Sequence[RunForces], model: Model, timing: Timing) -> tuple[Tim
              for by in np.arange(EARLIEST, LATEST + 0.25, 0.5)]
     found = min(tried, key=lambda at: fitted(at)[0])
     for _ in range(TIMED):
-        by = float(np.clip(fitted(found)[1], -period, period))
-        found = shifted(found, by, period)
+        late = found.late + float(np.clip(fitted(found)[1], -period, period))
+        found = shifted(timing, float(np.clip(late - timing.late, EARLIEST * period,
+                                              LATEST * period)), period)
     _, _, columns, target = fitted(found)
     edges, _ = block_edges([target.size], BLOCKS, SHORTEST_BLOCK)
     blocks = Blocks(np.column_stack((columns, target)), edges, np.ones(edges.size - 1))
@@ -294,7 +295,8 @@ class _Inquiry:
             self.edges[:-1]) / np.diff(self.edges))
         self.missing = self._off(setting.target)
         self.columns: list[Array] = [self.missing]
-        self.plain = _least_squares(self.base, setting.target)
+        self.inverse = np.linalg.pinv(self.base / norms, rcond=1e-10) / norms[:, None]
+        self.plain = self.inverse @ setting.target
         self.shadows: list[Array] = [np.zeros(self.base.shape[1])]
         self.candidates: list[_Candidate] = []
 
@@ -354,10 +356,10 @@ class _Inquiry:
         first = len(self.columns)
         if effect.searched:
             self.columns.append(self.missing - off[0])
-            self.shadows.append(_least_squares(self.base, found[0]))
+            self.shadows.append(self.inverse @ found[0])
             return _Candidate(name, (dict(parameters),), (), first)
         self.columns += off
-        self.shadows += [_least_squares(self.base, c) for c in found]
+        self.shadows += [self.inverse @ c for c in found]
         return _Candidate(name, tuple(directions), tuple(range(first, first + len(off))))
 
     def _refine(self, at: Conditions) -> None:
