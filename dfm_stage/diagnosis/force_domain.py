@@ -44,8 +44,8 @@ QUIET = 0.03
 STILL = 3.0
 """Speed over its noise below which the point may rest."""
 RESTS, RESTS_PERIOD = 20, 0.05
-"""Samples in a row, and share of the motion's mean period, at such speeds that are a rest: friction
-may have any value there. A reversal of a sine is at such speeds for 0.02 of its period."""
+"""Samples in a row, and share of the motion's mean period, at such speeds that are a rest, where
+friction may have any value. A reversal of a sine is at such speeds for 0.02 of its period."""
 REACH = 2.0
 """Filter widths around a rest that are left out with it."""
 LEAST_MOVING = 0.1
@@ -61,7 +61,8 @@ class Grid:
         self.size, self.period = size, period
         self.pad = min(CONTINUED, size - 1)
         self.length = next_fast_len(size + 2 * self.pad, real=True)
-        self.omega: Array = np.arange(self.length // 2 + 1) * 2.0 * math.pi / (self.length * period)
+        turns = np.arange(self.length // 2 + 1, dtype=np.float64)
+        self.omega: Array = turns * (2.0 * math.pi / (self.length * period))
 
     def spectrum(self, signal: Array) -> Complex:
         """Of `signal` (N,), continued oddly about its ends and faded into its mean."""
@@ -94,8 +95,8 @@ class Timing:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What nonlinear terms are computed from, each (N,), and how each is filtered: `late` (m/s)
-    is the noise that the speed keeps."""
+    """Position, speed and acceleration (N,) that nonlinear terms are computed from, and the noise
+    (m/s) that the speed keeps."""
 
     x: Array
     v: Array
@@ -238,18 +239,17 @@ class Terms:
             "mass": kept, "damping": max(linear.damping, 0.0),
             "stiffness": max(linear.stiffness, 0.0)})
 
-    def column(self, name: str, parameters: Mapping[str, float]) -> Array:
-        """The force (n,) of an effect on the stage over the kept samples of all runs, filtered.
-
-        Without a part that can be told in the force domain it is empty, see `not_judged`.
-        """
+    def parts(self, name: str,
+              parameters: Mapping[str, float]) -> Callable[[RunForces], Array] | None:
+        """What gives the force (N,) of an effect on the stage along a run, filtered; None where
+        it has none in the force domain."""
         effect = EFFECTS[name]
         values = np.array([parameters.get(n, d) for n, d in effect.defaults.items()])
-        parts = [part for applies, part in _PARTS if applies(effect)]
-        if not parts:
-            return np.empty(0)
-        return np.concatenate([np.sum([part(self, run, effect, values) for part in parts],
-                                      axis=0)[run.kept] for run in self.runs])
+        found = [part for applies, part in _PARTS if applies(effect)]
+        if not found:
+            return None
+        return lambda run: np.asarray(np.sum([part(self, run, effect, values)
+                                              for part in found], axis=0))
 
     def force(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """A smooth force; that of the actuator is the one that moves the linear part, because a
@@ -265,17 +265,17 @@ class Terms:
         along.bristles_along(address("advance", [(effect, 0)]), values, t.x, t.v, out)
         return run.filtered(out)
 
-    def dry(self, run: RunForces, effect: Effect, values: Array) -> Array:
+    def dry(self, run: RunForces, _: Effect, values: Array) -> Array:
         """Dry friction by the sign that a noisy speed has on average."""
         t = run.trajectory
         noise = math.sqrt(2.0) * max(t.speed_noise, 1e-9 * float(np.std(t.v)), 1e-300)
         return run.filtered(-values[0] * erf(t.v / noise))
 
-    def constant(self, run: RunForces, effect: Effect, values: Array) -> Array:
+    def constant(self, run: RunForces, _: Effect, values: Array) -> Array:
         """A constant force."""
         return np.full(run.grid.size, values[0])
 
-    def limited(self, run: RunForces, effect: Effect, values: Array) -> Array:
+    def limited(self, run: RunForces, _: Effect, values: Array) -> Array:
         """What a limit of the command takes away."""
         cut = np.clip(run.run.input, -values[0], values[0]) - run.run.input
         return run.drive(self.timing, signal=cut) * self.gain
@@ -347,11 +347,6 @@ def not_judged(effect: Effect, spring: bool = True) -> str | None:
     if not any(applies(effect) for applies, _ in _PARTS):
         return "it has no force along a measured motion"
     return None
-
-
-def at_width(runs: Sequence[RunForces], width: float) -> list[RunForces]:
-    """All runs behind another filter."""
-    return [run.at_width(width) for run in runs]
 
 
 def shifted(timing: Timing, by: float, period: float) -> Timing:
