@@ -26,17 +26,14 @@ PERIODS = 4.0
 SEED = 1
 
 
-def features(runs: Sequence[RunForces]) -> Array:
-    """(n, c) over the kept samples of all runs, behind the filter of the runs."""
+def features(runs: Sequence[RunForces]) -> list[Array]:
+    """(c, N) of each run, behind its filter; scaled alike, so that amplitude tells."""
     arguments = [_arguments(run) for run in runs]
     pooled = np.concatenate(arguments, axis=1)
     middle = pooled.mean(axis=1, keepdims=True)
     spread = np.maximum(pooled.std(axis=1, keepdims=True), 1e-300)
-    parts = []
-    for run, own in zip(runs, arguments, strict=True):
-        scaled = (own - middle) / spread
-        parts.append(np.array([run.filtered(f)[run.kept] for f in _functions(scaled)]))
-    return np.asarray(np.concatenate(parts, axis=1).T)
+    return [np.array([run.filtered(f) for f in _functions((own - middle) / spread)])
+            for run, own in zip(runs, arguments, strict=True)]
 
 
 def _arguments(run: RunForces) -> Array:

@@ -11,8 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dfm_stage.arrays import Array, Lines
 
@@ -32,10 +34,6 @@ class Solution:
     coefficients: Array
     left_out: Array
 
-    def spread(self, values: Array) -> Array:
-        """Jackknife standard error (k,) of what has the `values` (B', k) without each block."""
-        return jackknife(values)
-
 
 def jackknife(values: Array) -> Array:
     """Standard error (k,) of an estimate that has the `values` (B, k) without each block."""
@@ -50,15 +48,12 @@ class Blocks:
     `fitted` (B,) says which blocks take part in fits; the others are only predicted.
     """
 
-    def __init__(self, columns: Array, edges: Lines, fitted: Array) -> None:
+    def __init__(self, columns: Array, edges: Lines, fitted: ArrayLike) -> None:
         self.edges, self.fitted = edges, np.asarray(fitted, dtype=bool)
         self.sizes = np.diff(edges)
         self.norms = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
-        self.sums = np.stack([self._products(columns[a:b], columns[a:b])
-                              for a, b in zip(edges[:-1], edges[1:], strict=True)])
-
-    def _products(self, a: Array, b: Array) -> Array:
-        return np.asarray((a.T @ b) / np.outer(self.norms[:a.shape[1]], self.norms[:b.shape[1]]))
+        self.sums = np.stack([columns[a:b].T @ columns[a:b] for a, b in pairwise(edges)])
+        self.sums /= np.outer(self.norms, self.norms)
 
     @property
     def count(self) -> int:

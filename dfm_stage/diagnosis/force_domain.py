@@ -43,10 +43,13 @@ QUIET = 0.03
 """Noise of a filtered position, speed or acceleration over its RMS that nonlinear terms bear."""
 STILL = 3.0
 """Speed over its noise below which the point may rest."""
-RESTS = 20
-"""Samples in a row at such speeds that are a rest: the force of friction is not known there."""
-MOSTLY_AT_REST = 0.7
-"""Share of a record that may be a rest before rests are kept, for want of anything else."""
+RESTS, RESTS_PERIOD = 20, 0.05
+"""Samples in a row, and share of the motion's mean period, at such speeds that are a rest, where
+friction may have any value. A reversal of a sine is at such speeds for 0.02 of its period."""
+REACH = 2.0
+"""Filter widths around a rest that are left out with it."""
+LEAST_MOVING = 0.1
+"""Share of a record that must move: of one that hardly does, rests are kept for want of more."""
 HELD_LATE = 0.3
 """Samples: an input that acts earlier was not held (a held one is late by half a sample)."""
 
@@ -58,7 +61,8 @@ class Grid:
         self.size, self.period = size, period
         self.pad = min(CONTINUED, size - 1)
         self.length = next_fast_len(size + 2 * self.pad, real=True)
-        self.omega: Array = 2.0 * math.pi * np.fft.rfftfreq(self.length, period)
+        turns = np.arange(self.length // 2 + 1, dtype=np.float64)
+        self.omega: Array = turns * (2.0 * math.pi / (self.length * period))
 
     def spectrum(self, signal: Array) -> Complex:
         """Of `signal` (N,), continued oddly about its ends and faded into its mean."""
@@ -91,8 +95,8 @@ class Timing:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What nonlinear terms are computed from, each (N,), and how each is filtered: `late` (m/s)
-    is the noise that the speed keeps."""
+    """Position, speed and acceleration (N,) that nonlinear terms are computed from, and the noise
+    (m/s) that the speed keeps."""
 
     x: Array
     v: Array
@@ -169,19 +173,23 @@ class RunForces:
         edge = math.ceil(EDGE * self.width)
         keep = np.zeros(self.grid.size, dtype=bool)
         keep[max(edge, self.run.skip):self.grid.size - edge] = True
-        moving = keep & ~self._rests()
-        if np.sum(moving) > (1.0 - MOSTLY_AT_REST) * np.sum(keep):
+        moving = keep & np.logical_not(self._rests())
+        if np.sum(moving) > LEAST_MOVING * np.sum(keep):
             keep = moving
         stride = max(1, int(STRIDE * self.width))
         return np.asarray(np.flatnonzero(keep[::stride]) * stride)
 
     def _rests(self) -> Array:
-        slow = np.abs(self.trajectory.v) < STILL * self.trajectory.speed_noise
+        t = self.trajectory
+        slow = np.abs(t.v) < STILL * t.speed_noise
+        period = 2.0 * math.pi * float(np.std(t.x)) / max(float(np.std(t.v)), 1e-300)
+        shortest = max(RESTS, RESTS_PERIOD * period / self.grid.period)
+        reach = round(REACH * self.width)
         edges = np.flatnonzero(np.diff(np.concatenate(([0], slow.view(np.int8), [0]))))
         rests = np.zeros(slow.size, dtype=bool)
         for first, last in edges.reshape(-1, 2):
-            if last - first >= RESTS:
-                rests[first:last] = True
+            if last - first >= shortest:
+                rests[max(0, first - reach):last + reach] = True
         return rests
 
 
@@ -226,22 +234,22 @@ class Terms:
         self.runs, self.model, self.linear, self.timing = runs, model, linear, timing
         self.gain = model.base.get("force_constant", 1.0)
         kept = linear.mass if linear.mass > 0.0 else model.base["mass"]
+        self.needed: dict[int, Complex] = {}
         self.bare = Model("bare", model.sample_period, drive=model.drive, base={
             "mass": kept, "damping": max(linear.damping, 0.0),
             "stiffness": max(linear.stiffness, 0.0)})
 
-    def column(self, name: str, parameters: Mapping[str, float]) -> Array:
-        """The force (n,) of an effect on the stage over the kept samples of all runs, filtered.
-
-        Without a part that can be told in the force domain it is empty, see `not_judged`.
-        """
+    def parts(self, name: str,
+              parameters: Mapping[str, float]) -> Callable[[RunForces], Array] | None:
+        """What gives the force (N,) of an effect on the stage along a run, filtered; None where
+        it has none in the force domain."""
         effect = EFFECTS[name]
         values = np.array([parameters.get(n, d) for n, d in effect.defaults.items()])
-        parts = [part for applies, part in _PARTS if applies(effect)]
-        if not parts:
-            return np.empty(0)
-        return np.concatenate([sum(part(self, run, effect, values) for part in parts)[run.kept]
-                               for run in self.runs])
+        found = [part for applies, part in _PARTS if applies(effect)]
+        if not found:
+            return None
+        return lambda run: np.asarray(np.sum([part(self, run, effect, values)
+                                              for part in found], axis=0))
 
     def force(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """A smooth force; that of the actuator is the one that moves the linear part, because a
@@ -257,17 +265,17 @@ class Terms:
         along.bristles_along(address("advance", [(effect, 0)]), values, t.x, t.v, out)
         return run.filtered(out)
 
-    def dry(self, run: RunForces, effect: Effect, values: Array) -> Array:
+    def dry(self, run: RunForces, _: Effect, values: Array) -> Array:
         """Dry friction by the sign that a noisy speed has on average."""
         t = run.trajectory
         noise = math.sqrt(2.0) * max(t.speed_noise, 1e-9 * float(np.std(t.v)), 1e-300)
         return run.filtered(-values[0] * erf(t.v / noise))
 
-    def constant(self, run: RunForces, effect: Effect, values: Array) -> Array:
+    def constant(self, run: RunForces, _: Effect, values: Array) -> Array:
         """A constant force."""
         return np.full(run.grid.size, values[0])
 
-    def limited(self, run: RunForces, effect: Effect, values: Array) -> Array:
+    def limited(self, run: RunForces, _: Effect, values: Array) -> Array:
         """What a limit of the command takes away."""
         cut = np.clip(run.run.input, -values[0], values[0]) - run.run.input
         return run.drive(self.timing, signal=cut) * self.gain
@@ -301,7 +309,9 @@ class Terms:
         needed = 1.0 / _response(whole, omega[1:])
         if effect.late is not None:     # beside the timing of the input, which is free
             needed *= np.exp(-1j * omega[1:] * linear_part(whole).lag_s)
-        changed[1:] = 1.0 / _response(self.bare, omega[1:]) - needed
+        if run.grid.length not in self.needed:
+            self.needed[run.grid.length] = 1.0 / _response(self.bare, omega[1:])
+        changed[1:] = self.needed[run.grid.length] - needed
         return run.operated(changed)
 
 
@@ -337,11 +347,6 @@ def not_judged(effect: Effect, spring: bool = True) -> str | None:
     if not any(applies(effect) for applies, _ in _PARTS):
         return "it has no force along a measured motion"
     return None
-
-
-def at_width(runs: Sequence[RunForces], width: float) -> list[RunForces]:
-    """All runs behind another filter."""
-    return [run.at_width(width) for run in runs]
 
 
 def shifted(timing: Timing, by: float, period: float) -> Timing:

@@ -1,0 +1,182 @@
+"""The filter and the timing behind which records are judged in the force domain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dfm_stage.arrays import Array
+from dfm_stage.diagnosis.blocks import Blocks, block_edges, jackknife
+from dfm_stage.diagnosis.errors import DiagnosisError
+from dfm_stage.diagnosis.force_domain import (
+    EDGE,
+    WIDTHS,
+    Linear,
+    RunForces,
+    Timing,
+    shifted,
+)
+from dfm_stage.model import Model
+from dfm_stage.model.linear import linear_part
+
+BLOCKS = 30
+"""Blocks over all records: enough for a standard error, each still with many periods."""
+SHORTEST_BLOCK = 40
+"""Kept samples of the shortest block."""
+NOISE_SHARE = 0.01
+"""Share of the missing force's power that noise may make up: the narrowest filter that keeps
+below it is taken."""
+BIASED = 0.3
+"""Noise of the acceleration over its RMS behind a filter that is wide enough: noise in a term
+lowers its coefficient by the square, and with the mass what is taken for noise."""
+EARLIEST, LATEST = -2.0, 4.0
+"""Samples around the model's delay where the input's timing is looked for."""
+TIMED = 4
+"""Steps of the search for the timing; it is nearly linear."""
+NO_FORCE = 1e-6
+"""Share of the force of inertia below which the input does nothing."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Filtered `runs` with their `timing`; the base columns (n, k) and their `names`, the target
+    (n,), and the linear part that they give.
+
+    With `offset` every record has an offset of its own: all columns are taken off their means.
+    """
+
+    runs: Sequence[RunForces]
+    timing: Timing
+    names: tuple[str, ...]
+    columns: Array
+    target: Array
+    linear: Linear
+    offset: bool
+
+    def stacked(self, of: Callable[[RunForces], Array]) -> Array:
+        """What `of` gives (N,) or (c, N) of each run, over the kept samples, (n,) or (n, c)."""
+        return _stacked(self.runs, self.offset, of)
+
+    def stacked_features(self, of: Callable[[Sequence[RunForces]], Sequence[Array]]) -> Array:
+        """The same of what `of` gives (c, N) of all runs together."""
+        found = dict(zip(map(id, self.runs), of(self.runs), strict=True))
+        return self.stacked(lambda run: found[id(run)])
+
+
+def _stacked(runs: Sequence[RunForces], offset: bool, of: Callable[[RunForces], Array]) -> Array:
+    parts = [of(run)[..., run.kept] for run in runs]
+    if offset:
+        parts = [part - part.mean(axis=-1, keepdims=True) for part in parts]
+    return np.asarray(np.concatenate(parts, axis=-1).T)
+
+
+def setting(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
+    """Compute base columns and target, and fit the linear part."""
+    gain = model.base.get("force_constant", 1.0)
+    spring = model.base.get("stiffness", 0.0) > 0.0
+    offset = spring and "encoder_zero" not in model.base
+    orders = {"mass": 2, "damping": 1, **({"stiffness": 0} if spring else {})}
+    columns = _stacked(runs, offset, lambda run: np.array([
+        *(run.derivative(order) for order in orders.values()), gain * run.drive(timing, 1)]))
+    target = _stacked(runs, offset, lambda run: gain * run.drive(timing))
+    values = least_squares(columns, target)
+    linear = Linear(float(values[0]), float(values[1]), float(values[2]) if spring else 0.0)
+    return Setting(runs, timing, (*orders, "late"), columns, target, linear, offset)
+
+
+def least_squares(columns: Array, target: Array) -> Array:
+    """Coefficients (k,) of `columns` (n, k), which may differ in size by decades."""
+    norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.asarray(np.linalg.lstsq(columns / norms, target, rcond=1e-12)[0] / norms)
+
+
+def settled(runs: Sequence[RunForces], model: Model) -> tuple[Setting, float,
+                                                             tuple[float, float]]:
+    """Find the filter and the timing that suit the records.
+
+    Also returns the share of the missing force's power that is noise, and the timing in samples
+    with its standard error.
+
+    Raises
+    ------
+    DiagnosisError
+        If the records are too short for any filter, or the input does nothing.
+    """
+    period = runs[0].run.sample_period
+    timing = Timing(model.effective_base().get("delay", 0.0) + 0.5 * period,
+                    linear_part(model).lag_s, True)
+    found = _filtered(runs, model, timing)
+    inertia = model.base["mass"] * float(np.std(found.columns[:, 0]))
+    if float(np.std(found.target)) <= NO_FORCE * inertia:
+        raise DiagnosisError("the input does nothing: a look at forces needs a driven motion")
+    timing, error = _timed(found, model)
+    found = setting(found.runs, model, timing)
+    return found, _noise_share(found), (timing.late / period, error / period)
+
+
+def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
+    """The narrowest filter behind which noise is a small share of what is missing."""
+    shortest = min(run.grid.size - run.run.skip for run in runs)
+    widths = [w for w in WIDTHS if shortest >= 4.0 * EDGE * w + 4 * SHORTEST_BLOCK]
+    if not widths:
+        raise DiagnosisError("the records are too short for a look at forces")
+    biased = {w: max(run.noise_rms(run.grid.omega**2, w)
+                     / max(float(np.std(run.derivative(2, w))), 1e-300) for run in runs)
+              for w in widths}
+    usable = [w for w in widths if biased[w] < BIASED] or [min(widths, key=lambda w: biased[w])]
+    tried = []
+    for width in usable:
+        found = setting([run.at_width(width) for run in runs], model, timing)
+        tried.append((found, _noise_share(found)))
+        if tried[-1][1] < NOISE_SHARE:
+            break
+    return min(tried, key=lambda each: each[1])[0]
+
+
+def _noise_share(found: Setting) -> float:
+    left = found.target - found.columns @ least_squares(found.columns, found.target)
+    noise = sum(run.kept.size * run.noise_rms(found.linear.operator(run.grid.omega), run.width)
+                ** 2 for run in found.runs) / max(left.size, 1)
+    return min(noise / max(float(np.mean(left**2)), 1e-300), 1.0)
+
+
+def _general(run: RunForces) -> Array:
+    """Forces (4, N) that any stage may have."""
+    t = run.trajectory
+    return np.array([run.filtered(f) for f in (
+        t.x**2, t.x**3, np.abs(t.v) * t.v, t.v / np.hypot(t.v, t.speed_noise + 1e-300))])
+
+
+def _timed(begun: Setting, model: Model) -> tuple[Timing, float]:
+    """When the input acts, found beside general forces, and its standard error, s.
+
+    A straight search over whole and half samples first, then Newton steps: the coefficient of the
+    input's derivative is how much later it acts.
+    """
+    runs, first = begun.runs, begun.timing
+    period = runs[0].run.sample_period
+    general = begun.stacked(_general)
+    place = begun.names.index("late")
+
+    def at(late: float) -> tuple[Array, Array]:
+        found = setting(runs, model, shifted(first, late, period))
+        return np.column_stack((found.columns, general)), found.target
+
+    def left(late: float) -> float:
+        columns, target = at(late)
+        return float(np.mean((target - columns @ least_squares(columns, target)) ** 2))
+
+    low, high = EARLIEST * period, LATEST * period
+    late = float(min(np.arange(EARLIEST, LATEST + 0.25, 0.5) * period, key=left))
+    for _ in range(TIMED):
+        step = float(least_squares(*at(late))[place])
+        late = min(max(late + min(max(step, -period), period), low), high)
+    columns, target = at(late)
+    edges, _ = block_edges([target.size], BLOCKS, SHORTEST_BLOCK)
+    blocks = Blocks(np.column_stack((columns, target)), edges, np.ones(edges.size - 1))
+    found = blocks.fit(range(columns.shape[1]), columns.shape[1])
+    error = float(jackknife(found.left_out)[place])
+    return shifted(first, late, period), error if math.isfinite(error) else math.inf
