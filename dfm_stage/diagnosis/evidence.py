@@ -173,8 +173,9 @@ class Evidence:
     of the records themselves; `split` says that no record was held out and a part of each was
     instead, `not_compared` are effects whose fits were not begun or finished for want of work.
 
-    Carried, not used yet: `witness`, what the force domain says by itself (effects with shares),
-    and the `conventions` of the input, one for each record, as diagnosis.json is to hold them.
+    `conventions` are those of the input, one for each record, as diagnosis.json holds them.
+
+    Carried, not used yet: `witness`, what the force domain says by itself (effects with shares).
     """
 
     records: tuple[str, ...]
@@ -196,4 +197,4 @@ class Evidence:
     split: bool = False
     not_compared: tuple[str, ...] = ()
     witness: Mapping[str, float] | None = None
-    conventions: tuple[Mapping[str, Any], ...] | None = None
+    conventions: tuple[Mapping[str, Any], ...] = ()

@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from scipy.fft import prev_fast_len
 from scipy.interpolate import CubicSpline
 
 from dfm_stage.arrays import Array
@@ -38,7 +39,7 @@ Hold = Literal["zero", "first", "band_limited"]
 Source = Literal["estimated", "assumed", "given"]
 
 LATENESS: Mapping[Hold, float] = {"zero": 0.5, "first": 0.0, "band_limited": 0.0}
-"""Samples by which an input acts late on average that stands, goes straight, or is band-limited."""
+"""Samples by which an input of each kind acts late on average."""
 SINCS: Mapping[Hold, int] = {"zero": 1, "first": 2, "band_limited": 0}
 """Power of sinc by which the kinds weaken what is in the samples."""
 WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
@@ -52,7 +53,8 @@ FEWEST = 20
 """Least samples of a record over those that a filter takes at each end."""
 LONGEST = 2**15
 """Samples that are looked at, from the part that moves most: more make timing no surer."""
-LONGEST_DIVISOR = 8
+STARTS = 8
+"""Starts of that part that are compared, within its length."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +85,9 @@ class Convention:
                 "input_shift_samples": {"value": self.shift,
                                         "ci95": _interval(self.shift, self.sigma)},
                 "estimated": self.source == "estimated", "source": self.source,
-                "late_samples": {"value": self.late, "ci95": _interval(self.late,
-                                                                      self.late_sigma)}}
+                "late_samples": {"value": self.late,
+                                 "ci95": _interval(self.late, self.late_sigma)},
+                "words": self.words}
 
     @property
     def words(self) -> str:
@@ -94,9 +97,9 @@ class Convention:
         else:
             kind = {"zero": "held from each sample to the next", "band_limited": "band-limited",
                     "first": "going straight from each sample to the next"}[self.hold]
-            when = "both columns were sampled at the same instant" if self.shift == 0.0 else \
-                f"the input acts {abs(self.shift):.3g} samples " \
-                f"{'before' if self.shift < 0.0 else 'after'} its column says"
+            side = "before" if self.shift < 0.0 else "after"
+            when = (f"the input acts {abs(self.shift):.3g} samples {side} its column says"
+                    if self.shift else "both columns were sampled at the same instant")
             text = f"{when}; the input is taken as {kind}"
         return text + self._how
 
@@ -113,6 +116,20 @@ class Convention:
 
 
 HELD = Convention()
+
+
+def sentences(conventions: Iterable[Mapping[str, Any]]) -> list[str]:
+    """What `to_dict` says in words: once where all records are alike, else for each record."""
+    known = list(conventions)
+    words = {each["words"] for each in known}
+    return sorted(words) if len(words) < 2 else [f"{c['record']}: {c['words']}" for c in known]
+
+
+def origin_of(conventions: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """What a model fitted to the records says of their inputs: nothing where all were held."""
+    unusual = sorted({c["input_hold"] for c in conventions
+                      if c["input_hold"] != HELD.hold or c["input_shift_samples"]["value"]})
+    return {"input_hold": unusual} if unusual else {}
 
 
 @dataclass(frozen=True)
@@ -138,7 +155,7 @@ def drive_of(values: Array, convention: Convention, periodic: bool = False) -> D
     A held input that is early is exact. Others become FINER steps a sample, so large that the
     motion is that of the input between its samples (see `steps_of`).
     """
-    if convention.held or values.size < 4:
+    if convention.held or values.size < 2:
         return None
     if convention.hold == "zero":
         ahead = math.ceil(-convention.shift)
@@ -344,24 +361,27 @@ def _features(y: Array, width: float, derivative: int) -> Array:
     spectrum = np.fft.rfft(wave)
     filter_ = np.exp(-0.5 * (omega * width) ** 2)
 
-    def moved(order: int, weights: Array) -> Array:
-        """The position's derivative of some order; integrals but for a polynomial."""
+    time = np.arange(y.size)
+
+    def moved(order: int, weights: Array | float) -> Array:
+        """The position's derivative of some order, integrals up to their initial values."""
         turns = np.where(omega > 0.0, 1j * omega, 1.0) ** (order - derivative)
         turns[0] = float(order == derivative)
-        found = np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size]
-        if order == derivative:
-            found += line[0] + line[1] * np.arange(y.size)
-        return np.asarray(found + line[1] if order == derivative + 1 else found)
+        power = derivative - order
+        straight = np.zeros(y.size) if power < 0 else line[0] * time**power / math.gamma(power + 1)
+        if power >= -1:
+            straight = straight + line[1] * time**(power + 1) / math.gamma(power + 2)
+        return np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size] + straight
 
     def filtered(values: Array) -> Array:
         ends, folded = _reflected(values)
         return np.asarray(np.fft.irfft(np.fft.rfft(folded) * filter_, wave.size)[:y.size]
-                          + ends[0] + ends[1] * np.arange(values.size))
+                          + ends[0] + ends[1] * time)
 
     x, v, a = (moved(order, filter_) for order in range(3))
-    raw = moved(0, np.ones(omega.size))
-    raw -= raw.mean()
     drift = np.linspace(-1.0, 1.0, y.size) ** np.arange(derivative + 1)[:, None]
+    raw = moved(0, 1.0)
+    raw -= np.linalg.lstsq(drift.T, raw, rcond=None)[0] @ drift
     return np.array([a, v, x, *drift, filtered(np.sign(v)), filtered(raw**3), filtered(raw**2),
                      filtered(np.abs(v) * v)])
 
@@ -369,12 +389,11 @@ def _features(y: Array, width: float, derivative: int) -> Array:
 def _livest(u: Array, y: Array) -> tuple[Array, Array]:
     """At most LONGEST samples, those in which the output changes most."""
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    if u.size <= LONGEST:
-        return u, y
+    count = prev_fast_len(min(u.size, LONGEST) - 1, real=True) + 1
     change = np.concatenate(([0.0], np.cumsum(np.diff(y) ** 2)))
-    starts = np.arange(0, u.size - LONGEST, LONGEST // LONGEST_DIVISOR)
-    first = int(starts[int(np.argmax(change[starts + LONGEST - 1] - change[starts]))])
-    return u[first:first + LONGEST], y[first:first + LONGEST]
+    starts = np.arange(0, u.size - count + 1, max(count // STARTS, 1))
+    first = int(starts[int(np.argmax(change[starts + count - 1] - change[starts]))])
+    return u[first:first + count], y[first:first + count]
 
 
 def _interval(value: float | None, sigma: float | None) -> list[float] | None:

@@ -143,8 +143,8 @@ SAME_PERIOD = decision(
 
 # -- the convention of the input -----------------------------------------------------------------
 
-TIMING_FORM = ("held and continuous simulations (five kinds of stage, four inputs), and Silverbox, "
-               "looked at while it was set: not a blind result")
+TIMING_FORM = ("held and continuous simulations (five kinds of stage, four inputs), and "
+               "Silverbox, looked at while it was set: not a blind result")
 HELD_LEAST = decision(
     "HELD_LEAST", 0.3, "samples", meaning="An input that acts surely earlier than this is not "
     "held; a held one acts at 0.5 or later, 0.38 with what the regression does not know.",
