@@ -71,8 +71,9 @@ class Gap:
 class Diagnosis:
     """What was found. `model` is the extended model, `next_experiment` a mapping that
     `load_experiment` takes, or None. `detection_limits` are, where nothing was found, the sizes at
-    which each effect would have been named in half of such records, `conventions` what the input of
-    each record does between its samples, `shown` which of the models compared is the one after."""
+    which each effect would have been named in half of such records, `conventions` what the input
+    of each record does between its samples, `shown` which of the models compared is the one
+    after."""
 
     verdict: Kind
     sentence: str

@@ -25,6 +25,7 @@ from dfm_stage.identification.decisions import (
     EARLIEST,
     EARLY_SHIFT,
     FINER,
+    FOLLOWED,
     HELD_LEAST,
     HELD_SIGMAS,
     HOLD_RATIO,
@@ -149,11 +150,12 @@ class Drive:
                      self.delay)
 
 
-def drive_of(values: Array, convention: Convention, periodic: bool = False) -> Drive | None:
+def drive_of(values: Array, convention: Convention, motion: Array,
+             periodic: bool = False) -> Drive | None:
     """Return the input `values` (N,) as a simulator takes it; None where it is held as it stands.
 
-    A held input that is early is exact. Others become FINER steps a sample, so large that the
-    motion is that of the input between its samples (see `steps_of`).
+    A held input that is early is exact. Others become up to FINER steps a sample, so large that
+    the motion is that of the input between its samples: `motion` (N,) says how many it takes.
     """
     if convention.held or values.size < 2:
         return None
@@ -164,8 +166,24 @@ def drive_of(values: Array, convention: Convention, periodic: bool = False) -> D
         return Drive(values[at], delay=ahead + convention.shift)
     if convention.hold == "first":
         return Drive(_straight(values, convention.shift, FINER, periodic), FINER)
-    return Drive(interpolated(values, FINER, 0.5 / FINER - convention.shift, periodic, steps=True),
-                 FINER)
+    factor = next((k for k in range(2, FINER) if image_share(motion, k) < FOLLOWED), FINER)
+    return Drive(interpolated(values, factor, 0.5 / factor - convention.shift, periodic,
+                              steps=True), factor)
+
+
+def image_share(motion: Array, factor: int) -> float:
+    """RMS of what the images of `factor` steps a sample add to a motion (N,), over its own.
+
+    The image of f (in sampling rates) is f / (factor - f) as strong, and moves a mass by
+    (f / (factor - f))^2 of what f does; below the resonance, taken at the RMS frequency of the
+    motion, by that of the resonance.
+    """
+    power = np.abs(np.fft.rfft(_reflected(motion)[1])) ** 2
+    f = np.linspace(0.0, 0.5, power.size)
+    total = max(float(power.sum()), 1e-300)
+    resonance = math.sqrt(float(f**2 @ power) / total)
+    image = f * np.maximum(f, resonance) ** 2 / (factor - f) ** 3
+    return math.sqrt(float(image**2 @ power) / total)
 
 
 def interpolated(values: Array, factor: int, offset: float = 0.0, periodic: bool = False,

@@ -44,7 +44,7 @@ class Run:
     def by(self: AnyRun, convention: Convention) -> AnyRun:  # noqa: PYI019
         """Return the same run by another convention of its input."""
         return replace(self, convention=convention, drive=drive_of(
-            self.input, convention, self.start == "periodic"))
+            self.input, convention, self.output, self.start == "periodic"))
 
     def sliced(self: AnyRun, part: slice) -> AnyRun:  # noqa: PYI019
         """Return some of the samples; what is known of all of them is left as it is."""
