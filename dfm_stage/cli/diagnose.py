@@ -147,6 +147,8 @@ def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
 
 
 def _print(found: Diagnosis, out: Path, report: bool) -> None:
+    from dfm_stage.identification.convention import sentences
+
     print(f"{paint(found.verdict, TONES[found.verdict])}: {found.sentence}")
     for effect in found.effects:
         print(f"  {' or '.join(effect.members)}  ({effect.gap_share:.0%} of the gap)")
@@ -161,6 +163,8 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
           f"{gap.noise_floor_from})")
     if found.next_experiment is not None:
         print(f"  next experiment: {found.next_experiment['description']}")
+    for said in sentences(found.conventions):
+        print(f"  {said}")
     for warning in found.warnings:
         print(f"  note: {warning}")
     files = ["diagnosis.json", "model.yaml", *(["report.html"] if report else []),

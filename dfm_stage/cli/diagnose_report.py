@@ -11,6 +11,7 @@ from scipy.signal import welch
 from dfm_stage.arrays import Array
 from dfm_stage.cli.command import TONES
 from dfm_stage.diagnosis import Comparison, Diagnosis
+from dfm_stage.identification.convention import sentences
 from dfm_stage.reporting import (
     Drawing,
     Page,
@@ -45,6 +46,7 @@ def write_report(found: Diagnosis, path: Path, records: Sequence[str], model: st
     for section in (_gap, _effects, _simulated, _evidence, _rejected, _next):
         section(page, found)
     page.provenance({"Records": ", ".join(records), "Model": model,
+                     "Input": "; ".join(sentences(found.conventions)),
                      "Sample period": format_quantity(found.model.sample_period, "s"),
                      "Time taken": f"{found.seconds:.0f} s"})
     page.write(path)

@@ -150,13 +150,17 @@ def _fixed(item: str) -> tuple[str, float | None]:
 
 def _signed(found: Identification, paths: Sequence[str]) -> Model:
     """Return the model with where it comes from and how well its parameters are known."""
+    from dfm_stage.identification.convention import origin_of
+
     return replace(found.model, origin={
-        "identified_from": [Path(p).name for p in paths],
+        "identified_from": [Path(p).name for p in paths], **origin_of(found.conventions),
         "ci95": {name: [finite(float(x)) for x in q.ci95]
                  for name, q in found.estimate.quantities().items() if q.ci95 is not None}})
 
 
 def _print(found: Identification, out: Path, report: bool) -> None:
+    from dfm_stage.identification.convention import sentences
+
     rows = {**found.headline, **found.estimate.quantities()}
     wide = max(map(len, rows))
     for name, q in rows.items():
@@ -181,6 +185,8 @@ def _print(found: Identification, out: Path, report: bool) -> None:
                   f"{format_number(row.deviation_percent)} %")
     for test in found.tests:
         print(f"  residual {test.name.replace('_', ' ')}: {test.text} (p = {test.p_value:.2g})")
+    for said in sentences(found.conventions):
+        print(f"  {said}")
     for warning in found.warnings:
         print(f"  note: {warning}")
     print(f"  identify.json, model.yaml{', report.html' if report else ''} in {out}")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dfm_stage.arrays import Array
+from dfm_stage.identification.convention import sentences
 from dfm_stage.identification.frequency_response import Distortion
 from dfm_stage.identification.model_fit import linear_plant
 from dfm_stage.identification.paper import PAPER_MODE
@@ -53,6 +54,7 @@ def write_report(found: Identification, path: Path, records: Sequence[str]) -> N
     _residuals(page, found)
     _fine_print(page, found)
     page.provenance({"Records": ", ".join(records), "Model": found.model.name,
+                     "Input": "; ".join(sentences(found.conventions)),
                      "Sample period": format_quantity(found.model.sample_period, "s"),
                      "Noise model": f"autoregression of order {found.fit.fits[0].noise.order}"})
     page.write(path)

@@ -195,10 +195,10 @@ class Evidence:
     of the records themselves; `split` says that no record was held out and a part of each was
     instead, `not_compared` are effects whose fits were not begun or finished for want of work.
 
-    `graded` says that the effects were found by how much of the gap they explain, because no set
-    of them reaches the noise. Carried, not used yet: `witness`, what the force domain says by
-    itself (effects with shares), and the `conventions` of the input, one for each record, as
-    diagnosis.json is to hold them.
+    `conventions` are those of the input, one for each record, as diagnosis.json holds them,
+    `witness` is what the force domain says by itself. `graded` says that the effects were found by
+    how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
+    held-out powers are compared.
     """
 
     records: tuple[str, ...]
@@ -222,4 +222,4 @@ class Evidence:
     judged: Judged = field(default_factory=Judged)
     graded: bool = False
     witness: Mapping[str, Any] | None = None
-    conventions: tuple[Mapping[str, Any], ...] | None = None
+    conventions: tuple[Mapping[str, Any], ...] = ()

@@ -74,7 +74,9 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
         offset=_offset(h.bare, search.library),
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
-        split=split, not_compared=tuple(search.not_compared), judged=judged)
+        split=split, not_compared=tuple(search.not_compared), judged=judged,
+        conventions=tuple(r.convention.to_dict(r.name)
+                          for r in (*runs, *(() if split else trial.held))))
 
 
 def judged_in(h: Hypothesis) -> Judged:

@@ -11,6 +11,7 @@ from dfm_stage.diagnosis import wording
 from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.diagnosis.verdict import Found, Kind, Verdict
+from dfm_stage.identification.convention import origin_of
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import Model
 
@@ -70,8 +71,9 @@ class Gap:
 class Diagnosis:
     """What was found. `model` is the extended model, `next_experiment` a mapping that
     `load_experiment` takes, or None. `detection_limits` are, where nothing was found, the sizes at
-    which each effect would have been named in half of such records, `shown` which of the models
-    compared is the one after."""
+    which each effect would have been named in half of such records, `conventions` what the input
+    of each record does between its samples, `shown` which of the models compared is the one
+    after."""
 
     verdict: Kind
     sentence: str
@@ -88,6 +90,7 @@ class Diagnosis:
     comparisons: tuple[Comparison, ...] = ()
     shown: Which = "given"
     seconds: float = 0.0
+    conventions: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -108,6 +111,7 @@ class Diagnosis:
             "warnings": list(self.warnings), "sentence": self.sentence,
             "detection_limits": {name: {n: q.to_dict() for n, q in sizes.items()}
                                  for name, sizes in self.detection_limits.items()},
+            "conventions": [dict(each) for each in self.conventions],
         }
 
 
@@ -125,9 +129,9 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
         {n: q for n, q in shown.parameters.items() if "." not in n}, tuple(rejected), gap,
         shown.description if v.remainder else None,
         None if proposal is None else wording.experiment(proposal), wording.warnings(e, v),
-        _signed(model, effects, e.records), shown.findings,
+        _signed(model, effects, e), shown.findings,
         e.limits if v.kind in ("none", "not_excited", "retune") else {},
-        e.comparisons, v.shown)
+        e.comparisons, v.shown, conventions=e.conventions)
 
 
 def _named(e: Evidence, found: Found) -> NamedEffect:
@@ -140,15 +144,16 @@ def _named(e: Evidence, found: Found) -> NamedEffect:
                        tuple(wording.effect_evidence(e, found)), found.loss)
 
 
-def _signed(model: Model, effects: Sequence[NamedEffect], records: Sequence[str]) -> Model:
-    """The model with the origin of what was found."""
-    for e in effects:
-        use = model.effect(e.name)
+def _signed(model: Model, effects: Sequence[NamedEffect], e: Evidence) -> Model:
+    """The model with the origin of what was found, and the inputs that were not held."""
+    source = {"diagnosed_from": list(e.records), **origin_of(e.conventions)}
+    for found in effects:
+        use = model.effect(found.name)
         if use is not None:
-            intervals = {n: q.to_dict()["ci95"] for n, q in e.parameters.items()
+            intervals = {n: q.to_dict()["ci95"] for n, q in found.parameters.items()
                          if q.ci95 is not None}
-            model = model.with_effect(e.name, dict(use.parameters),
-                                      {"diagnosed_from": list(records), "ci95": intervals})
+            model = model.with_effect(found.name, dict(use.parameters),
+                                      {**source, "ci95": intervals})
     return model
 
 

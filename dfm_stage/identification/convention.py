@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from scipy.fft import prev_fast_len
 from scipy.interpolate import CubicSpline
 
 from dfm_stage.arrays import Array
@@ -24,6 +25,7 @@ from dfm_stage.identification.decisions import (
     EARLIEST,
     EARLY_SHIFT,
     FINER,
+    FOLLOWED,
     HELD_LEAST,
     HELD_SIGMAS,
     HOLD_RATIO,
@@ -38,7 +40,7 @@ Hold = Literal["zero", "first", "band_limited"]
 Source = Literal["estimated", "assumed", "given"]
 
 LATENESS: Mapping[Hold, float] = {"zero": 0.5, "first": 0.0, "band_limited": 0.0}
-"""Samples by which an input acts late on average that stands, goes straight, or is band-limited."""
+"""Samples by which an input of each kind acts late on average."""
 SINCS: Mapping[Hold, int] = {"zero": 1, "first": 2, "band_limited": 0}
 """Power of sinc by which the kinds weaken what is in the samples."""
 WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
@@ -52,7 +54,8 @@ FEWEST = 20
 """Least samples of a record over those that a filter takes at each end."""
 LONGEST = 2**15
 """Samples that are looked at, from the part that moves most: more make timing no surer."""
-LONGEST_DIVISOR = 8
+STARTS = 8
+"""Starts of that part that are compared, within its length."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +86,9 @@ class Convention:
                 "input_shift_samples": {"value": self.shift,
                                         "ci95": _interval(self.shift, self.sigma)},
                 "estimated": self.source == "estimated", "source": self.source,
-                "late_samples": {"value": self.late, "ci95": _interval(self.late,
-                                                                      self.late_sigma)}}
+                "late_samples": {"value": self.late,
+                                 "ci95": _interval(self.late, self.late_sigma)},
+                "words": self.words}
 
     @property
     def words(self) -> str:
@@ -94,9 +98,9 @@ class Convention:
         else:
             kind = {"zero": "held from each sample to the next", "band_limited": "band-limited",
                     "first": "going straight from each sample to the next"}[self.hold]
-            when = "both columns were sampled at the same instant" if self.shift == 0.0 else \
-                f"the input acts {abs(self.shift):.3g} samples " \
-                f"{'before' if self.shift < 0.0 else 'after'} its column says"
+            side = "before" if self.shift < 0.0 else "after"
+            when = (f"the input acts {abs(self.shift):.3g} samples {side} its column says"
+                    if self.shift else "both columns were sampled at the same instant")
             text = f"{when}; the input is taken as {kind}"
         return text + self._how
 
@@ -113,6 +117,20 @@ class Convention:
 
 
 HELD = Convention()
+
+
+def sentences(conventions: Iterable[Mapping[str, Any]]) -> list[str]:
+    """What `to_dict` says in words: once where all records are alike, else for each record."""
+    known = list(conventions)
+    words = {each["words"] for each in known}
+    return sorted(words) if len(words) < 2 else [f"{c['record']}: {c['words']}" for c in known]
+
+
+def origin_of(conventions: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """What a model fitted to the records says of their inputs: nothing where all were held."""
+    unusual = sorted({c["input_hold"] for c in conventions
+                      if c["input_hold"] != HELD.hold or c["input_shift_samples"]["value"]})
+    return {"input_hold": unusual} if unusual else {}
 
 
 @dataclass(frozen=True)
@@ -132,13 +150,14 @@ class Drive:
                      self.delay)
 
 
-def drive_of(values: Array, convention: Convention, periodic: bool = False) -> Drive | None:
+def drive_of(values: Array, convention: Convention, motion: Array,
+             periodic: bool = False) -> Drive | None:
     """Return the input `values` (N,) as a simulator takes it; None where it is held as it stands.
 
-    A held input that is early is exact. Others become FINER steps a sample, so large that the
-    motion is that of the input between its samples (see `steps_of`).
+    A held input that is early is exact. Others become up to FINER steps a sample, so large that
+    the motion is that of the input between its samples: `motion` (N,) says how many it takes.
     """
-    if convention.held or values.size < 4:
+    if convention.held or values.size < 2:
         return None
     if convention.hold == "zero":
         ahead = math.ceil(-convention.shift)
@@ -147,8 +166,24 @@ def drive_of(values: Array, convention: Convention, periodic: bool = False) -> D
         return Drive(values[at], delay=ahead + convention.shift)
     if convention.hold == "first":
         return Drive(_straight(values, convention.shift, FINER, periodic), FINER)
-    return Drive(interpolated(values, FINER, 0.5 / FINER - convention.shift, periodic, steps=True),
-                 FINER)
+    factor = next((k for k in range(2, FINER) if image_share(motion, k) < FOLLOWED), FINER)
+    return Drive(interpolated(values, factor, 0.5 / factor - convention.shift, periodic,
+                              steps=True), factor)
+
+
+def image_share(motion: Array, factor: int) -> float:
+    """RMS of what the images of `factor` steps a sample add to a motion (N,), over its own.
+
+    The image of f (in sampling rates) is f / (factor - f) as strong, and moves a mass by
+    (f / (factor - f))^2 of what f does; below the resonance, taken at the RMS frequency of the
+    motion, by that of the resonance.
+    """
+    power = np.abs(np.fft.rfft(_reflected(motion)[1])) ** 2
+    f = np.linspace(0.0, 0.5, power.size)
+    total = max(float(power.sum()), 1e-300)
+    resonance = math.sqrt(float(f**2 @ power) / total)
+    image = f * np.maximum(f, resonance) ** 2 / (factor - f) ** 3
+    return math.sqrt(float(image**2 @ power) / total)
 
 
 def interpolated(values: Array, factor: int, offset: float = 0.0, periodic: bool = False,
@@ -344,24 +379,27 @@ def _features(y: Array, width: float, derivative: int) -> Array:
     spectrum = np.fft.rfft(wave)
     filter_ = np.exp(-0.5 * (omega * width) ** 2)
 
-    def moved(order: int, weights: Array) -> Array:
-        """The position's derivative of some order; integrals but for a polynomial."""
+    time = np.arange(y.size)
+
+    def moved(order: int, weights: Array | float) -> Array:
+        """The position's derivative of some order, integrals up to their initial values."""
         turns = np.where(omega > 0.0, 1j * omega, 1.0) ** (order - derivative)
         turns[0] = float(order == derivative)
-        found = np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size]
-        if order == derivative:
-            found += line[0] + line[1] * np.arange(y.size)
-        return np.asarray(found + line[1] if order == derivative + 1 else found)
+        power = derivative - order
+        straight = np.zeros(y.size) if power < 0 else line[0] * time**power / math.gamma(power + 1)
+        if power >= -1:
+            straight = straight + line[1] * time**(power + 1) / math.gamma(power + 2)
+        return np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size] + straight
 
     def filtered(values: Array) -> Array:
         ends, folded = _reflected(values)
         return np.asarray(np.fft.irfft(np.fft.rfft(folded) * filter_, wave.size)[:y.size]
-                          + ends[0] + ends[1] * np.arange(values.size))
+                          + ends[0] + ends[1] * time)
 
     x, v, a = (moved(order, filter_) for order in range(3))
-    raw = moved(0, np.ones(omega.size))
-    raw -= raw.mean()
     drift = np.linspace(-1.0, 1.0, y.size) ** np.arange(derivative + 1)[:, None]
+    raw = moved(0, 1.0)
+    raw -= np.linalg.lstsq(drift.T, raw, rcond=None)[0] @ drift
     return np.array([a, v, x, *drift, filtered(np.sign(v)), filtered(raw**3), filtered(raw**2),
                      filtered(np.abs(v) * v)])
 
@@ -369,12 +407,11 @@ def _features(y: Array, width: float, derivative: int) -> Array:
 def _livest(u: Array, y: Array) -> tuple[Array, Array]:
     """At most LONGEST samples, those in which the output changes most."""
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    if u.size <= LONGEST:
-        return u, y
+    count = prev_fast_len(min(u.size, LONGEST) - 1, real=True) + 1
     change = np.concatenate(([0.0], np.cumsum(np.diff(y) ** 2)))
-    starts = np.arange(0, u.size - LONGEST, LONGEST // LONGEST_DIVISOR)
-    first = int(starts[int(np.argmax(change[starts + LONGEST - 1] - change[starts]))])
-    return u[first:first + LONGEST], y[first:first + LONGEST]
+    starts = np.arange(0, u.size - count + 1, max(count // STARTS, 1))
+    first = int(starts[int(np.argmax(change[starts + count - 1] - change[starts]))])
+    return u[first:first + count], y[first:first + count]
 
 
 def _interval(value: float | None, sigma: float | None) -> list[float] | None:

@@ -143,8 +143,8 @@ SAME_PERIOD = decision(
 
 # -- the convention of the input -----------------------------------------------------------------
 
-TIMING_FORM = ("held and continuous simulations (five kinds of stage, four inputs), and Silverbox, "
-               "looked at while it was set: not a blind result")
+TIMING_FORM = ("held and continuous simulations (five kinds of stage, four inputs), and "
+               "Silverbox, looked at while it was set: not a blind result")
 HELD_LEAST = decision(
     "HELD_LEAST", 0.3, "samples", meaning="An input that acts surely earlier than this is not "
     "held; a held one acts at 0.5 or later, 0.38 with what the regression does not know.",
@@ -178,6 +178,9 @@ EARLIEST = decision(
     "EARLIEST", -1.0, "samples", meaning="Shift of a column that is a whole sample early.",
     set_on="derivation: a logger that writes the command of the next sample")
 FINER = decision(
-    "FINER", 4, "steps", meaning="Steps a sample for an input that is not held.",
+    "FINER", 4, "steps", meaning="Steps a sample, at most, for an input that is not held.",
     set_on="derivation: the images of a frequency f lie at 4 - f sampling rates and beyond, and a "
     "mass moves by (f / (4 - f))^3 of the motion at f: 1e-4 at a fifth of the rate")
+FOLLOWED = decision(
+    "FOLLOWED", 1e-4, "1", meaning="Motion by these images, over all motion, up to which fewer "
+    "steps are taken.", set_on="processor time: no diagnosis is told from 1e-4 of its motion")

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
-from typing_extensions import Self
-
 from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import HELD, Convention, Drive, drive_of
 
 Start = Literal["free", "rest", "periodic"]
 AnyRun = TypeVar("AnyRun", bound="Run")
+"""What `Self` is from Python 3.11 on."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +44,12 @@ class Run:
     convention: Convention = HELD
     drive: Drive | None = None
 
-    def by(self, convention: Convention) -> Self:
+    def by(self: AnyRun, convention: Convention) -> AnyRun:  # noqa: PYI019
         """Return the same run by another convention of its input."""
         return replace(self, convention=convention, drive=drive_of(
-            self.input, convention, self.start == "periodic"))
+            self.input, convention, self.output, self.start == "periodic"))
 
-    def sliced(self, part: slice) -> Self:
+    def sliced(self: AnyRun, part: slice) -> AnyRun:  # noqa: PYI019
         """Return some of the samples; what is known of all of them is left as it is."""
         return replace(self, input=self.input[part], output=self.output[part],
                        current=None if self.current is None else self.current[part],

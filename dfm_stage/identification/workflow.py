@@ -62,6 +62,7 @@ class Identification:
     gain: Quantity
     paper: tuple[PaperRow, ...]
     warnings: tuple[str, ...] = field(default=())
+    conventions: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def model(self) -> Model:
@@ -100,6 +101,7 @@ class Identification:
                                   if self.transfer_function else None),
             "frequency_response": [r.to_dict() for r in self.responses],
             "paper": [row.to_dict() for row in self.paper], "warnings": list(self.warnings),
+            "conventions": [dict(each) for each in self.conventions],
         }
 
 
@@ -165,7 +167,8 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     paper = _paper_rows(fit) if (axis.input_unit, axis.position_unit) == ("V", "m") else ()
     return Identification(fit, tuple(sources), tuple(r for r in responses if r is not None),
                           transfer, evaluations, held_out, tests, lines, frequency, ratio, gain,
-                          paper, tuple(warnings))
+                          paper, tuple(warnings),
+                          tuple(s.convention.to_dict(s.name) for s in (*sources, *holdout)))
 
 
 def summary(fit: ModelFit) -> tuple[Quantity, Quantity, Quantity]:
