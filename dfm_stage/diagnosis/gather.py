@@ -56,7 +56,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
     given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
     seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
     retuned = _of_model(runs, h.bare, seen[1], judged)
-    extended = _of_model(runs, h.fit, seen[2], judged)
+    extended = _of_model(runs, h.fit, seen[2], judged) if h.fit is not h.bare else \
+        replace(retuned, held_out=_errors(seen[2], judged))
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
                           description=retuned.description or extended.description)
@@ -167,7 +168,7 @@ def _values(found: Fit) -> dict[str, Quantity]:
     """Free parameters: the intervals about the values that the model has."""
     values = found.model.parameters()
     return {n: replace(q, value=float(values.get(n, q.value)))
-            for n, q in found.quantities().items()}
+            for n, q in found.quantities.items()}
 
 
 def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str, Quantity],

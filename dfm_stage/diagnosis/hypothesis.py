@@ -148,7 +148,7 @@ class Trial:
     def at_bound(self, h: Hypothesis) -> Hypothesis:
         """Drop effects of which a parameter has no interval: the fit ran to the bound of what the
         effect can be, and stands for something else there."""
-        values = h.fit.quantities()
+        values = h.fit.quantities
         for name in reversed(h.names):
             own = [q for address, q in values.items() if address.startswith(f"{name}.")]
             if any(q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own):

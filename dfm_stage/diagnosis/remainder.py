@@ -62,8 +62,9 @@ def findings(run: Observation, residual: Array, known_noise: float | None) -> li
     if known_noise:
         found.append(Finding("known_noise", spread / known_noise, EXCESS,
                              "RMS over the noise that the model gives"))
+    white = _white(residual)
     found += [*_repeating(run, residual), _drift(residual), _line(residual),
-              _pattern(run, residual), _shape(residual)]
+              _pattern(run, residual, white), _shape(white)]
     return found
 
 
@@ -103,9 +104,8 @@ def _line(residual: Array) -> Finding:
                    f"{(at + 3) / width:.4g} of the sample rate")
 
 
-def _pattern(run: Observation, residual: Array) -> Finding:
+def _pattern(run: Observation, residual: Array, white: Array) -> Finding:
     position = run.output[run.skip:] - residual
-    white = _white(residual)
     best = 0.0
     if float(np.ptp(position)) < PATTERN_TRAVEL * float(np.std(residual)):
         return Finding("pattern", best, PATTERN, "too little motion to see errors of a scale")
@@ -115,8 +115,7 @@ def _pattern(run: Observation, residual: Array) -> Finding:
     return Finding("pattern", best, PATTERN, "power tied to position, as errors of a scale are")
 
 
-def _shape(residual: Array) -> Finding:
-    white = _white(residual)
+def _shape(white: Array) -> Finding:
     scaled = white / max(float(np.std(white)), 1e-300)
     kurtosis = 3.0 - float(np.mean(scaled**4))
     return Finding("flatness", kurtosis, FLATNESS,

@@ -48,10 +48,10 @@ def position_peaks(positions: Sequence[Array], residuals: Sequence[Array], count
     for p, r in zip(positions, residuals, strict=True):
         place = np.clip(((p - low) / travel * (BINS - 1)).astype(np.int64), 0, BINS - 1)
         bins += np.bincount(place, weights=r - r.mean(), minlength=BINS)
-    power = np.abs(np.fft.rfft(bins, 4 * BINS)) ** 2
-    turns = np.arange(power.size) / (4.0 * travel * BINS / (BINS - 1))
+    turns = np.arange(2 * BINS + 1) / (4.0 * travel * BINS / (BINS - 1))
+    turns = turns[turns <= FINEST_PATTERN * BINS / travel]
+    power = np.abs(np.fft.rfft(bins, 4 * BINS)[:turns.size]) ** 2
     power[turns < cycles / travel] = 0.0
-    power[turns > FINEST_PATTERN * BINS / travel] = 0.0
     return [float(1.0 / turns[k]) for k in _peaks(power, 8, count) if power[k] > 0.0]
 
 

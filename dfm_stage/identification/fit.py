@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -54,6 +55,7 @@ class Fit:
         """Whether the model could be simulated at all."""
         return math.isfinite(self.chi2)
 
+    @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Every free parameter of the model with its 95 % interval, as `identify` gives it."""
         solution = Solution(self.x, self.white, self.jacobian, self.chi2, 0, self.converged,

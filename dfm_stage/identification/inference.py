@@ -59,8 +59,9 @@ def _sizes(criterion: Criterion, z: Array) -> list[int]:
 
 
 def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
-             iterations: int) -> Estimate:
-    """The estimate that a minimum stands for; the weights' own coefficients are left out."""
+             iterations: int, fits: tuple[SegmentFit, ...] = ()) -> Estimate:
+    """The estimate that a minimum stands for; the weights' own coefficients are left out. `fits`
+    are those of `run_fits`, where they are wanted."""
     problem, shown = criterion.problem, criterion.problem.start.size
     found = uncertainty(criterion, solution)
     covariance, lost = found.covariance[:shown, :shown], found.lost[:shown]
@@ -74,12 +75,11 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
     status, message = _status(solution, verdict, at_bound)
     return Estimate(
         names, tuple(u.unit for u in problem.unknowns), solution.x[:shown].copy(), covariance,
-        problem.low, problem.high, held, found.dof, verdict, _run_fits(criterion, solution),
-        solution.cost, status, message, iterations, at_bound, determined=determined,
-        blind=found.blind[:, :shown])
+        problem.low, problem.high, held, found.dof, verdict, fits, solution.cost, status, message,
+        iterations, at_bound, determined=determined, blind=found.blind[:, :shown])
 
 
-def _run_fits(criterion: Criterion, solution: Solution) -> tuple[SegmentFit, ...]:
+def run_fits(criterion: Criterion, solution: Solution) -> tuple[SegmentFit, ...]:
     """How the output of each run was explained."""
     fits, row = [], 0
     sizes = iter(_sizes(criterion, solution.x))

@@ -27,7 +27,7 @@ from dfm_stage.identification.decisions import (
     WEIGHINGS,
 )
 from dfm_stage.identification.errors import IdentificationError
-from dfm_stage.identification.inference import assemble, failed
+from dfm_stage.identification.inference import assemble, failed, run_fits
 from dfm_stage.identification.least_squares import Solution
 from dfm_stage.identification.noise import fit_noise
 from dfm_stage.identification.problem import Problem
@@ -72,7 +72,8 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
     if not (math.isfinite(solution.cost) and np.all(np.isfinite(solution.jacobian))):
         return failed(problem, held or {}, f"{solution.reason}: tighten the bounds or start from "
                        "other values")
-    return assemble(criterion, solution, held or {}, sum(r.iterations for r in rounds))
+    return assemble(criterion, solution, held or {}, sum(r.iterations for r in rounds),
+                    run_fits(criterion, solution))
 
 
 

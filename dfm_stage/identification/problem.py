@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -144,7 +145,14 @@ def _slope(up: Array, down: Array, centre: Array, width: tuple[float, float]) ->
 def trend(run: Run, index: int, usual: int, unit: str) -> list[Unknown]:
     """Offset and drift of one run, as far as its trend (or the `usual` one) goes."""
     degree = usual if run.trend is None else run.trend
-    time = np.linspace(-1.0, 1.0, run.output.size)
-    spread = float(np.std(run.output)) or TINY
     return [Unknown(("offset", "drift")[k] if k < len(("offset", "drift")) else f"trend{k}", 0.0,
-                    spread, unit=unit, run=index, column=time**k) for k in range(degree + 1)]
+                    run.spread or TINY, unit=unit, run=index, column=_power(run.output.size, k))
+            for k in range(degree + 1)]
+
+
+@lru_cache(maxsize=8)
+def _power(size: int, degree: int) -> Array:
+    """t**degree (N,) over a run, t from -1 to 1: kept, as a screen builds hundreds of systems."""
+    power = np.asarray(np.linspace(-1.0, 1.0, size) ** degree)
+    power.flags.writeable = False
+    return power

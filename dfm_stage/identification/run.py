@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, TypeVar
+
+import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import HELD, Convention, Drive, drive_of
@@ -70,3 +73,13 @@ class Run:
         """The signals (N - skip,) that are compared: the output, and the current if recorded."""
         found = (self.output,) if self.current is None else (self.output, self.current)
         return tuple(s[self.skip:] for s in found)
+
+    @cached_property
+    def spread(self) -> float:
+        """RMS of the output about its mean; every system on the run scales unknowns by it."""
+        return float(np.std(self.output))
+
+    @cached_property
+    def speed(self) -> float:
+        """RMS of the output's differences, per second, about their mean."""
+        return float(np.std(np.diff(self.output))) / self.sample_period

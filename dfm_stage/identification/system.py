@@ -136,8 +136,7 @@ class System(Problem):
                               limits.unit, step=step)
 
     def _own_unknowns(self, run: Run, index: int) -> Iterable[Unknown]:
-        spread = float(np.std(run.output)) or 1e-9
-        speed = float(np.std(np.diff(run.output))) / run.sample_period or 1e-9
+        spread = run.spread or 1e-9
         unit = self.model.position_unit
         for part in run.windows if run.start == "free" else ():
             known = {"position": float(run.output[part][0]),
@@ -147,7 +146,7 @@ class System(Problem):
                 first = known.get(state, 0.0) if self.springless and (
                     run.window or state == "position") else 0.0
                 yield Unknown(_at_window(f"initial.{state}", run, part), first,
-                              speed if moving else spread,
+                              (run.speed or 1e-9) if moving else spread,
                               unit=f"{unit}/s" if moving else unit, run=index)
         usual = -1 if self.springless or self.trusted else 0
         if self.rounded and run.trend is None and usual == 0:
@@ -166,6 +165,8 @@ class System(Problem):
     def _per_run_unknowns(self, index: int) -> Iterable[Unknown]:
         """Coordinates of effects that do not carry over from one run to the next."""
         for use in self.model.effects:
+            if not EFFECTS[use.name].per_run:
+                continue
             names, values = self._per_run(use.name)
             size = float(np.linalg.norm(values)) or 1e-9
             for name, value in zip(names, values, strict=True):

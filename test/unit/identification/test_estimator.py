@@ -112,7 +112,7 @@ def test_the_search_finds_what_scipy_finds():
     theirs = least_squares(gap, np.array([1.5, 0.94, 1.0, 0.0, 0.0, 0.0]), xtol=1e-14, ftol=1e-14)
     assert found.chi2 == pytest.approx(2.0 * theirs.cost, rel=1e-6)
     assert found.x == pytest.approx(theirs.x * scale, rel=1e-4, abs=1e-9)
-    quantities = found.quantities()
+    quantities = found.quantities
     for name, true in (("damping", 2.0), ("stiffness", 640.0), ("force_constant", 1.1)):
         assert quantities[name].covers(true)
 
