@@ -11,12 +11,14 @@ import numpy as np
 from dfm_stage.diagnosis.candidates import late_splits, starts
 from dfm_stage.diagnosis.decisions import (
     AROUND_STEPS,
+    FURTHER,
     MOST_STEPS,
     NOISE_SHARES,
     PER_PARAMETER,
     POLISHED,
     PROMISED,
     ROUGH_NOISE,
+    ROUNDED_GAIN,
     STEPS_A_FIT,
     STEPS_BEFORE_LINEAR,
     STEPS_BEFORE_SLOW,
@@ -171,6 +173,7 @@ class Fits:
                 f"{hit.name}.{n}": v for hit in hits
                 for n, v in EFFECTS[hit.name].freed_last.items() if v is not None})
             found = self._fit(freed, free, found, tolerance=0.1)
+        found = self.refined(found)
         if found.ok and any(EFFECTS[h.name].late for h in hits):
             found = self.resplit(found)
         return found
@@ -198,8 +201,32 @@ class Fits:
     def parameters(self, model: Model) -> Names:
         """What is free in a model with effects added: the base and all of theirs."""
         own = [f"{use.name}.{n}" for use in model.effects
-               if self.model.effect(use.name) is None for n in EFFECTS[use.name].fittable]
+               if self.model.effect(use.name) is None
+               for n in EFFECTS[use.name].fittable(use.parameters)]
         return (*self.free, *own)
+
+    def refined(self, found: Fit) -> Fit:
+        """`found` with each refinement of the effects added free where that pays as a further
+        effect must, and at its default where it does not."""
+        added = [use.name for use in found.model.effects if self.model.effect(use.name) is None]
+        for effect in added if found.ok else ():
+            for name in EFFECTS[effect].refinements:
+                address, default = f"{effect}.{name}", EFFECTS[effect].defaults[name]
+                freed = address in found.system.free
+                free = tuple(n for n in found.system.free if n != address) if freed else (
+                    *found.system.free, address)
+                held = found.model.with_parameters({address: default})
+                other = self._fit(held, free, found)
+                simple, refined = (other, found) if freed else (found, other)
+                gain = simple.chi2 - refined.chi2
+                found = refined if gain > self.further(added, simple) else simple
+        return found
+
+    def further(self, names: Iterable[str], current: Fit) -> float:
+        """Fall in chi-square that a further effect must bring."""
+        if not any(EFFECTS[n].rounds for n in names):
+            return FURTHER
+        return max(FURTHER, ROUNDED_GAIN * current.white.size)
 
     def polished(self, names: Names, current: Fit) -> Fit:
         """The fit of `names` at its minimum, for the values that are told."""
