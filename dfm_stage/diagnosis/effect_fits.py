@@ -172,7 +172,7 @@ class Fits:
             freed = found.model.with_parameters({
                 f"{hit.name}.{n}": v for hit in hits
                 for n, v in EFFECTS[hit.name].freed_last.items() if v is not None})
-            found = self._fit(freed, free, found, tolerance=0.1)
+            found = self._fit(freed, self.parameters(freed), found, tolerance=0.1)
         found = self.refined(found)
         if found.ok and any(EFFECTS[h.name].late for h in hits):
             found = self.resplit(found)
@@ -180,13 +180,20 @@ class Fits:
 
     def _fit(self, model: Model, free: Names, start: Fit, *, iterations: int = 25,
              tolerance: float = 1e-2, exact: bool = False) -> Fit:
-        """A fit within what is left of the work that may be done."""
+        """A fit within what is left of the work that may be done; parameters that have no
+        meaning where it ends are at their defaults again, and no longer free."""
         found = fit(model, self.runs, free, self.weights, earlier=start.locals,
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
                     allowance=min(max(MOST_STEPS - self.steps, 0.0), STEPS_A_FIT))
         if self.steps > MOST_STEPS:
             self.not_compared.update(dict.fromkeys(found.system.nonlinear))
-        return found
+        lost = {f"{use.name}.{n}": EFFECTS[use.name].defaults[n] for use in found.model.effects
+                if found.ok and self.model.effect(use.name) is None
+                for n in EFFECTS[use.name].without_meaning(use.parameters)}
+        kept = tuple(n for n in free if n not in lost)
+        return found if kept == free else self._fit(
+            found.model.with_parameters(lost), kept, found, iterations=iterations,
+            tolerance=tolerance, exact=exact)
 
     def _with_noise(self, found: Fit, free: Names) -> Fit:
         """The noise before rounding that explains a counted reading best."""

@@ -254,12 +254,22 @@ class Effect:
     def fittable(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """Parameters that a fit may free where they have `values`; those of a rounding are found
         by search."""
-        return () if self.rounds else self.needed(values)
+        return () if self.rounds else self.told(values)
+
+    def told(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters that say something where they have `values`."""
+        lost = self.without_meaning(values)
+        return tuple(n for n in self.needed(values) if n not in lost)
 
     def needed(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """All parameters but the refinements that `values` do not make use of."""
         return tuple(p.name for p in self.parameters
                      if p.name not in self.refinements or values[p.name] != p.default)
+
+    def without_meaning(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters that change nothing near `values`, nor at their defaults beside the others,
+        because a term is off."""
+        return ()
 
     @property
     def wrong_number_of(self) -> str:

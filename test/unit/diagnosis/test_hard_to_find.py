@@ -294,3 +294,30 @@ def test_rivals_that_keep_taking_turns_are_all_compared_with_the_last_of_them(mo
     monkeypatch.setattr(search, "score", lambda _: float(next(turns)))
     last, _, rivals = search.compare(names[:1], both[names[0]])
     assert set(rivals) == set(last)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.1])
+def test_friction_without_a_stribeck_term_has_no_parameters_of_it_to_lose_an_interval(ratio):
+    """At its bound the breakaway force leaves nothing to depend on the Stribeck speed, and at the
+    lowest Stribeck speed nothing depends on the breakaway force."""
+    def dahl(w: float, v: float) -> float:
+        return v / 2e-5 - abs(v) / 2e-5 * w
+
+    feed, effect = truth.multisine(6), EFFECTS["presliding_friction"]
+    run = observe(truth.record(feed, looped(feed, dahl, 3e-3), 25), truth.believed(), None, None)
+    search = Search(truth.believed(), [run], ("damping", "stiffness", "force_constant"),
+                    library=("presliding_friction",))
+    model = truth.believed().with_effect("presliding_friction", {
+        "force": 3e-3, "stiffness": 150.0, "breakaway_ratio": 1.1, "stribeck_velocity": 1e-7})
+    started = search.parameters(model)
+    found = search._fit(model.with_parameters({
+        "presliding_friction.breakaway_ratio": ratio,
+        "presliding_friction.stribeck_velocity": 1e-9}), started, search.begin())
+    own = found.model.effects[0].parameters
+    assert own["breakaway_ratio"] == 1.0
+    assert {*started} - {*found.system.free} == {
+        "presliding_friction.breakaway_ratio", "presliding_friction.stribeck_velocity"}
+    assert search.parameters(found.model) == found.system.free
+    assert effect.told(own) == ("force", "stiffness", "damping")
+    assert effect.told({**own, "breakaway_ratio": 1.2}) == tuple(p.name for p in effect.parameters)
+    assert all(np.all(np.isfinite(q.ci95)) for q in found.quantities().values())
