@@ -11,12 +11,14 @@ import numpy as np
 from dfm_stage.diagnosis.candidates import late_splits, starts
 from dfm_stage.diagnosis.decisions import (
     AROUND_STEPS,
+    FURTHER,
     MOST_STEPS,
     NOISE_SHARES,
     PER_PARAMETER,
     POLISHED,
     PROMISED,
     ROUGH_NOISE,
+    ROUNDED_GAIN,
     STEPS_A_FIT,
     STEPS_BEFORE_LINEAR,
     STEPS_BEFORE_SLOW,
@@ -182,20 +184,28 @@ class Fits:
             freed = found.model.with_parameters({
                 f"{hit.name}.{n}": v for hit in hits
                 for n, v in EFFECTS[hit.name].freed_last.items() if v is not None})
-            found = self._fit(freed, free, found, tolerance=0.1)
+            found = self._fit(freed, self.parameters(freed), found, tolerance=0.1)
+        found = self.refined(found)
         if found.ok and any(EFFECTS[h.name].late for h in hits):
             found = self.resplit(found)
         return found
 
     def _fit(self, model: Model, free: Names, start: Fit, *, iterations: int = 25,
              tolerance: float = 1e-2, exact: bool = False) -> Fit:
-        """A fit within what is left of the work that may be done."""
+        """A fit within what is left of the work that may be done; parameters that have no
+        meaning where it ends are at their defaults again, and no longer free."""
         found = fit(model, self.runs, free, self.weights, earlier=start.locals,
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
                     allowance=min(max(self.most_steps - self.steps, 0.0), STEPS_A_FIT))
         if self.steps > self.most_steps:
             self.not_compared.update(dict.fromkeys(found.system.nonlinear))
-        return found
+        lost = {f"{use.name}.{n}": EFFECTS[use.name].defaults[n] for use in found.model.effects
+                if found.ok and self.model.effect(use.name) is None
+                for n in EFFECTS[use.name].without_meaning(use.parameters)}
+        kept = tuple(n for n in free if n not in lost)
+        return found if kept == free else self._fit(
+            found.model.with_parameters(lost), kept, found, iterations=iterations,
+            tolerance=tolerance, exact=exact)
 
     def _with_noise(self, found: Fit, free: Names) -> Fit:
         """The noise before rounding that explains a counted reading best."""
@@ -210,8 +220,32 @@ class Fits:
     def parameters(self, model: Model) -> Names:
         """What is free in a model with effects added: the base and all of theirs."""
         own = [f"{use.name}.{n}" for use in model.effects
-               if self.model.effect(use.name) is None for n in EFFECTS[use.name].fittable]
+               if self.model.effect(use.name) is None
+               for n in EFFECTS[use.name].fittable(use.parameters)]
         return (*self.free, *own)
+
+    def refined(self, found: Fit) -> Fit:
+        """`found` with each refinement of the effects added free where that pays as a further
+        effect must, and at its default where it does not."""
+        added = [use.name for use in found.model.effects if self.model.effect(use.name) is None]
+        for effect in added if found.ok else ():
+            for name in EFFECTS[effect].refinements:
+                address, default = f"{effect}.{name}", EFFECTS[effect].defaults[name]
+                freed = address in found.system.free
+                free = tuple(n for n in found.system.free if n != address) if freed else (
+                    *found.system.free, address)
+                held = found.model.with_parameters({address: default})
+                other = self._fit(held, free, found)
+                simple, refined = (other, found) if freed else (found, other)
+                gain = simple.chi2 - refined.chi2
+                found = refined if gain > self.further(added, simple) else simple
+        return found
+
+    def further(self, names: Iterable[str], current: Fit) -> float:
+        """Fall in chi-square that a further effect must bring."""
+        if not any(EFFECTS[n].rounds for n in names):
+            return FURTHER
+        return max(FURTHER, ROUNDED_GAIN * current.white.size)
 
     def polished(self, names: Names, current: Fit) -> Fit:
         """The fit of `names` at its minimum, for the values that are told."""

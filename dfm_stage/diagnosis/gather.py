@@ -198,8 +198,8 @@ def _own(trial: Trial, h: Hypothesis, name: str,
     use = model.effect(name)
     assert use is not None  # noqa: S101 (it was added by the search)
     own: dict[str, Quantity] = {}
-    for parameter, value in use.parameters.items():
-        address = f"{name}.{parameter}"
+    for parameter in EFFECTS[name].told(use.parameters):
+        address, value = f"{name}.{parameter}", use.parameters[parameter]
         half = value * _searched_to(trial, address, value)
         held = Quantity(value, model.parameter(address).unit, (value - half, value + half))
         own[parameter] = replace(values.get(address, held), value=float(value))

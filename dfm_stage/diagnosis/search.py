@@ -22,7 +22,6 @@ from dfm_stage.diagnosis.decisions import (
     PROMISED,
     RELATED_GAIN,
     RESTART_ABOVE,
-    ROUNDED_GAIN,
     ROUNDING_GAIN,
     SHORT_LIST,
     SHORT_LIST_GAIN,
@@ -92,7 +91,7 @@ class Search(Fits):
 
     def extend(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
         """Add what helps most, one effect or two at once; None where nothing helps enough."""
-        limit = self._further(names, current) if names else FIRST
+        limit = self.further(names, current) if names else FIRST
         screen, hits = self.screened(current, names)
         if not names:
             self.smallest = screen.smallest(FIRST)
@@ -157,12 +156,6 @@ class Search(Fits):
             if current.chi2 - found.chi2 > FULL_SHARE * above:
                 break
         return trials
-
-    def _further(self, names: Names, current: Fit) -> float:
-        """Fall in chi-square that a further effect must bring."""
-        if not any(EFFECTS[n].rounds for n in names):
-            return FURTHER
-        return max(FURTHER, ROUNDED_GAIN * current.white.size)
 
     def run(self) -> tuple[Names, Fit]:
         """Add effects until nothing helps; return them in the order they came, and the fit."""
@@ -239,7 +232,7 @@ class Search(Fits):
                 rest = tuple(n for n in names if n != name)
                 losses.append((self.fitted(rest, current).chi2 - current.chi2, name))
             loss, weakest = min(losses)
-            if loss >= self._further(names, current):
+            if loss >= self.further(names, current):
                 break
             names = tuple(n for n in names if n != weakest)
             current = self.fitted(names, current)

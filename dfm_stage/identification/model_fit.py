@@ -16,7 +16,7 @@ from dfm_stage.identification.plant import LinearPlant, Mode
 from dfm_stage.identification.result import Estimate, SegmentFit
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.system import System
-from dfm_stage.model import Model
+from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.linear import linear_part
 
 DYNAMIC = ("damping", "stiffness", "force_constant", "amplifier_time_constant", "delay")
@@ -41,12 +41,12 @@ def default_free(model: Model) -> tuple[str, ...]:
     Mass is held, because volts to metres show ratios only.
     """
     base = [n for n in DYNAMIC if n in model.base or n == "force_constant"]
-    effects = [f"{use.name}.{name}" for use in model.effects for name in use.parameters]
-    return (*base, *effects)
+    return (*base, *expand_names(model, [use.name for use in model.effects]))
 
 
 def expand_names(model: Model, names: Iterable[str]) -> tuple[str, ...]:
-    """Replace effect names by the addresses of all their parameters, and check every address.
+    """Replace effect names by the addresses of their parameters, and check every address.
+    Refinements that the model does not make use of are named in full or left out.
 
     Raises
     ------
@@ -56,7 +56,8 @@ def expand_names(model: Model, names: Iterable[str]) -> tuple[str, ...]:
     found: list[str] = []
     for name in names:
         use = model.effect(name)
-        group = [f"{name}.{p}" for p in use.parameters] if use is not None else [name]
+        group = [name] if use is None else [
+            f"{name}.{p}" for p in EFFECTS[name].needed(use.parameters)]
         for address in group:
             model.parameter(address)
             head = address.partition(".")[0]

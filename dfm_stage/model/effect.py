@@ -184,6 +184,9 @@ class Effect:
     freed_last: Mapping[str, float | None] = field(default_factory=dict)
     """Parameters that are freed once the others have been fitted, and the value at which they
     begin then; None for where they are."""
+    refinements: tuple[str, ...] = ()
+    """Parameters that stay at their default, and are no parameter of a fit, unless the model has
+    another value or freeing them pays as a further effect must."""
     distance: str = ""
     """The fitted coordinate that is the distance (m) after a reversal within which the force
     changes. Far below the noise it cannot be told from dry friction, and is slow to simulate."""
@@ -248,10 +251,25 @@ class Effect:
         """Whether the size cannot be negative."""
         return self.parameter(self.sizes[0]).low >= 0.0
 
-    @property
-    def fittable(self) -> tuple[str, ...]:
-        """Parameters that a fit may free; those of a rounding are found by search."""
-        return () if self.rounds else tuple(p.name for p in self.parameters)
+    def fittable(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters that a fit may free where they have `values`; those of a rounding are found
+        by search."""
+        return () if self.rounds else self.told(values)
+
+    def told(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters that say something where they have `values`."""
+        lost = self.without_meaning(values)
+        return tuple(n for n in self.needed(values) if n not in lost)
+
+    def needed(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """All parameters but the refinements that `values` do not make use of."""
+        return tuple(p.name for p in self.parameters
+                     if p.name not in self.refinements or values[p.name] != p.default)
+
+    def without_meaning(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters that change nothing near `values`, nor at their defaults beside the others,
+        because a term is off."""
+        return ()
 
     @property
     def wrong_number_of(self) -> str:

@@ -86,6 +86,16 @@ class PreslidingFriction(Effect):
                  "breakaway_ratio": 1.0, "stribeck_velocity": 0.2 * at.speed, "damping": 0.0}
                 for share in (0.01, 0.03, 0.1, 0.3, 1.0)]
 
+    def without_meaning(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Those of the Stribeck term where the breakaway force is that of sliding, or fades before
+        anything moves."""
+        off = values["breakaway_ratio"] == 1.0 or values["stribeck_velocity"] < SLOWEST
+        return ("breakaway_ratio", "stribeck_velocity") if off else ()
+
+
+SLOWEST = 1e-8
+"""Stribeck velocity (m/s) below which nothing in a record is slow enough to feel its term."""
+
 
 EFFECT = PreslidingFriction(
     name="presliding_friction",

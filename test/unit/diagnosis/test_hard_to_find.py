@@ -79,6 +79,48 @@ def test_a_mode_sharper_than_any_grid_is_found_at_its_own_frequency():
     assert found.names == ("second_mode",)
     value, half = told(found.effects[0], "frequency")
     assert abs(value - 45.2) < 2.0 * half < 0.05
+    assert "phase" not in found.effects[0].parameters
+
+
+def two_masses(feed: np.ndarray, dashpot: float, output: int) -> np.ndarray:
+    """Position of one of two masses: the stage, and 0.25 kg on it by a spring and a dashpot."""
+    m, n, k, d = truth.MASS, 0.25, 20000.0, dashpot
+    return linear(feed, [[0.0, 1.0, 0.0, 0.0],
+                         [-(truth.STIFFNESS + k) / m, -(truth.DAMPING + d) / m, k / m, d / m],
+                         [0.0, 0.0, 0.0, 1.0], [k / n, d / n, -k / n, -d / n]],
+                  [0.0, truth.GAIN / m, 0.0, 0.0], [2.0 - output, 0.0, output - 1.0, 0.0])
+
+
+@pytest.mark.parametrize(("output", "dashpot", "phase"), [
+    (1, 0.5, -0.0202), (1, 30.0, 0.0102), (2, 5.0, -0.0056)])
+def test_a_mass_on_a_spring_and_a_dashpot_is_a_second_mode_and_nothing_else(
+        output, dashpot, phase):
+    train, held = truth.multisine(1, top_hz=200.0), chirp(
+        truth.PERIOD * np.arange(truth.SAMPLES), 1.0, 10.0, 200.0)
+    found = diagnose([truth.record(train, two_masses(train, dashpot, output), 31)],
+                     truth.believed(), library=QUICK,
+                     holdout=[truth.record(held, two_masses(held, dashpot, output), 32)])
+    assert (found.verdict, found.names) == ("named", ("second_mode",))
+    assert found.gap.fit[2] == pytest.approx(truth.NOISE, rel=0.02)
+    assert found.gap.held_out[2] == pytest.approx(truth.NOISE, rel=0.02)
+    value, half = told(found.effects[0], "phase")
+    assert value == pytest.approx(phase, abs=max(2.0 * half, 1e-4))
+
+
+def test_a_refinement_that_does_not_pay_is_taken_back():
+    feed = chirp(truth.PERIOD * np.arange(truth.SAMPLES), 1.0, 9.0, 120.0)
+    run = observe(truth.record(feed, two_modes(feed, 0.2, 45.2, 0.01), 23), truth.believed(),
+                  None, None)
+    search = Search(truth.believed(), [run], ("damping", "stiffness", "force_constant"))
+    search.begin()
+    model = truth.believed().with_effect("second_mode", {
+        "share": 0.2, "frequency": 45.2, "damping_ratio": 0.01, "phase": 0.01})
+    assert "second_mode.phase" in search.parameters(model)
+    free = search._fit(model, search.parameters(model), search.begin())
+    taken_back = search.refined(free)
+    assert "second_mode.phase" not in taken_back.system.free
+    assert taken_back.model.parameters()["second_mode.phase"] == 0.0
+    assert taken_back.chi2 < free.chi2 + 20.0
 
 
 LOOPED = [n for n in EFFECTS if n not in ("eddy_current_damping", "quadratic_damping")]
@@ -252,3 +294,30 @@ def test_rivals_that_keep_taking_turns_are_all_compared_with_the_last_of_them(mo
     monkeypatch.setattr(search, "score", lambda _: float(next(turns)))
     last, _, rivals = search.compare(names[:1], both[names[0]])
     assert set(rivals) == set(last)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.1])
+def test_friction_without_a_stribeck_term_has_no_parameters_of_it_to_lose_an_interval(ratio):
+    """At its bound the breakaway force leaves nothing to depend on the Stribeck speed, and at the
+    lowest Stribeck speed nothing depends on the breakaway force."""
+    def dahl(w: float, v: float) -> float:
+        return v / 2e-5 - abs(v) / 2e-5 * w
+
+    feed, effect = truth.multisine(6), EFFECTS["presliding_friction"]
+    run = observe(truth.record(feed, looped(feed, dahl, 3e-3), 25), truth.believed(), None, None)
+    search = Search(truth.believed(), [run], ("damping", "stiffness", "force_constant"),
+                    library=("presliding_friction",))
+    model = truth.believed().with_effect("presliding_friction", {
+        "force": 3e-3, "stiffness": 150.0, "breakaway_ratio": 1.1, "stribeck_velocity": 1e-7})
+    started = search.parameters(model)
+    found = search._fit(model.with_parameters({
+        "presliding_friction.breakaway_ratio": ratio,
+        "presliding_friction.stribeck_velocity": 1e-9}), started, search.begin())
+    own = found.model.effects[0].parameters
+    assert own["breakaway_ratio"] == 1.0
+    assert {*started} - {*found.system.free} == {
+        "presliding_friction.breakaway_ratio", "presliding_friction.stribeck_velocity"}
+    assert search.parameters(found.model) == found.system.free
+    assert effect.told(own) == ("force", "stiffness", "damping")
+    assert effect.told({**own, "breakaway_ratio": 1.2}) == tuple(p.name for p in effect.parameters)
+    assert all(np.all(np.isfinite(q.ci95)) for q in found.quantities().values())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dfm_stage.identification import IdentificationError, Source, identify
+from dfm_stage.identification.model_fit import default_free, expand_names
 from dfm_stage.model import Model, load_model
 from dfm_stage.recording import AxisRecord
 
@@ -77,6 +78,17 @@ def test_a_wrong_model_is_corrected_and_a_missing_mode_stands_out(reference_stag
     assert two.estimate.quantity("second_mode.share").value == pytest.approx(0.07, rel=0.01)
     assert not plain.line_residuals.passed
     assert two.line_residuals.passed
+
+
+def test_a_refinement_is_held_until_the_model_makes_use_of_it():
+    mode = {"share": 0.02, "frequency": 14.0, "damping_ratio": 0.03}
+    base = Model("start", 1e-3, base={"mass": 1.0, "stiffness": 500.0})
+    plain, complex_mode = (base.with_effect("second_mode", {**mode, "phase": p})
+                           for p in (0.0, 0.01))
+    assert "second_mode.phase" not in default_free(plain)
+    assert default_free(complex_mode) == (*default_free(plain), "second_mode.phase")
+    assert expand_names(plain, ["second_mode"]) == tuple(f"second_mode.{n}" for n in mode)
+    assert expand_names(plain, ["second_mode.phase"]) == ("second_mode.phase",)
 
 
 def test_hold_out_record_and_several_records(reference_stage, multisine):

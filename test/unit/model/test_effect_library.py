@@ -63,7 +63,7 @@ def test_effect_describes_itself(name: str) -> None:
 def test_coordinates_for_fitting_are_one_to_one(name: str) -> None:
     effect = EFFECTS[name]
     assert effect.coordinates is not None
-    model = Model("m", 1e-3, BASE).with_effect(
+    model = Model("m", 1e-3, {**BASE, "force_constant": 1.3}).with_effect(
         name, {p.name: max(p.default, 0.3 * math.sqrt(abs(effect.priors[p.name].high)), p.low)
                for p in effect.parameters})
     values = np.array([model.parameters()[address] for address in effect.coordinates.names])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from dfm_stage.control import sample_model
@@ -16,6 +17,31 @@ BASE = {"mass": 0.9, "damping": 1.2, "stiffness": 600.0, "force_constant": 1.3}
 LAGS = {"amplifier_time_constant": 4e-4, "coil_inductance": 4e-3, "coil_resistance": 8.0}
 CREEP = {"stiffness": 90.0, "time_constant": 0.03}
 OMEGA = np.geomspace(1.0, 3000.0, 40)
+
+
+def _two_masses(dashpot: float) -> tuple[np.ndarray, np.ndarray]:
+    """ds/dt = a s + b F of two masses with spring and dashpot between them; s holds position and
+    velocity of each."""
+    k, c, m1, m2 = 20000.0, dashpot, 1.0, 0.25
+    return np.array([[0.0, 1.0, 0.0, 0.0],
+                     [-(4000.0 + k) / m1, -(4.0 + c) / m1, k / m1, c / m1],
+                     [0.0, 0.0, 0.0, 1.0], [k / m2, c / m2, -k / m2, -c / m2]]), \
+        np.array([0.0, 1.0 / m1, 0.0, 0.0])
+
+
+def _as_modes(a: np.ndarray, b: np.ndarray, output: int) -> Model:
+    """The same in modes of a mass of 1 kg, from its poles and residues. Those of the second mass
+    add up to nothing: a share far below zero stands for that."""
+    poles, shapes = np.linalg.eig(a)
+    residues = shapes[2 * (output - 1)] * np.linalg.solve(shapes, b.astype(complex))
+    order = [i for i in np.argsort(np.abs(poles)) if poles[i].imag > 0.0]
+    (p1, p2), (_, r2) = poles[order], residues[order]
+    share, w = -2.0 * (r2 * p2.conj()).real, abs(p2)
+    scale = 1.0 if output == 1 else -share / 1e6
+    return Model("modes", H, {"mass": 1.0, "damping": -2.0 * p1.real, "stiffness": abs(p1)**2,
+                              "force_constant": scale}).with_effect("second_mode", {
+        "share": share / scale, "frequency": w / (2.0 * np.pi), "damping_ratio": -p2.real / w,
+        "phase": np.arctan(-2.0 * r2.real * w / share)})
 
 
 def _creep_answer(s: np.ndarray) -> np.ndarray:
@@ -47,7 +73,7 @@ def test_creep_is_in_the_linear_part() -> None:
 
 @pytest.mark.parametrize("effects", [
     {"creep": CREEP}, {"creep": CREEP, "second_mode": {"share": 0.07, "frequency": 16.0,
-                                                       "damping_ratio": 0.01}},
+                                                       "damping_ratio": 0.01, "phase": 0.2}},
     {"amplifier_bandwidth": {"time_constant": 7e-4}, "back_emf": {"constant": 1.4}},
     {"coil_inductance": {"inductance": 2e-3}, "transport_delay": {"delay": 1.6e-3}}])
 def test_control_moves_as_the_simulator_does(effects: dict[str, dict[str, float]]) -> None:
@@ -63,6 +89,43 @@ def test_control_moves_as_the_simulator_does(effects: dict[str, dict[str, float]
     expected = Simulator(model).run(u)
     for ours, theirs in ((position, expected.position), (velocity, expected.velocity)):
         assert np.max(np.abs(ours - theirs)) < 1e-9 * np.max(np.abs(theirs))
+
+
+@pytest.mark.parametrize("dashpot", [0.5, 5.0, 30.0])
+@pytest.mark.parametrize(("output", "far"), [(1, 1e-9), (2, 2e-6)])
+def test_two_masses_with_a_dashpot_between_them_are_two_complex_modes(
+        dashpot: float, output: int, far: float) -> None:
+    a, b = _two_masses(dashpot)
+    phi, gamma, *_ = cont2discrete((a, b[:, None], np.eye(4), np.zeros((4, 1))), H)
+    u = np.random.default_rng(2).normal(size=600)
+    states = np.zeros((u.size, 4))
+    for k in range(u.size - 1):
+        states[k + 1] = phi @ states[k] + gamma[:, 0] * u[k]
+    model = _as_modes(a, b, output)
+    ours = Simulator(model).run(u)
+    for own, theirs in zip((ours.position, ours.velocity), states.T[2 * output - 2:],
+                           strict=False):
+        assert np.max(np.abs(own - theirs)) < far * np.max(np.abs(theirs))
+    real = Simulator(model.with_parameters({"second_mode.phase": 0.0})).run(u).position
+    assert np.max(np.abs(real - ours.position)) > 1e-4 * np.max(np.abs(ours.position))
+
+
+def test_a_nonlinear_force_acts_on_the_first_of_two_masses() -> None:
+    a, b = _two_masses(30.0)
+
+    def rates(_: float, s: np.ndarray, u: float) -> np.ndarray:
+        return a @ s + b * (u - 2e9 * s[0]**3)
+
+    u = np.repeat(np.random.default_rng(3).normal(size=15), 10)
+    state, theirs = np.zeros(4), []
+    for each in u:
+        theirs.append(state[0])
+        state = solve_ivp(rates, (0.0, H), state, args=(each,), method="DOP853", rtol=1e-10,
+                          atol=1e-15).y[:, -1]
+    plain = _as_modes(a, b, 1)
+    ours = Simulator(plain.with_effect("cubic_stiffness", {"k3": 2e9})).run(u).position
+    assert np.max(np.abs(ours - theirs)) < 1e-6 * np.max(np.abs(theirs))
+    assert np.max(np.abs(Simulator(plain).run(u).position - ours)) > 0.1 * np.max(np.abs(theirs))
 
 
 def test_the_drawn_response_has_creep_coil_and_bandwidth_in_it() -> None:
