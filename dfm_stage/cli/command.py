@@ -10,7 +10,6 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TextIO
@@ -135,14 +134,12 @@ def read_with(options: argparse.Namespace, path: str, axis: str | None = None) -
     DfmError
         If it cannot be read.
     """
-    hold = None if options.input_hold == "auto" else options.input_hold
-    shift = _shift(options.input_shift)
-    record = read_record(path, axis=axis, time=options.time, input=options.input,
-                         output=options.output, time_unit=options.time_unit,
-                         input_unit=options.input_unit, output_unit=options.output_unit,
-                         sample_period=options.sample_period)
-    return replace(record, axes={name: replace(each, input_hold=hold, input_shift=shift)
-                                 for name, each in record.axes.items()})
+    return read_record(path, axis=axis, time=options.time, input=options.input,
+                       output=options.output, time_unit=options.time_unit,
+                       input_unit=options.input_unit, output_unit=options.output_unit,
+                       sample_period=options.sample_period,
+                       input_hold=None if options.input_hold == "auto" else options.input_hold,
+                       input_shift=_shift(options.input_shift))
 
 
 def _shift(text: str) -> float | None:

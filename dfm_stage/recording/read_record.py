@@ -14,7 +14,7 @@ from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
 from dfm_stage.recording.errors import RecordError
 from dfm_stage.recording.mcap_scan import MAGIC
-from dfm_stage.recording.record import FloatArray, Record
+from dfm_stage.recording.record import AxisRecord, FloatArray, Record
 from dfm_stage.recording.table import Options, Table, table_record
 from dfm_stage.recording.table_files import CsvTable, load_mat, load_npz
 
@@ -35,7 +35,8 @@ def read_record(
     path: str | os.PathLike[str], *, axis: str | None = None, time: str | None = None,
     input: str | None = None, output: str | None = None,  # noqa: A002 named as the option is
     time_unit: str | None = None, input_unit: str | None = None, output_unit: str | None = None,
-    sample_period: float | None = None, gaps: str = "longest",
+    sample_period: float | None = None, gaps: str = "longest", input_hold: str | None = None,
+    input_shift: float | None = None,
 ) -> Record:
     """Read a record from a bag folder, an .mcap file (cut off or not), CSV, .npz or .mat.
 
@@ -53,6 +54,12 @@ def read_record(
     gaps : str
         What becomes of a record with samples missing: `longest` keeps the longest stretch without
         a gap, `mask` keeps all and puts NaN where nothing is known.
+    input_hold : str, optional
+        What the input does between its samples, one of `record.HOLDS`; by default it is to be
+        estimated. Where samples are moved to even times, an input that stands keeps its integral;
+        another is interpolated.
+    input_shift : float, optional
+        Samples by which the input acts later than its column says; by default to be estimated.
 
     Returns
     -------
@@ -69,9 +76,10 @@ def read_record(
         raise RecordError(f"gaps={gaps!r}: choose one of {', '.join(GAPS)}")
     kind = _kind(where)
     options = Options(axis, time, input, output, time_unit, input_unit, output_unit,
-                      sample_period, gaps)
+                      sample_period, gaps, input_hold, input_shift)
     if kind == "bag":
-        if options != Options(axis=axis, sample_period=sample_period, gaps=gaps):
+        if options != Options(axis=axis, sample_period=sample_period, gaps=gaps,
+                              input_hold=input_hold, input_shift=input_shift):
             raise RecordError("is a bag, whose topics say what they are; columns and "
                               "units (--time, --input, --output) are for tables", where)
         record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
@@ -128,11 +136,10 @@ def doubts(record: Record) -> list[str]:
                      f"seconds, name the column time_s (or say --time-unit s)")
     return found + [f"axis {name}: {text}" if len(record.axes) > 1 else text
                     for name, axis in record.axes.items()
-                    for text in _axis_doubts(axis.input, axis.input_unit, axis.position,
-                                             axis.position_unit)]
+                    for text in _axis_doubts(axis)]
 
 
-def _spikes(position: FloatArray, unit: str) -> list[str]:
+def _spikes(position: FloatArray, what: str, unit: str) -> list[str]:
     """Samples that lie far off both neighbours, which lie together."""
     if len(position) < 20:
         return []
@@ -143,30 +150,31 @@ def _spikes(position: FloatArray, unit: str) -> list[str]:
     if not len(places) or usual == 0.0:
         return []
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-    return [(f"the position jumps and comes back at sample {places[0]}{more} "
+    return [(f"the {what} jumps and comes back at sample {places[0]}{more} "
              f"({position[places[0]]:.4g} {unit}); empty cells would count as missing samples")]
 
 
-def _axis_doubts(drive: FloatArray, drive_unit: str, position: FloatArray,
-                 position_unit: str) -> list[str]:
+def _axis_doubts(axis: AxisRecord) -> list[str]:
     found = []
-    drive, position = drive[np.isfinite(drive)], position[np.isfinite(position)]
+    what, unit = axis.measures, axis.output_unit
+    drive = axis.input[np.isfinite(axis.input)]
+    position = axis.position[np.isfinite(axis.position)]
     if not len(drive) or not len(position):
-        return ["there is not one sample with both input and position"]
+        return [f"there is not one sample with both input and {what}"]
     if np.ptp(drive) == 0:
-        found.append(f"the input is constant ({drive[0]:.4g} {drive_unit}); only what happens "
-                     f"without excitation can be seen")
+        found.append(f"the input is constant ({drive[0]:.4g} {axis.input_unit}); only what "
+                     f"happens without excitation can be seen")
     if np.ptp(position) == 0:
-        found.append(f"the position is constant ({position[0]:.6g} {position_unit}); is the "
+        found.append(f"the {what} is constant ({position[0]:.6g} {unit}); is the "
                      f"encoder connected, and is this the right column?")
-    found += _spikes(position, position_unit)
+    found += _spikes(position, what, unit)
     travel = float(np.ptp(position))
-    if position_unit == "m" and travel > LARGEST_TRAVEL_M:
+    if unit == "m" and travel > LARGEST_TRAVEL_M:
         name, unit = ("micro", "um") if travel > 20 else ("milli", "mm")
         found.append(f"the position spans {travel:.4g} m; if the column is in {name}metres, name "
                      f"it position_{unit} (or say --output-unit {unit})")
     largest = float(np.abs(drive).max())
-    if drive_unit == "V" and largest > LARGEST_INPUT_V:
+    if axis.input_unit == "V" and largest > LARGEST_INPUT_V:
         found.append(f"the input reaches {largest:.4g} V; if the column is in millivolts, name it "
                      f"input_mv (or say --input-unit mV)")
     return found
