@@ -10,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dfm_stage.recording.bag_fields import FieldPath
+from dfm_stage.recording.bag_join import joined_record
 from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
 from dfm_stage.recording.errors import RecordError
 from dfm_stage.recording.mcap_scan import MAGIC
 from dfm_stage.recording.record import AxisRecord, FloatArray, Record
+from dfm_stage.recording.rosbag2_metadata import STORAGES
 from dfm_stage.recording.table import Options, Table, table_record
 from dfm_stage.recording.table_files import CsvTable, load_mat, load_npz
 
@@ -38,14 +41,16 @@ def read_record(
     sample_period: float | None = None, gaps: str = "longest", input_hold: str | None = None,
     input_shift: float | None = None,
 ) -> Record:
-    """Read a record from a bag folder, an .mcap file (cut off or not), CSV, .npz or .mat.
+    """Read a record from a bag folder, an .mcap (cut off or not) or .db3 file, CSV, .npz or .mat.
 
     Parameters
     ----------
     axis : str, optional
         Only this axis. With `input` and `output` given: the name of the axis they make.
     time, input, output : str, optional
-        Names of columns that are not named as in `time_s,input_v,position_m`.
+        Names of columns that are not named as in `time_s,input_v,position_m`. Of a bag: fields,
+        as `/joint_states.effort[0]`, and as time one of `header`, `publish` and `arrival`, or a
+        field; by default the stamps of the headers, where there are none those of the transport.
     time_unit, input_unit, output_unit : str, optional
         Their units, where the names do not say; lengths, times, volts and amperes become SI,
         others are carried.
@@ -78,18 +83,36 @@ def read_record(
     options = Options(axis, time, input, output, time_unit, input_unit, output_unit,
                       sample_period, gaps, input_hold, input_shift)
     if kind == "bag":
-        if options != Options(axis=axis, sample_period=sample_period, gaps=gaps,
-                              input_hold=input_hold, input_shift=input_shift):
-            raise RecordError("is a bag, whose topics say what they are; columns and "
-                              "units (--time, --input, --output) are for tables", where)
-        record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
-        first = min(where.glob("*.mcap")) if where.is_dir() else where
+        if options.names_columns:
+            paths = [FieldPath.parse(each) for each in (input, output) if each is not None]
+            record = joined_record(read_bag(where, {path.topic for path in paths}), options)
+        else:
+            if options != Options(axis=axis, sample_period=sample_period, gaps=gaps,
+                                  input_hold=input_hold, input_shift=input_shift):
+                raise RecordError("is a bag: name the fields of input and output, as --input "
+                                  "/joint_states.effort[0], or give neither times nor units",
+                                  where)
+            record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
+            record = _with_convention(record, input_hold, input_shift)
         record.warnings.extend(doubts(record))
+        first = _first_file(where)
         return replace(record, provenance=replace(record.provenance,
                                                   fingerprint=fingerprint(first)))
     record = table_record(_TABLES[kind](where), options, fingerprint(where))
     record.warnings.extend(doubts(record))
     return record
+
+
+def _with_convention(record: Record, hold: str | None, shift: float | None) -> Record:
+    return replace(record, axes={name: replace(each, input_hold=hold, input_shift=shift)
+                                 for name, each in record.axes.items()})
+
+
+def _first_file(bag: Path) -> Path:
+    """The file of a bag whose fingerprint stands for it."""
+    if not bag.is_dir():
+        return bag
+    return min(file for file in bag.iterdir() if file.suffix in STORAGES.values())
 
 
 def _kind(path: Path) -> str:
@@ -101,7 +124,8 @@ def _kind(path: Path) -> str:
     except OSError as error:
         raise RecordError(f"cannot be read ({error.strerror})", path) from error
     return next((kind for kind, suffix, magic in (
-        ("bag", ".mcap", MAGIC), ("npz", ".npz", b"PK\x03\x04"), ("mat", ".mat", b"MATLAB "))
+        ("bag", ".mcap", MAGIC), ("bag", ".db3", b"SQLite format 3\0"),
+        ("npz", ".npz", b"PK\x03\x04"), ("mat", ".mat", b"MATLAB "))
         if path.suffix == suffix or start.startswith(magic)), "csv")
 
 

@@ -87,8 +87,8 @@ def test_what_was_measured_survives_the_file(tmp_path: Path, measures: str) -> N
 
 @pytest.mark.parametrize(("column", "unit", "factor"), [
     ("input_N", "N", 1.0), ("input_n", "N", 1.0), ("input_mN", "N", 1e-3),
-    ("input_Nm", "N m", 1.0), ("input_nm", "N m", 1.0), ("input_NM", "N m", 1.0), ("input_V", "V", 1.0),
-    ("input_mv", "V", 1e-3), ("input_A", "A", 1.0), ("input_ma", "A", 1e-3),
+    ("input_Nm", "N m", 1.0), ("input_nm", "N m", 1.0), ("input_NM", "N m", 1.0),
+    ("input_V", "V", 1.0), ("input_mv", "V", 1e-3), ("input_A", "A", 1.0), ("input_ma", "A", 1e-3),
     ("x_input_n", "N", 1.0), ("input [N m]", "N m", 1.0)])
 def test_the_case_of_an_input_s_unit_does_not_matter(
         tmp_path: Path, column: str, unit: str, factor: float) -> None:
