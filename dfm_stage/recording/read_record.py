@@ -14,7 +14,7 @@ from dfm_stage.recording.bag_fields import FieldPath
 from dfm_stage.recording.bag_join import joined_record
 from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
-from dfm_stage.recording.errors import RecordError
+from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.mcap_scan import MAGIC
 from dfm_stage.recording.record import AxisRecord, FloatArray, Record
 from dfm_stage.recording.rosbag2_metadata import STORAGES
@@ -84,7 +84,8 @@ def read_record(
                       sample_period, gaps, input_hold, input_shift)
     if kind == "bag":
         if options.names_columns:
-            paths = [FieldPath.parse(each) for each in (input, output) if each is not None]
+            with in_file(where):
+                paths = [FieldPath.parse(each) for each in (input, output) if each is not None]
             record = joined_record(read_bag(where, {path.topic for path in paths}), options)
         else:
             if options != Options(axis=axis, sample_period=sample_period, gaps=gaps,
