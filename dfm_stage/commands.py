@@ -22,6 +22,7 @@ NODES: dict[str, str] = {
 TOOLS: dict[str, str] = {
     "demo": "bring the graph up, scan, excite, record, identify, show the table and the pictures",
     "example": "measured files and a model that lacks something, to try the commands on",
+    "bags": "what a bag of any nodes holds, what could be input and output; export to CSV",
     "identify": "model and 95 % intervals from a recorded bag or CSV file",
     "characterize": "stiffness, decrement, frequency and step response, from the graph",
     "paper": "run all that the paper did on the simulated stage, its numbers beside ours",

@@ -11,6 +11,7 @@ from dfm_stage.cli.command import (
     NO_REPORT,
     PROCESSES,
     SEED,
+    Options,
     command,
     dated_folder,
     finite,
@@ -20,9 +21,10 @@ from dfm_stage.cli.command import (
     write_json,
 )
 from dfm_stage.cli.graph_run import run_on_graph
+from dfm_stage.cli.records import RECORDS, read_with
 from dfm_stage.errors import DfmError
 from dfm_stage.model import Model, load_model, parse_model
-from dfm_stage.recording import Record, read_record
+from dfm_stage.recording import Record
 
 if TYPE_CHECKING:
     from dfm_stage.identification.characterisation import Characterisation
@@ -34,7 +36,7 @@ examples:
   ./run characterize decay --model my_stage.yaml --out tests/decay
   ./run characterize static --bag runs/static
 """
-OPTIONS = (
+OPTIONS: Options = (
     option("kind", nargs="?", default="all", choices=(*KINDS, "all"),
            help="what to do (default: all)"),
     option("--model", metavar="FILE", help="model.yaml of the simulated stage, a path or a name "
@@ -48,6 +50,7 @@ OPTIONS = (
     SEED,
     PROCESSES,
     NO_REPORT,
+    *RECORDS,
     json_option("characterize.json"),
 )
 
@@ -89,7 +92,7 @@ def main(options: argparse.Namespace) -> int:
 
 def _record(kind: str, options: argparse.Namespace, out: Path) -> Record:
     if options.bag:
-        return read_record(options.bag, axis=options.axis)
+        return read_with(options, options.bag, options.axis)
     from dfm_stage.identification.characterisation import EXPERIMENTS
 
     bag = out / kind

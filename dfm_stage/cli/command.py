@@ -10,15 +10,12 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
-from dfm_stage.recording import Record, read_record
-from dfm_stage.recording.record import HOLDS
 
 Option = tuple[tuple[str, ...], dict[str, Any]]
 Group = tuple[str, Sequence[Option]]
@@ -99,19 +96,6 @@ SEED = option("--seed", type=int, default=0, help="fixes the noise (default: 0)"
 PROCESSES = option("--processes", action="store_true",
                    help="one process per node instead of all in this one")
 NO_REPORT = option("--no-report", action="store_true", help="do not write report.html")
-COLUMNS: Group = ("CSV files with other column names", (
-    *(option(f"--{name}", metavar="COLUMN") for name in ("time", "input", "output")),
-    *(option(f"--{name}-unit", metavar="UNIT") for name in ("time", "input", "output")),
-    option("--sample-period", type=float, metavar="SECONDS")))
-"""What `read_with` needs to know of a foreign CSV file."""
-CONVENTION: Group = ("when the input acts", (
-    option("--input-hold", choices=("auto", *HOLDS), default="auto",
-           help="between samples the input stands (zero), goes straight to the next (first) or "
-           "is band-limited (default: found from the record)"),
-    option("--input-shift", default="auto", metavar="SAMPLES",
-           help="the input acts so many samples later than its column says; below 0: earlier "
-           "(default: found from the record)")))
-"""The convention of the data, as `read_with` puts it into the records."""
 
 
 def command_parser(name: str, description: str | None, epilog: str,
@@ -125,33 +109,6 @@ def command_parser(name: str, description: str | None, epilog: str,
         for names, how in entries:
             where.add_argument(*names, **how)
     return parser
-
-
-def read_with(options: argparse.Namespace, path: str, axis: str | None = None) -> Record:
-    """Read a record by the options of `COLUMNS` and `CONVENTION`.
-
-    Raises
-    ------
-    DfmError
-        If it cannot be read.
-    """
-    hold = None if options.input_hold == "auto" else options.input_hold
-    shift = _shift(options.input_shift)
-    record = read_record(path, axis=axis, time=options.time, input=options.input,
-                         output=options.output, time_unit=options.time_unit,
-                         input_unit=options.input_unit, output_unit=options.output_unit,
-                         sample_period=options.sample_period)
-    return replace(record, axes={name: replace(each, input_hold=hold, input_shift=shift)
-                                 for name, each in record.axes.items()})
-
-
-def _shift(text: str) -> float | None:
-    if text == "auto":
-        return None
-    with contextlib.suppress(ValueError):
-        if math.isfinite(shift := float(text)):
-            return shift
-    raise DfmError(f"--input-shift {text}: give a number of samples, or auto")
 
 
 def names_in(items: Sequence[str]) -> list[str]:
@@ -219,9 +176,14 @@ def write_json(path: Path, content: Any) -> str:
     DfmError
         If it cannot be written.
     """
-    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    text = json_text(content)
     write_output(path, text)
     return text
+
+
+def json_text(content: Any) -> str:
+    """Return a result as JSON."""
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def finite(value: Any) -> Any:

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 from ruamel.yaml import YAML
 
 from dfm_stage.cli.command import (
-    COLUMNS,
-    CONVENTION,
     NO_REPORT,
     TONES,
     Options,
@@ -22,12 +20,12 @@ from dfm_stage.cli.command import (
     option,
     output_folder,
     paint,
-    read_with,
     write_json,
     write_output,
 )
 from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
+from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
 from dfm_stage.model import EFFECTS, Model, load_model, save_model
 from dfm_stage.quantity import format_quantity
@@ -65,8 +63,8 @@ OPTIONS: Options = (
     option("--rounds", type=int, default=1, metavar="N",
            help="how often --run does so (default: %(default)s)"),
     option("--seed", type=int, default=0, help="fixes what is shuffled (default: 0)"),
-    COLUMNS,
-    CONVENTION,
+    SPLIT,
+    *RECORDS,
     json_option("diagnosis.json"),
     NO_REPORT,
 )
@@ -103,13 +101,15 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
     one = model.axis(options.axis or ("x" if "x" in model.axes else None))
     with steps("diagnose", options.json) as step:
         step("reading")
-        records = [read_with(options, path) for path in fitted]
-        holdout = [read_with(options, path) for path in held]
+        records, holdout = divided(options, *([
+            read_with(options, path, period=one.sample_period) for path in paths]
+            for paths in (fitted, held)))
+        names = [Path(path).name or path for path in fitted]
+        names += held_names(options, names, [Path(path).name or path for path in held])
         found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
                          free=[*default_free(one), *names_in(options.free)],
                          fixed=names_in(options.fix),
-                         names=[Path(p).name or p for p in (*fitted, *held)],
-                         seed=options.seed, step=step)
+                         names=names, seed=options.seed, step=step)
         step("writing")
         text = write_json(out / "diagnosis.json", {
             **found.to_dict(), "records": list(fitted), "holdout": list(held)})

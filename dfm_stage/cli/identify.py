@@ -10,20 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dfm_stage.cli.command import (
-    COLUMNS,
-    CONVENTION,
     NO_REPORT,
     CheckFailedError,
+    Options,
     command,
     finite,
     json_option,
     names_in,
     option,
     output_folder,
-    read_with,
     write_json,
 )
 from dfm_stage.cli.progress import steps
+from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
 from dfm_stage.model import Model, load_model, save_model
 from dfm_stage.quantity import format_number, format_quantity
@@ -40,7 +39,7 @@ examples:
 """
 FEWEST_SAMPLES = 100
 """A shorter record is refused: it holds too little of a stage's motion to fit a noise model to."""
-OPTIONS = (
+OPTIONS: Options = (
     option("bags", nargs="*", metavar="BAG",
            help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together"),
     option("--record", action="append", default=[], metavar="BAG",
@@ -64,8 +63,8 @@ OPTIONS = (
            help="noise model: an autoregression of fitting order, or white"),
     option("--skip", type=float, default=0.0, metavar="SECONDS",
            help="leave out the start of each record"),
-    COLUMNS,
-    CONVENTION,
+    SPLIT,
+    *RECORDS,
     json_option("identify.json"),
     NO_REPORT,
 )
@@ -85,12 +84,14 @@ def main(options: argparse.Namespace) -> int:
 
         model = load_model(options.model).axis(options.axis) if options.model else None
         names = [*paths, *options.holdout]
-        records = [read_with(options, path, options.axis) for path in names]
-        sources = [_source(path, record, options)
-                   for path, record in zip(names, records, strict=True)]
-        found = identify(sources[:len(paths)], model=model, free=_free(options, model),
-                         fixed=fixed, holdout=sources[len(paths):], noise=options.noise,
-                         step=step)
+        records = _read(options, names, model)
+        fitted, held = divided(options, records[:len(paths)], records[len(paths):])
+        labels = [Path(path).name or path for path in names]
+        apart = held_names(options, labels[:len(paths)], labels[len(paths):])
+        found = identify(
+            [_source(*each, options) for each in zip(labels, fitted, strict=False)], model=model,
+            free=_free(options, model), fixed=fixed, noise=options.noise, step=step,
+            holdout=[_source(*each, options) for each in zip(apart, held, strict=True)])
         step("report")
         text = write_json(out / "identify.json", {**finite(found.to_dict()), "records": names})
         save_model(_signed(found, paths), out / "model.yaml")
@@ -108,9 +109,19 @@ def main(options: argparse.Namespace) -> int:
     return 0
 
 
-def _source(path: str, record: Record, options: argparse.Namespace) -> Source:
-    from dfm_stage.identification import Source
+def _read(options: argparse.Namespace, names: Sequence[str],
+          model: Model | None) -> list[Record]:
+    """Read the records at one period: the model's, without a model that of the first record."""
+    records: list[Record] = []
+    period = None if model is None else model.sample_period
+    for path in names:
+        record = read_with(options, path, options.axis, period)
+        period = record.sample_period if period is None else period
+        records.append(_without_start(path, record, options))
+    return records
 
+
+def _without_start(path: str, record: Record, options: argparse.Namespace) -> Record:
     skip = round(options.skip / record.sample_period)
     if len(record) < FEWEST_SAMPLES:
         raise DfmError(f"{path}: {len(record)} samples are too few to identify from: record "
@@ -119,9 +130,13 @@ def _source(path: str, record: Record, options: argparse.Namespace) -> Source:
         raise DfmError(f"{path}: --skip {options.skip:g} leaves {len(record) - skip} of "
                        f"{len(record)} samples: skip between 0 and "
                        f"{(len(record) - FEWEST_SAMPLES) * record.sample_period:g} s")
-    record = record.slice(skip) if skip else record
-    return Source(Path(path).name or path, record.axis(options.axis), record.sample_period,
-                  tuple(record.warnings))
+    return record.slice(skip) if skip else record
+
+
+def _source(name: str, record: Record, options: argparse.Namespace) -> Source:
+    from dfm_stage.identification import Source
+
+    return Source(name, record.axis(options.axis), record.sample_period, tuple(record.warnings))
 
 
 def _free(options: argparse.Namespace, model: Model | None) -> list[str] | None:
@@ -152,8 +167,10 @@ def _signed(found: Identification, paths: Sequence[str]) -> Model:
     """Return the model with where it comes from and how well its parameters are known."""
     from dfm_stage.identification.convention import origin_of
 
+    unit = found.sources[0].axis.input_unit
     return replace(found.model, origin={
         "identified_from": [Path(p).name for p in paths], **origin_of(found.conventions),
+        **({} if unit == found.model.input_unit else {"input_unit": unit}),
         "ci95": {name: [finite(float(x)) for x in q.ci95]
                  for name, q in found.estimate.quantities().items() if q.ci95 is not None}})
 

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dfm_stage.cli.command import CheckFailedError, command, option
+from dfm_stage.cli.command import CheckFailedError, Options, command, option
 from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
+from dfm_stage.cli.records import RECORDS, as_words
 from dfm_stage.cli.tune_verify import Tracking, as_experiment, compare
 from dfm_stage.control import (
     Tuned,
@@ -40,7 +41,7 @@ EPILOG = """examples:
 then:
   ./run controller --ros-args --params-file pid.yaml
 """
-OPTIONS = (
+OPTIONS: Options = (
     option("--model", metavar="FILE",
            help="model.yaml, a path or a name in config/models; with --bag, where "
            "identification starts from"),
@@ -87,6 +88,7 @@ OPTIONS = (
                help="gain to start from (default: %(default)s V/m)"),
         option("--duration", type=float, default=30.0, metavar="S",
                help="time for each way (default: %(default)s s)"))),
+    *RECORDS,
 )
 
 
@@ -106,8 +108,8 @@ def main(options: argparse.Namespace) -> int:
         raise DfmError(f"--margin {options.margin:g}: give a number between 0 and 1")
     name = options.model
     if options.bag:
-        name = identified(options.bag, out.with_suffix(""), model=options.model,
-                          axis=options.axis)
+        name = identified(options.bag, out.with_suffix(""), *as_words(options, *RECORDS),
+                          model=options.model, axis=options.axis)
     model = load_model(name)
     if Path(name).is_file():
         name = str(Path(name).resolve())
@@ -154,12 +156,13 @@ def _tuned(axis: str, model: Model, name: str,
     return tune_ziegler_nichols(model, next(iter(found.values()), None), options.limit), found
 
 
-def identified(bag: str, folder: Path, **given: str | None) -> str:
-    """Identify a model from a bag and return its file; `given` are options of identify."""
+def identified(bag: str, folder: Path, *words: str, **given: str | None) -> str:
+    """Identify a model from a bag and return its file; `words` and `given` are options of
+    identify."""
     from dfm_stage.cli import identify
 
     further = [word for name, value in given.items() if value for word in (f"--{name}", value)]
-    if identify.main([bag, "--out", str(folder), "--no-report", *further]) != 0:
+    if identify.main([bag, "--out", str(folder), "--no-report", *words, *further]) != 0:
         raise DfmError(f"{bag}: no model could be identified (see above)")
     return str(folder / "model.yaml")
 

@@ -21,6 +21,7 @@ from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
 from dfm_stage.identification.convention import find_convention
 from dfm_stage.identification.decisions import SAME_PERIOD
+from dfm_stage.identification.input_unit import input_mismatch
 from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.model import Model
@@ -90,6 +91,9 @@ def observe(record: Record, model: Model, axis: str | None = None,
         raise DiagnosisError(f"{called}: the output is in {unit}, the model in "
                              f"{model.position_unit}; give --output-unit or set position_unit "
                              "in the model")
+    mismatch = input_mismatch(model, data.input_unit)
+    if mismatch:
+        raise DiagnosisError(f"{called}: {mismatch}")
     for what, signal in (("input", data.input), ("output", data.position)):
         bad = np.flatnonzero(~np.isfinite(signal))
         if bad.size:

@@ -16,6 +16,7 @@ from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
 from dfm_stage.identification.grid_start import grid_start
+from dfm_stage.identification.input_unit import input_mismatch
 from dfm_stage.identification.model_fit import (
     ModelFit,
     default_free,
@@ -128,6 +129,9 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     if not sources:
         raise IdentificationError("no record to identify from: give at least one")
     _check_alike([*sources, *holdout])
+    mismatch = None if model is None else input_mismatch(model, sources[0].axis.input_unit)
+    if mismatch:
+        raise IdentificationError(f"{sources[0].name}: {mismatch}")
     for source in sources:
         if np.ptp(source.axis.position) == 0.0:
             raise IdentificationError(f"{source.name}: the position never changes: check the "

@@ -8,6 +8,7 @@ from dfm_stage.recording.bag import (
     Ragged,
     Topic,
 )
+from dfm_stage.recording.bag_fields import BagField, numeric_fields
 from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_writer import BagWriter
 from dfm_stage.recording.errors import (
@@ -20,10 +21,11 @@ from dfm_stage.recording.errors import (
 )
 from dfm_stage.recording.mcap_scan import Loss
 from dfm_stage.recording.message_definitions import definition_text
+from dfm_stage.recording.parts import at_period, part, split, without_gaps
 from dfm_stage.recording.read_record import read_record
 from dfm_stage.recording.record import AxisRecord, Provenance, Record
 from dfm_stage.recording.rosbag2_metadata import QosProfile
-from dfm_stage.recording.table_files import write_csv, write_mat
+from dfm_stage.recording.table_files import write_csv, write_mat, write_npz
 
 __all__ = [
     "MODEL_ATTACHMENT",
@@ -31,6 +33,7 @@ __all__ = [
     "VERSIONS_ATTACHMENT",
     "AxisRecord",
     "Bag",
+    "BagField",
     "BagReadError",
     "BagWriteError",
     "BagWriter",
@@ -44,9 +47,15 @@ __all__ = [
     "RecordError",
     "RecordingError",
     "Topic",
+    "at_period",
     "definition_text",
+    "numeric_fields",
+    "part",
     "read_bag",
     "read_record",
+    "split",
+    "without_gaps",
     "write_csv",
     "write_mat",
+    "write_npz",
 ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import fnmatch
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -20,6 +21,25 @@ MODEL_ATTACHMENT = "model.yaml"
 PARAMETERS_ATTACHMENT = "parameters.yaml"
 VERSIONS_ATTACHMENT = "versions.json"
 DROPPED_KEY = "messages_dropped"     # custom data of metadata.yaml: messages the recorder lost
+
+
+def chosen_topics(path: Path, names: Collection[str], patterns: Iterable[str] | None) -> set[str]:
+    """Return the topics that names, which must be there, or patterns ask for; all by default.
+
+    Raises
+    ------
+    NotInBagError
+        If a topic asked for is not among `names`.
+    """
+    if patterns is None:
+        return set(names)
+    chosen: set[str] = set()
+    for pattern in patterns:
+        if pattern not in names and not set("*?[") & set(pattern):
+            raise NotInBagError(f"{path}: no topic {pattern}; there are "
+                                f"{', '.join(sorted(names)) or 'none'}")
+        chosen |= set(fnmatch.filter(names, pattern))
+    return chosen
 
 
 @dataclass(frozen=True)
@@ -58,6 +78,7 @@ class Topic(Mapping[str, Any]):
     ----------
     log_time_ns, publish_time_ns : (N,) int64
     sequence : (N,) uint32
+    text_columns, time_columns : names of the columns of text, and of times in ns
     left_out : list of str
         Fields that are not in the columns, each with the reason.
     """
@@ -70,6 +91,7 @@ class Topic(Mapping[str, Any]):
     columns: Mapping[str, Array | Ragged]
     texts: Array
     text_columns: frozenset[str]
+    time_columns: frozenset[str] = frozenset()
     left_out: list[str] = field(default_factory=list)
 
     @property

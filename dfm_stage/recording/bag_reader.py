@@ -7,7 +7,6 @@ straight into its place in the arrays that are returned, and nothing else grows 
 
 from __future__ import annotations
 
-import fnmatch
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,13 +20,14 @@ import numpy as np
 from mcap.records import Channel
 from numpy.typing import NDArray
 
-from dfm_stage.recording.bag import DROPPED_KEY, Bag, Topic
+from dfm_stage.recording.bag import DROPPED_KEY, Bag, Topic, chosen_topics
 from dfm_stage.recording.chunk_data import DamagedError, expand, survey_chunk
 from dfm_stage.recording.decode_plan import Plan, compile_plan
-from dfm_stage.recording.errors import BagReadError, DefinitionError, NotInBagError
+from dfm_stage.recording.errors import BagReadError, DefinitionError
 from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
 from dfm_stage.recording.message_definitions import full_name, parse_schema
-from dfm_stage.recording.rosbag2_metadata import BagFiles, find_files
+from dfm_stage.recording.rosbag2_metadata import STORAGES, BagFiles, find_files
+from dfm_stage.recording.sqlite_bag import read_sqlite
 
 if TYPE_CHECKING:
     from dfm_stage.recording.topic_arrays import TopicArrays
@@ -38,7 +38,7 @@ _UNWANTED = -1            # the topic number of channels that are not read
 
 def read_bag(path: str | os.PathLike[str], topics: Iterable[str] | None = None, *,
              threads: int | None = None) -> Bag:
-    """Read a bag folder, or one .mcap file, whole or cut off, into arrays.
+    """Read a bag folder, or one .mcap (whole or cut off) or .db3 file, into arrays.
 
     Parameters
     ----------
@@ -59,6 +59,8 @@ def read_bag(path: str | os.PathLike[str], topics: Iterable[str] | None = None, 
     """
     where = Path(path)
     files = find_files(where)
+    if files.files[0].suffix == STORAGES["sqlite3"]:
+        return read_sqlite(where, files, topics)
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))))
         sources = []
@@ -163,19 +165,13 @@ class _Reader:
 
     def choose(self, topics: Iterable[str] | None) -> None:
         """Give every topic that is asked for, and can be decoded, a number."""
-        patterns = None if topics is None else list(topics)
-        names = {channel.topic for source in self.sources
-                 for channel in source.scan.channels.values()}
-        for pattern in patterns or ():
-            if pattern not in names and not set("*?[") & set(pattern):
-                raise NotInBagError(f"{self.path}: no topic {pattern}; there are "
-                                    f"{', '.join(sorted(names)) or 'none'}")
+        chosen = chosen_topics(self.path, {channel.topic for source in self.sources
+                                           for channel in source.scan.channels.values()}, topics)
         numbers: dict[str, int] = {}
         for source in self.sources:
             for channel in source.scan.channels.values():
                 name = channel.topic
-                if patterns is not None and not any(fnmatch.fnmatchcase(name, pattern)
-                                                    for pattern in patterns):
+                if name not in chosen:
                     continue
                 try:
                     wanted = understood(source.scan, channel)

@@ -213,7 +213,7 @@ def _on_one_time_base(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Reco
            for shift, axis in zip(shifts, axes, strict=True)]
     valid = np.all([np.isfinite(part["position"]) & np.isfinite(part["input"]) for part in cut],
                    axis=0)
-    keep = _kept(valid, period, gaps, warnings)
+    keep = kept_samples(valid, period, gaps, warnings)
     result = {axis.name: _axis_record({name: array[keep] for name, array in part.items()},
                                       axis, warnings)
               for axis, part in zip(axes, cut, strict=True)}
@@ -226,7 +226,7 @@ def _on_one_time_base(bag: Bag, run: _Run, axes: list[_Axis], gaps: str) -> Reco
         warnings)
 
 
-def _kept(valid: NDArray[np.bool_], period: float, gaps: str, warnings: list[str]) -> slice:
+def kept_samples(valid: NDArray[np.bool_], period: float, gaps: str, warnings: list[str]) -> slice:
     """Return the samples to keep: what is known at both ends, and without a gap unless masked."""
     known = np.flatnonzero(valid)
     if len(known) < 3:

@@ -48,11 +48,14 @@ _LEAVES: dict[str, tuple[Op, str, int]] = {
 
 @dataclass(frozen=True)
 class Column:
-    """Where a field goes: `dtype` "" means text; `count` > 1 makes rows of that many elements."""
+    """Where a field goes: `dtype` "" means text; `count` > 1 makes rows of that many elements.
+
+    `time` says that the numbers are times or durations in ns."""
 
     name: str
     dtype: str
     count: int = 1
+    time: bool = field(default=False, compare=False)
 
     @property
     def stored_dtype(self) -> np.dtype[np.generic]:
@@ -139,10 +142,10 @@ def _leaf(plan: Plan, item: Field, name: str, depth: int) -> None:
     """Add one field of primitives, times or text."""
     op, dtype, size = _LEAVES[item.base]
     if item.count != 0:
-        column = Column(name, dtype, item.count or 1)
+        column = Column(name, dtype, item.count or 1, op == Op.TIME)
         plan.instructions.append((op, size, column.count, _target(plan, column, depth)))
         return
-    target = _target(plan, Column(name, dtype), depth + 1)
+    target = _target(plan, Column(name, dtype, time=op == Op.TIME), depth + 1)
     if op == Op.COPY:
         plan.instructions.append((Op.SEQUENCE, size, 0, target))
     else:

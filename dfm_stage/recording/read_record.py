@@ -10,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dfm_stage.recording.bag_fields import FieldPath
+from dfm_stage.recording.bag_join import joined_record
 from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
-from dfm_stage.recording.errors import RecordError
+from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.mcap_scan import MAGIC
-from dfm_stage.recording.record import FloatArray, Record
+from dfm_stage.recording.record import AxisRecord, FloatArray, Record
+from dfm_stage.recording.rosbag2_metadata import STORAGES
 from dfm_stage.recording.table import Options, Table, table_record
 from dfm_stage.recording.table_files import CsvTable, load_mat, load_npz
 
@@ -35,16 +38,19 @@ def read_record(
     path: str | os.PathLike[str], *, axis: str | None = None, time: str | None = None,
     input: str | None = None, output: str | None = None,  # noqa: A002 named as the option is
     time_unit: str | None = None, input_unit: str | None = None, output_unit: str | None = None,
-    sample_period: float | None = None, gaps: str = "longest",
+    sample_period: float | None = None, gaps: str = "longest", input_hold: str | None = None,
+    input_shift: float | None = None,
 ) -> Record:
-    """Read a record from a bag folder, an .mcap file (cut off or not), CSV, .npz or .mat.
+    """Read a record from a bag folder, an .mcap (cut off or not) or .db3 file, CSV, .npz or .mat.
 
     Parameters
     ----------
     axis : str, optional
         Only this axis. With `input` and `output` given: the name of the axis they make.
     time, input, output : str, optional
-        Names of columns that are not named as in `time_s,input_v,position_m`.
+        Names of columns that are not named as in `time_s,input_v,position_m`. Of a bag: fields,
+        as `/joint_states.effort[0]`, and as time one of `header`, `publish` and `arrival`, or a
+        field; by default the stamps of the headers, where there are none those of the transport.
     time_unit, input_unit, output_unit : str, optional
         Their units, where the names do not say; lengths, times, volts and amperes become SI,
         others are carried.
@@ -53,6 +59,12 @@ def read_record(
     gaps : str
         What becomes of a record with samples missing: `longest` keeps the longest stretch without
         a gap, `mask` keeps all and puts NaN where nothing is known.
+    input_hold : str, optional
+        What the input does between its samples, one of `record.HOLDS`; by default it is to be
+        estimated. Where samples are moved to even times, an input that stands keeps its integral;
+        another is interpolated.
+    input_shift : float, optional
+        Samples by which the input acts later than its column says; by default to be estimated.
 
     Returns
     -------
@@ -69,19 +81,39 @@ def read_record(
         raise RecordError(f"gaps={gaps!r}: choose one of {', '.join(GAPS)}")
     kind = _kind(where)
     options = Options(axis, time, input, output, time_unit, input_unit, output_unit,
-                      sample_period, gaps)
+                      sample_period, gaps, input_hold, input_shift)
     if kind == "bag":
-        if options != Options(axis=axis, sample_period=sample_period, gaps=gaps):
-            raise RecordError("is a bag, whose topics say what they are; columns and "
-                              "units (--time, --input, --output) are for tables", where)
-        record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
-        first = min(where.glob("*.mcap")) if where.is_dir() else where
+        if options.names_columns:
+            with in_file(where):
+                paths = [FieldPath.parse(each) for each in (input, output) if each is not None]
+            record = joined_record(read_bag(where, {path.topic for path in paths}), options)
+        else:
+            if options != Options(axis=axis, sample_period=sample_period, gaps=gaps,
+                                  input_hold=input_hold, input_shift=input_shift):
+                raise RecordError("is a bag: name the fields of input and output, as --input "
+                                  "/joint_states.effort[0], or give neither times nor units",
+                                  where)
+            record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
+            record = _with_convention(record, input_hold, input_shift)
         record.warnings.extend(doubts(record))
+        first = _first_file(where)
         return replace(record, provenance=replace(record.provenance,
                                                   fingerprint=fingerprint(first)))
     record = table_record(_TABLES[kind](where), options, fingerprint(where))
     record.warnings.extend(doubts(record))
     return record
+
+
+def _with_convention(record: Record, hold: str | None, shift: float | None) -> Record:
+    return replace(record, axes={name: replace(each, input_hold=hold, input_shift=shift)
+                                 for name, each in record.axes.items()})
+
+
+def _first_file(bag: Path) -> Path:
+    """The file of a bag whose fingerprint stands for it."""
+    if not bag.is_dir():
+        return bag
+    return min(file for file in bag.iterdir() if file.suffix in STORAGES.values())
 
 
 def _kind(path: Path) -> str:
@@ -93,7 +125,8 @@ def _kind(path: Path) -> str:
     except OSError as error:
         raise RecordError(f"cannot be read ({error.strerror})", path) from error
     return next((kind for kind, suffix, magic in (
-        ("bag", ".mcap", MAGIC), ("npz", ".npz", b"PK\x03\x04"), ("mat", ".mat", b"MATLAB "))
+        ("bag", ".mcap", MAGIC), ("bag", ".db3", b"SQLite format 3\0"),
+        ("npz", ".npz", b"PK\x03\x04"), ("mat", ".mat", b"MATLAB "))
         if path.suffix == suffix or start.startswith(magic)), "csv")
 
 
@@ -128,11 +161,10 @@ def doubts(record: Record) -> list[str]:
                      f"seconds, name the column time_s (or say --time-unit s)")
     return found + [f"axis {name}: {text}" if len(record.axes) > 1 else text
                     for name, axis in record.axes.items()
-                    for text in _axis_doubts(axis.input, axis.input_unit, axis.position,
-                                             axis.position_unit)]
+                    for text in _axis_doubts(axis)]
 
 
-def _spikes(position: FloatArray, unit: str) -> list[str]:
+def _spikes(position: FloatArray, what: str, unit: str) -> list[str]:
     """Samples that lie far off both neighbours, which lie together."""
     if len(position) < 20:
         return []
@@ -143,30 +175,31 @@ def _spikes(position: FloatArray, unit: str) -> list[str]:
     if not len(places) or usual == 0.0:
         return []
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-    return [(f"the position jumps and comes back at sample {places[0]}{more} "
+    return [(f"the {what} jumps and comes back at sample {places[0]}{more} "
              f"({position[places[0]]:.4g} {unit}); empty cells would count as missing samples")]
 
 
-def _axis_doubts(drive: FloatArray, drive_unit: str, position: FloatArray,
-                 position_unit: str) -> list[str]:
+def _axis_doubts(axis: AxisRecord) -> list[str]:
     found = []
-    drive, position = drive[np.isfinite(drive)], position[np.isfinite(position)]
+    what, unit = axis.measures, axis.output_unit
+    drive = axis.input[np.isfinite(axis.input)]
+    position = axis.position[np.isfinite(axis.position)]
     if not len(drive) or not len(position):
-        return ["there is not one sample with both input and position"]
+        return [f"there is not one sample with both input and {what}"]
     if np.ptp(drive) == 0:
-        found.append(f"the input is constant ({drive[0]:.4g} {drive_unit}); only what happens "
-                     f"without excitation can be seen")
+        found.append(f"the input is constant ({drive[0]:.4g} {axis.input_unit}); only what "
+                     f"happens without excitation can be seen")
     if np.ptp(position) == 0:
-        found.append(f"the position is constant ({position[0]:.6g} {position_unit}); is the "
+        found.append(f"the {what} is constant ({position[0]:.6g} {unit}); is the "
                      f"encoder connected, and is this the right column?")
-    found += _spikes(position, position_unit)
+    found += _spikes(position, what, unit)
     travel = float(np.ptp(position))
-    if position_unit == "m" and travel > LARGEST_TRAVEL_M:
+    if unit == "m" and travel > LARGEST_TRAVEL_M:
         name, unit = ("micro", "um") if travel > 20 else ("milli", "mm")
         found.append(f"the position spans {travel:.4g} m; if the column is in {name}metres, name "
                      f"it position_{unit} (or say --output-unit {unit})")
     largest = float(np.abs(drive).max())
-    if drive_unit == "V" and largest > LARGEST_INPUT_V:
+    if axis.input_unit == "V" and largest > LARGEST_INPUT_V:
         found.append(f"the input reaches {largest:.4g} V; if the column is in millivolts, name it "
                      f"input_mv (or say --input-unit mV)")
     return found

@@ -16,6 +16,8 @@ from dfm_stage.recording.errors import BagReadError
 from dfm_stage.recording.mcap_scan import Loss
 
 METADATA_FILE = "metadata.yaml"
+STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
+"""The storages of rosbag2 that are read, and what their files end in."""
 INFINITE_NS = 2**63 - 1
 VERSION = 9
 
@@ -46,19 +48,25 @@ def find_files(path: Path) -> BagFiles:
         return BagFiles([path])
     if not path.is_dir():
         raise BagReadError(f"{path}: there is no such file or folder")
-    bag = BagFiles(sorted(path.glob("*.mcap"), key=_natural))
+    bag = BagFiles(next((found for suffix in STORAGES.values()
+                         if (found := sorted(path.glob(f"*{suffix}"), key=_natural))), []))
     _apply_metadata(path, bag)
     if not bag.files:
-        others = [item.name for item in path.iterdir() if item.suffix in (".db3", ".zstd")]
+        others = [item.name for item in path.iterdir() if item.suffix == ".zstd"]
         if others:
             raise BagReadError(f"{path}: {others[0]} is not read here; convert the bag to plain "
                                f"MCAP first (ros2 bag convert)")
-        raise BagReadError(f"{path}: holds no .mcap file; give a bag folder or an .mcap file")
+        raise BagReadError(f"{path}: holds no .mcap or .db3 file; give a bag folder or such a "
+                           f"file")
     return bag
 
 
 def _natural(path: Path) -> list[Any]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+
+
+def _suffix(bag: BagFiles) -> str:
+    return bag.files[0].suffix if bag.files else ".mcap"
 
 
 def _apply_metadata(path: Path, bag: BagFiles) -> None:
@@ -70,8 +78,8 @@ def _apply_metadata(path: Path, bag: BagFiles) -> None:
         information = dict(YAML(typ="safe").load(file.read_text(encoding="utf-8"))[
             "rosbag2_bagfile_information"])
     except FileNotFoundError:
-        bag.losses.append(Loss(f"{path}: has no {METADATA_FILE}; the .mcap files were read in "
-                               f"the order of their names"))
+        bag.losses.append(Loss(f"{path}: has no {METADATA_FILE}; the {_suffix(bag)} files were "
+                               f"read in the order of their names"))
     except (OSError, ValueError, YAMLError, KeyError, TypeError):
         bag.losses.append(Loss(f"{file}: is damaged and was not used"))
     else:
@@ -80,7 +88,7 @@ def _apply_metadata(path: Path, bag: BagFiles) -> None:
 
 def _apply(information: dict[str, Any], path: Path, bag: BagFiles) -> None:
     storage = information.get("storage_identifier")
-    if storage != "mcap":
+    if storage not in STORAGES:
         raise BagReadError(f"{path}: is stored as {storage}; convert it to MCAP first "
                            f"(ros2 bag convert)")
     if str(information.get("compression_mode") or "none").lower() != "none":

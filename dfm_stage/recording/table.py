@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -12,57 +12,27 @@ import numpy as np
 
 from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.record import AxisRecord, FloatArray, Ints, Provenance, Record
+from dfm_stage.recording.sample_numbers import (
+    NUMBERS,
+    by_number,
+    missing_note,
+    regenerated_period,
+    sample_numbers,
+)
 from dfm_stage.recording.time_base import (
     TimeBase,
     average_held,
     find_time_base,
-    kept_stretch,
     resample,
 )
+from dfm_stage.recording.units import Unit, column_unit, measured, suffix_of, unit_of
 
 DEFAULT_AXIS = "x"
-_QUANTITY = re.compile(r"(?:(?P<axis>\w+)_)?(?P<quantity>input|position|current|reference)")
-_KINDS = {"position": "a position", "input": "an input", "current": "a current (A)",
-          "reference": "a reference"}
+_QUANTITY = re.compile(r"(?:(?P<axis>\w+)_)?(?P<quantity>input|position|velocity|acceleration|"
+                       r"current|reference)")
+_KINDS = {"position": "a position", "input": "an input"}
+_OUTPUTS = ("position", "velocity", "acceleration")
 _SHOWN = 8
-
-
-@dataclass(frozen=True)
-class Unit:
-    """`factor` times a value in this unit is the value in `base`; other units are carried."""
-
-    base: str
-    factor: float = 1.0
-
-
-def _scaled(base: str, **names: float) -> dict[str, Unit]:
-    return {name: Unit(base, factor) for name, factor in names.items()}
-
-
-UNITS: dict[str, Unit] = {
-    **_scaled("s", s=1.0, sec=1.0, ms=1e-3, us=1e-6, ns=1e-9),
-    **_scaled("m", m=1.0, cm=1e-2, mm=1e-3, um=1e-6, nm=1e-9, pm=1e-12),
-    **_scaled("V", v=1.0, kv=1e3, mv=1e-3, uv=1e-6),
-    **_scaled("A", a=1.0, ma=1e-3, ua=1e-6),
-    **{name: Unit(name) for name in ("rad", "mrad", "urad", "deg", "arcsec", "counts")},
-}
-CASED = {"N": Unit("N"), "mN": Unit("N", 1e-3), "Nm": Unit("N m")}
-
-
-def unit_of(name: str) -> Unit | None:
-    """Return the unit of that name (`um`, `μm`, `mV`, ...), None if it is not known."""
-    plain = name.strip().replace("µ", "u").replace("μ", "u")
-    return CASED.get(plain) or UNITS.get(plain.lower())
-
-
-def suffix_of(column: str) -> tuple[str, Unit | None]:
-    """Split a column name into (rest, unit): `x_position_um` or `position [um]`."""
-    bracket = re.fullmatch(r"(.*?)\s*[\[(]([^\])]+)[\])]\s*", column)
-    rest, _, suffix = column.rpartition("_")
-    if bracket:
-        rest, suffix = bracket[1], bracket[2]
-    unit = unit_of(suffix) if rest else None
-    return (rest.strip(), unit) if unit else (column.strip(), None)
 
 
 class Table(Protocol):
@@ -84,15 +54,17 @@ class Table(Protocol):
 def columns_of(record: Record) -> dict[str, FloatArray]:
     """Return a record as the columns that `read_record` understands, by name.
 
-    `time_s`, and for each axis `input_v`, `position_m`, `current_a`, `reference_m` as far as there
-    are, prefixed by the axis name where there are several axes.
+    `time_s`, and for each axis `input_v`, `position_m`, `velocity_m_s`, `current_a`, `reference_m`
+    as far as there are, prefixed by the axis name where there are several axes.
     """
     columns: dict[str, FloatArray] = {"time_s": record.time}
     for name, axis in record.axes.items():
         prefix = f"{name}_" if len(record.axes) > 1 else ""
-        position_unit = axis.position_unit.lower()
-        columns[f"{prefix}input_{axis.input_unit.lower()}"] = axis.input
-        columns[f"{prefix}position_{position_unit}"] = axis.position
+        unit, position_unit = column_unit(axis.output_unit), column_unit(axis.position_unit)
+        columns[f"{prefix}input_{column_unit(axis.input_unit)}"] = axis.input
+        columns[f"{prefix}{axis.measures}_{unit}"] = axis.position
+        if axis.velocity is not None:
+            columns[f"{prefix}velocity_{position_unit}_s"] = axis.velocity
         if axis.current is not None:
             columns[f"{prefix}current_a"] = axis.current
         if axis.reference is not None:
@@ -113,6 +85,8 @@ class Options:
     output_unit: str | None = None
     sample_period: float | None = None
     gaps: str = "longest"
+    input_hold: str | None = None
+    input_shift: float | None = None
 
     @property
     def names_columns(self) -> bool:
@@ -133,10 +107,13 @@ class _Choice:
     time: _Source | None
     axes: dict[str, dict[str, _Source]]
     notes: list[str] = field(default_factory=list)
+    number: str | None = None
 
     def used(self) -> list[str]:
+        """Return the names of all columns that are needed."""
         names = [source.column for axis in self.axes.values() for source in axis.values()]
-        return names if self.time is None else [self.time.column, *names]
+        first = [] if self.time is None else [self.time.column]
+        return list(dict.fromkeys([*first, *([self.number] if self.number else []), *names]))
 
 
 def table_record(table: Table, options: Options, fingerprint: str = "") -> Record:
@@ -153,6 +130,8 @@ def table_record(table: Table, options: Options, fingerprint: str = "") -> Recor
 
 def _record(table: Table, options: Options, fingerprint: str) -> Record:
     choice = _choose(table, options)
+    choice.number = next((name for name in table.names if name.lower() in NUMBERS
+                          and name not in choice.used()), None)
     columns = table.columns(choice.used())
     warnings = [*table.warnings, *choice.notes]
     usable = np.ones(len(next(iter(columns.values()))), np.bool_)
@@ -166,7 +145,8 @@ def _record(table: Table, options: Options, fingerprint: str) -> Record:
                             f"those samples count as missing")
             usable[bad] = False
     base = _time_base(table, choice, columns, np.flatnonzero(usable), options)
-    axes = {name: _axis(name, sources, columns, base, warnings, len(choice.axes) > 1)
+    label = "axis {}, " if len(choice.axes) > 1 else ""
+    axes = {name: _axis(label.format(name), sources, columns, base, warnings, options)
             for name, sources in choice.axes.items()}
     warnings += base.notes
     unused = [name for name in table.names if name and name not in choice.used()]
@@ -195,14 +175,20 @@ def _choose(table: Table, options: Options) -> _Choice:
     for name in table.names:
         rest, unit = suffix_of(name)
         match = _QUANTITY.fullmatch(rest)
+        if rest == name or (match and match["quantity"] == "input"):
+            rest, unit = suffix_of(name, of_input=True)
+            match = _QUANTITY.fullmatch(rest)
         if match is None or unit is None:
             continue
         quantity, axis_name = match["quantity"], match["axis"] or DEFAULT_AXIS
-        given = {"input": options.input_unit, "position": options.output_unit}.get(quantity)
+        if quantity in _OUTPUTS and measured(unit.base)[1] != quantity:
+            continue
         if quantity in found.setdefault(axis_name, {}):
             raise RecordError(f"there are two columns for {quantity} of axis {axis_name}, one of "
                               f"them {name}; remove one")
-        found[axis_name][quantity] = _Source(name, _unit(given) if given else unit)
+        found[axis_name][quantity] = _Source(name, unit)
+    for axis_name, parts in found.items():
+        _choose_output(axis_name, parts, options, notes)
     complete = {name: parts for name, parts in found.items()
                 if {"input", "position"} <= set(parts)}
     notes += [f"axis {name} was left out: it has no column with " + " and ".join(
@@ -218,6 +204,24 @@ def _choose(table: Table, options: Options) -> _Choice:
             raise RecordError(f"has no axis {options.axis}; choose one of {', '.join(complete)}")
         complete = {options.axis: complete[options.axis]}
     return _Choice(time, complete, notes)
+
+
+def _choose_output(axis: str, parts: dict[str, _Source], options: Options,
+                   notes: list[str]) -> None:
+    """Make the position, else the velocity, else the acceleration the output, under `position`;
+    units that were given take the place of those in the names."""
+    first = next((name for name in _OUTPUTS if name in parts), None)
+    if first is not None:
+        parts["position"] = output = parts.pop(first)
+        for name in _OUTPUTS[1:]:
+            other = parts.get(name)
+            if other and (name != "velocity" or first != "position"
+                          or measured(other.unit.base)[0] != output.unit.base):
+                del parts[name]
+                notes.append(f"axis {axis}: {other.column} was not used beside {output.column}")
+    for name, given in (("input", options.input_unit), ("position", options.output_unit)):
+        if given and name in parts:
+            parts[name] = _Source(parts[name].column, _unit(given, of_input=name == "input"))
 
 
 def _time_column(table: Table, options: Options, notes: list[str]) -> _Source | None:
@@ -239,7 +243,8 @@ def _named(table: Table, name: str, unit: str | None, default: str, role: str,
            notes: list[str]) -> _Source:
     if name not in table.names:
         raise RecordError(f"no column {name!r} for the {role}; there are {_list(table.names)}")
-    found = _unit(unit) if unit else suffix_of(name)[1]
+    of_input = role == "input"
+    found = _unit(unit, of_input) if unit else suffix_of(name, of_input=of_input)[1]
     if found is None:
         notes.append(f"the unit of column {name} is not stated; it was taken as {default} (say "
                      f"--{role}-unit)")
@@ -250,9 +255,9 @@ def _named(table: Table, name: str, unit: str | None, default: str, role: str,
     return _Source(name, found)
 
 
-def _unit(name: str) -> Unit:
+def _unit(name: str, of_input: bool = False) -> Unit:
     """Return the unit of that name; one that is not known is carried as it is."""
-    return unit_of(name) or Unit(name)
+    return unit_of(name, of_input=of_input) or Unit(name)
 
 
 def _list(names: Sequence[str]) -> str:
@@ -262,46 +267,54 @@ def _list(names: Sequence[str]) -> str:
 
 def _time_base(table: Table, choice: _Choice, columns: Mapping[str, FloatArray],
                rows: Ints, options: Options) -> TimeBase:
+    time, numbers, notes = None, rows, []
     if choice.time is not None:
         time = columns[choice.time.column][rows] * choice.time.unit.factor
-        return find_time_base(time, rows, table.where, options.gaps)
-    period = options.sample_period or table.sample_period or 0.0
-    if not (np.isfinite(period) and period > 0):
-        raise RecordError(f"a sample period of {period:g} s is impossible; give seconds above 0")
+    if choice.number is not None:
+        counted = sample_numbers(columns[choice.number][rows], choice.number, rows, table.where)
+        notes += counted.notes
+        rows, numbers = rows[counted.rows], counted.numbers
+        time = None if time is None else time[counted.rows]
     if len(rows) < 3:
         raise RecordError(f"only {len(rows)} usable rows; a record needs at least 3")
-    return _by_row(rows, period, options.gaps, table.where)
+    if time is not None:
+        regenerated = None if choice.number is None else regenerated_period(time, numbers)
+        if regenerated is None:
+            base = find_time_base(time, rows, table.where, options.gaps)
+            return replace(base, notes=[*notes, *base.notes])
+        notes.append(f"the time column does not show the samples that are missing; samples were "
+                     f"taken as {regenerated:.9g} s apart by {choice.number}")
+        period = regenerated
+    else:
+        period = options.sample_period or table.sample_period or 0.0
+    if not (np.isfinite(period) and period > 0):
+        raise RecordError(f"a sample period of {period:g} s is impossible; give seconds above 0")
+    if choice.number is not None:
+        notes += missing_note(numbers, choice.number, rows, table.where)
+    return by_number(numbers, rows, period, options.gaps, table.where, notes)
 
 
-def _by_row(rows: Ints, period: float, gaps: str,
-            where: Callable[[int], str]) -> TimeBase:
-    """Return the time base of rows that are a period apart each."""
-    notes: list[str] = []
-    if gaps == "longest":
-        first, last = kept_stretch(rows, np.flatnonzero(np.diff(rows) > 1), where, notes)
-        rows = rows[first:last]
-    return TimeBase(float(rows[0]) * period, period, rows, rows - rows[0], None, notes)
-
-
-def _axis(name: str, sources: Mapping[str, _Source], columns: Mapping[str, FloatArray],
-          base: TimeBase, warnings: list[str], several: bool) -> AxisRecord:
+def _axis(label: str, sources: Mapping[str, _Source], columns: Mapping[str, FloatArray],
+          base: TimeBase, warnings: list[str], options: Options) -> AxisRecord:
     parts: dict[str, FloatArray] = {}
+    unit, what = measured(sources["position"].unit.base)
     for quantity, source in sources.items():
         values, error = columns[source.column][base.rows] * source.unit.factor, 0.0
-        if quantity == "input":
+        if quantity == "input" and options.input_hold in (None, "zero"):
             values = average_held(values, base)
         else:
             values, error = resample(values, base)
         if base.jitter is not None and quantity == "position":
-            label = f"axis {name}, " if several else ""
-            warnings.append(f"{label}position was moved to even time stamps; estimated error "
+            warnings.append(f"{label}{what} was moved to even time stamps; estimated error "
                             f"{error:.3g} {source.unit.base} rms")
-        missing = int(np.isnan(values).sum()) if quantity in ("current", "reference") else 0
+        missing = int(np.isnan(values).sum()) if quantity not in ("input", "position") else 0
         if missing == len(values):
             continue
         if missing:
             warnings.append(f"{source.column} has {missing} samples without a value")
         parts[quantity] = np.full(base.length, np.nan)
         parts[quantity][base.index] = values
-    return AxisRecord(parts["input"], parts["position"], sources["input"].unit.base,
-                      sources["position"].unit.base, parts.get("current"), parts.get("reference"))
+    return AxisRecord(parts["input"], parts["position"], sources["input"].unit.base, unit,
+                      parts.get("current"), parts.get("reference"),
+                      velocity=parts.get("velocity"), measures=what,
+                      input_hold=options.input_hold, input_shift=options.input_shift)

@@ -228,6 +228,21 @@ def write_mat(record: Record, path: str | os.PathLike[str]) -> None:
         write_whole(path, content.getvalue())
 
 
+def write_npz(record: Record, path: str | os.PathLike[str]) -> None:
+    """Write a record as an .npz file that `read_record` reads back, whole or not at all; the
+    arrays are the columns of `write_csv`.
+
+    Raises
+    ------
+    BagWriteError
+        If the file cannot be written.
+    """
+    content = io.BytesIO()
+    np.savez(content, **columns_of(record))  # type: ignore[arg-type]
+    with writing(path):
+        write_whole(path, content.getvalue())
+
+
 def _line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:120]
 

@@ -211,11 +211,11 @@ def resample(values: FloatArray, base: TimeBase) -> tuple[FloatArray, float]:
         return values, 0.0
     nodes = base.index + base.jitter / base.period
     targets = base.index.astype(np.float64)
-    cubic = _interpolate(nodes, values, targets, 4)
-    return cubic, float(np.sqrt(np.mean((cubic - _interpolate(nodes, values, targets, 6))**2)))
+    cubic = interpolate(nodes, values, targets, 4)
+    return cubic, float(np.sqrt(np.mean((cubic - interpolate(nodes, values, targets, 6))**2)))
 
 
-def _interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,
+def interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,
                  count: int) -> FloatArray:
     """Lagrange interpolation through the `count` nodes around each target."""
     first = np.clip(np.searchsorted(nodes, targets) - count // 2, 0, len(nodes) - count)
@@ -234,10 +234,28 @@ def average_held(values: FloatArray, base: TimeBase) -> FloatArray:
     if base.jitter is None:
         return values
     edges = base.start + base.period * base.index + base.jitter
-    impulse = np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(edges))))
-    even = base.start + base.period * np.arange(base.length + 1)
-    total = np.interp(even, edges, impulse)
-    before, after = even < edges[0], even > edges[-1]
-    total[before] = (even[before] - edges[0]) * values[0]
-    total[after] = impulse[-1] + (even[after] - edges[-1]) * values[-1]
-    return np.asarray(np.diff(total)[base.index] / base.period, np.float64)
+    return mean_held(edges, values, base.start, base.period, base.length)[0][base.index]
+
+
+def mean_held(edges: FloatArray, values: FloatArray, start: float, period: float,
+              count: int) -> tuple[FloatArray, FloatArray]:
+    """Average a signal whose `values` (n,) stand from each of the times `edges` (n,) on.
+
+    Returns
+    -------
+    (its mean over each of `count` periods from `start` on, the RMS of what is left in each)
+    """
+    even = start + period * np.arange(count + 1)
+
+    def mean(of: FloatArray) -> FloatArray:
+        impulse = np.concatenate(([0.0], np.cumsum(of[:-1] * np.diff(edges))))
+        total = np.interp(even, edges, impulse)
+        before, after = even < edges[0], even > edges[-1]
+        total[before] = (even[before] - edges[0]) * of[0]
+        total[after] = impulse[-1] + (even[after] - edges[-1]) * of[-1]
+        return np.asarray(np.diff(total) / period, np.float64)
+
+    middle = float(np.mean(values))     # squares of what is left, not of an offset
+    means = mean(values)
+    spread = mean((values - middle)**2) - (means - middle)**2
+    return means, np.sqrt(np.maximum(spread, 0.0))

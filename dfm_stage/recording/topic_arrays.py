@@ -123,6 +123,8 @@ class TopicArrays:
             columns, texts,
             frozenset(column.name for column in (*self.plan.fixed, *self.plan.ragged)
                       if not column.dtype),
+            frozenset(column.name for column in (*self.plan.fixed, *self.plan.ragged)
+                      if column.time),
             list(self.plan.left_out))
 
     def _join(self, index: int, column: Column, keep: NDArray[np.bool_]) -> Ragged:

@@ -75,7 +75,7 @@ def test_ctrl_c_ends_with_130_and_leaves_no_half_file(
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(10.0)
 
-    monkeypatch.setattr("dfm_stage.cli.command.read_record", interrupted)
+    monkeypatch.setattr("dfm_stage.cli.records.read_record", interrupted)
     out = tmp_path / "out"
     assert __main__.main([tool, "a.csv", "--model", "paper_stage", "--out", str(out)]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == "stopped"

@@ -238,7 +238,7 @@ def test_things_that_are_no_bag(tmp_path: Path) -> None:
     (tmp_path / "sql").mkdir()
     (tmp_path / "sql" / "sql_0.db3").write_bytes(b"SQLite format 3\0")
     for name, words in {"empty.mcap": "is empty", "text.mcap": "not an MCAP file",
-                        "folder": "holds no .mcap file", "sql": "ros2 bag convert",
+                        "folder": "holds no .mcap or .db3 file", "sql": "no readable SQLite bag",
                         "none": "no such file"}.items():
         with pytest.raises(BagReadError, match=words) as caught:
             read_bag(tmp_path / name)

@@ -273,8 +273,10 @@ def test_bags_without_a_record(tell: Teller, tmp_path: Path) -> None:
             read_record(path)
         assert str(path) in str(caught.value)
         assert "\n" not in str(caught.value)
-    with pytest.raises(RecordError, match="is a bag, whose topics"):
+    with pytest.raises(RecordError, match="bag: 'u' names no field of a topic"):
         read_record(path, input="u", output="y")
+    with pytest.raises(RecordError, match="bag: is a bag: name the fields"):
+        read_record(path, time="t")
 
 
 def test_damage_in_the_bag_shows_in_the_warnings(tell: Teller) -> None:
