@@ -145,8 +145,9 @@ def _static_forces(t: float, x: float, v: float, p: Physics) -> float:
 def _memory_forces(x: float, v: float, y: Any, p: Physics, played: float, d: Any) -> float:
     """Forces with states of their own (N); fills the states' derivatives."""
     force = -p.play_stiffness * played
-    d[CREEP] = (x - y[CREEP]) / p.creep_time
-    force -= p.creep_stiffness * (x - y[CREEP])
+    if p.creep_stiffness != 0.0:
+        d[CREEP] = (x - y[CREEP]) / p.creep_time
+        force -= p.creep_stiffness * (x - y[CREEP])
     if p.wen_stiffness != 0.0:
         w = y[WEN]
         force -= p.wen_stiffness * p.wen_yield * w
@@ -158,7 +159,7 @@ def _memory_forces(x: float, v: float, y: Any, p: Physics, played: float, d: Any
                                  * math.exp(-(v / p.lugre_speed) ** 2))
         d[BRISTLE] = v - p.lugre_stiffness * abs(v) * y[BRISTLE] / level
         force -= p.lugre_stiffness * y[BRISTLE] + p.lugre_damping * d[BRISTLE]
-    if p.maxwell_time > 0.0:
+    if p.maxwell_stiffness != 0.0:
         settle = p.maxwell_time
         for i in range(MAXWELL, MAXWELL + MAXWELLS):
             force -= p.maxwell_stiffness * (x - y[i])
@@ -327,13 +328,13 @@ def run(p: Physics, without: Physics, plain: Physics, period: float, hold: int, 
         resolution: float, start: Any, out: Any, readings: Any) -> None:
     """Simulate a record.
 
-    without, plain: the same without the remainder, and the linear model; along the motion they
-    give rows MISSING and REST. late: steps by which the plant sees the command later (or, below
-    zero, earlier). command (N,): held or linear; with gains it is added to the loop's.
-    fine (2 STEPS N + 1,): a band-limited command at half steps. gains: kp (V/m), ki (V/(m s)),
-    kd (V s/m), filter time (s). noise (N,) m; wander (N,): relative changes of the motor's gain
-    where gain_noise asks for them. out: (ROWS, N). readings: (STEPS N,) without noise.
-    A motion that escapes ends in NaN.
+    p, without, plain: `packed` parameters; without the remainder, and of the linear model, they
+    give rows MISSING and REST along the motion. late: steps by which the plant sees the command
+    later (or, below zero, earlier). command (N,): held or linear; with gains it is added to the
+    loop's. fine (2 STEPS N + 1,): a band-limited command at half steps. gains: kp (V/m), ki
+    (V/(m s)), kd (V s/m), filter time (s). noise (N,) m; wander (N,): relative changes of the
+    motor's gain where gain_noise asks for them. out: (ROWS, N). readings: (STEPS N,) without
+    noise. A motion that escapes ends in NaN.
     """
     y, k, trial, after = start.copy(), np.zeros((4, STATES)), np.zeros(STATES), np.zeros(STATES)
     dry = p.coulomb > 0.0 or p.bump > 0.0 or p.level_wave > 0.0 or p.load_friction > 0.0
@@ -380,6 +381,11 @@ def run(p: Physics, without: Physics, plain: Physics, period: float, hold: int, 
 
 
 PLAIN_FIELDS = ("mass", "damping", "stiffness", "force_constant", "lag")
+
+
+def packed(p: Physics) -> Any:
+    """The parameters as the record that the compiled plant reads, by reference."""
+    return np.array([tuple(p)], dtype=[(name, np.float64) for name in Physics._fields])[0]
 
 
 def linear_part(p: Physics) -> Physics:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -83,7 +85,8 @@ class Run:
     """An experiment as it is asked for, and the convention of its record.
 
     command (N,) V: the input, or with gains what is added to the loop's; hold: HELD, LINEAR or
-    BAND_LIMITED; shift: steps by which the plant sees the input column later.
+    BAND_LIMITED; shift: steps by which the plant sees the input column later; draw: draws such a
+    run anew, of so many samples.
     """
 
     kind: str
@@ -92,6 +95,12 @@ class Run:
     gains: Any = field(default_factory=lambda: NO_LOOP)
     hold: int = plant.HELD
     shift: int = 0
+    draw: Callable[[np.random.Generator, int], Run] | None = field(default=None, compare=False)
+
+    @cached_property
+    def fine(self) -> Any:
+        """The band-limited command at half steps."""
+        return inputs.band_limited(self.command)
 
     @property
     def closed(self) -> bool:
@@ -101,6 +110,12 @@ class Run:
     def scaled(self, factor: float) -> Run:
         """The same experiment, so many times as large."""
         return replace(self, command=factor * self.command, reference=factor * self.reference)
+
+    def again(self, rng: np.random.Generator) -> Run:
+        """The same experiment with another random signal: as open_run drew it, and as large."""
+        assert self.draw is not None
+        other = self.draw(rng, len(self.command))
+        return other.scaled(float(np.max(np.abs(self.command)) / np.max(np.abs(other.command))))
 
 
 @dataclass(frozen=True)
@@ -150,9 +165,13 @@ def open_run(rng: np.random.Generator, stage: Stage, kind: str, samples: int, *,
     """A run by its input alone, whose linear motion has the stage's amplitude."""
     low = stage.natural * rng.uniform(0.05, 0.3)
     high = min(stage.natural * log_uniform(rng, 3.0, 20.0), 0.4)
-    wave = inputs.command(rng, kind, samples, max(low, 3.0 / samples), high)
-    peak = linear_peak(stage, wave)
-    return Run(kind, wave * stage.amplitude / peak, np.zeros(samples), hold=hold, shift=shift)
+
+    def draw(source: np.random.Generator, count: int) -> Run:
+        wave = inputs.command(source, kind, count, max(low, 3.0 / samples), high)
+        wave *= stage.amplitude / linear_peak(stage, wave)
+        return Run(kind, wave, np.zeros(count), hold=hold, shift=shift, draw=draw)
+
+    return draw(rng, samples)
 
 
 def linear_peak(stage: Stage, wave: Any) -> float:
@@ -214,13 +233,14 @@ def perform(stage: Stage, run: Run, p: Physics, without: Physics, noise: Any,
     Raises ValueError if the motion does not stay in its range.
     """
     samples = len(run.command)
-    fine = inputs.band_limited(run.command) if run.hold == plant.BAND_LIMITED else np.zeros(1)
+    fine = run.fine if run.hold == plant.BAND_LIMITED else np.zeros(1)
     start = np.zeros(plant.STATES)
     if not stage.free:
         start[[plant.X1, plant.CREEP, plant.MOUNT]] = p.offset / stage.base["stiffness"]
     out = np.empty((plant.ROWS, samples))
     readings = np.empty(STEPS * samples)
-    plant.run(p, without, plant.linear_part(p), stage.period, run.hold,
+    plain = plant.linear_part(p)
+    plant.run(plant.packed(p), plant.packed(without), plant.packed(plain), stage.period, run.hold,
               stage.delay_steps + run.shift, np.ascontiguousarray(run.command), fine, run.gains,
               run.reference, noise, np.zeros(samples) if wander is None else wander,
               stage.sensor.resolution, start, out, readings)
@@ -229,10 +249,14 @@ def perform(stage: Stage, run: Run, p: Physics, without: Physics, noise: Any,
         raise ValueError(f"{run.kind}: the motion does not stay in its range")
     if run.hold != plant.BAND_LIMITED:
         return Outcome(out[plant.INPUT], out[plant.SEEN], out[plant.READING], out)
-    sos = butter(FILTER_ORDER, 2.0 * FILTER_EDGE / STEPS, output="sos")
-    clean = sosfilt(sos, readings)[::STEPS]
+    clean = anti_aliased(readings)[::STEPS]
     seen = _rounded(clean + noise, stage.sensor.resolution)
-    return Outcome(sosfilt(sos, fine[:-1:2])[::STEPS], seen, clean, out)
+    return Outcome(anti_aliased(fine[:-1:2])[::STEPS], seen, clean, out)
+
+
+def anti_aliased(readings: Any) -> Any:
+    """Signal (STEPS N,) at the plant's steps behind the filter of a band-limited record."""
+    return sosfilt(butter(FILTER_ORDER, 2.0 * FILTER_EDGE / STEPS, output="sos"), readings)
 
 
 def _rounded(values: Any, step: float) -> Any:

@@ -125,7 +125,7 @@ def convention_setup(rng: np.random.Generator,
     if hold == BAND_LIMITED and rng.random() < 0.5:
         shift = 0.0
     kinds = inputs.SMOOTH_KINDS if hold == BAND_LIMITED else inputs.KINDS
-    samples = int(rng.integers(4000, 12_001))
+    samples = 100 * int(rng.integers(40, 121))
     run = open_run(rng, stage, str(rng.choice(kinds)), samples, hold=hold,
                    shift=round(shift * STEPS))
     kind = str(rng.choice(["complete", "complete", "cubic", "coulomb", "damped"]))
@@ -167,7 +167,7 @@ def _held(rng: np.random.Generator, kind: str) -> tuple[Stage, Run, dict[str, fl
     stage = replace(stage, sensor=sensor)
     if kind != "second_mode" and rng.random() < 0.1:
         stage = with_mount(rng, stage)
-    samples = int(rng.integers(3000, 12_001))
+    samples = 100 * int(rng.integers(30, 121))
     if kind in ("closed", "free"):
         run = closed_run(rng, stage, samples)
         effects = simple_effect(rng, stage, str(rng.choice(["none", "coulomb", "cubic"])))
@@ -195,12 +195,15 @@ def logged(stage: Stage, run: Run, outcome: Outcome) -> Columns:
 
 def hold_told(stage: Stage, run: Run) -> float:
     """Chi-square by which the best other kind of hold explains the noise-free record of the
-    linear stage worse, at its best delay, gain, stiffness and damping (one linear step).
+    linear stage worse, at its best delay, gain, stiffness and damping (one linear step); 0 in
+    closed loop, where the input is always held and nothing else is asked.
 
     Between samples the kinds differ by the filter that makes the input from them: sinc for a held
     one, sinc squared for a linear one, none below half the rate for a band-limited one; images
     above half the rate are left out, as the stage hardly follows them.
     """
+    if run.closed:
+        return 0.0
     n = len(run.command)
     spectrum = np.fft.rfft(run.command)
     f = np.arange(spectrum.size) / n
