@@ -14,8 +14,8 @@ from benchmarks.corpus.measured.plant import STEPS
 from benchmarks.corpus.measured.stage import Outcome, Run, Stage, anti_aliased
 
 FREE = ("damping", "stiffness", "force_constant", "amplifier_time_constant", "delay")
-REFITS = 5
-ENOUGH = 0.97
+REFITS = 10
+ENOUGH = 0.999
 """Of the gap before a step of the refit; above it another step is not worth its time."""
 
 
