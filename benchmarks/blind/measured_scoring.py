@@ -128,7 +128,7 @@ def _convention(truth: Mapping[str, Any], said: Mapping[str, Any]) -> tuple[bool
     early = float(truth["input_shift_samples"])
     late = early + float(truth["late_samples"])
     # what comes late is a delay's and not a convention's: it need not be said
-    within = min(early, 0.0) - TIMING_SLACK <= acts <= max(late, 0.0) + TIMING_SLACK
+    within = min(early, 0.0) - TIMING_SLACK <= acts <= late + TIMING_SLACK
     return within, corrected
 
 
