@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,8 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
     truth = make_truth(job.spec)
     case = shown(truth)
     kept["generation_s"] = time.perf_counter() - begin
-    kept["answer"], kept["seconds"] = _timed(case, answerer or diagnosed)
+    answered = answerer or diagnosed
+    kept["answer"], kept["seconds"] = timed(lambda: answered(case))
     if job.spec.kind == "effect" and job.spec.severity >= SEPARATED_FROM:
         case.label.update(separability(truth).to_dict())
     elif job.spec.kind == "pair":
@@ -79,25 +81,30 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
         for name, baseline in (("pysindy", pysindy_answer), ("stepwise_bic", stepwise_answer)):
             if name == "pysindy" and find_spec("pysindy") is None:
                 continue
-            kept[name], kept[f"{name}_seconds"] = _timed(case, baseline)
+            kept[name], kept[f"{name}_seconds"] = timed(partial(baseline, case))
     write_whole(job.answer_path, json.dumps(kept, indent=1) + "\n")
     return job.answer_path
 
 
 def _answered(job: Job) -> bool:
-    if not (job.answer_path.exists() and job.label_path.exists()):
+    return answered_before(job.answer_path, job.label_path)
+
+
+def answered_before(answer_path: Path, label_path: Path) -> bool:
+    """Whether a case was answered, or took too long: both files are there and no other error."""
+    if not (answer_path.exists() and label_path.exists()):
         return False
-    error = json.loads(job.answer_path.read_text("utf-8"))["answer"].get("error")
+    error = json.loads(answer_path.read_text("utf-8"))["answer"].get("error")
     return error is None or error.startswith(TimeoutError.__name__)
 
 
-def _timed(case: Case, answerer: Answerer) -> tuple[dict[str, Any], float]:
+def timed(answered: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any], float]:
     """The answer and the processor time it took (s); a failure is an answer, too."""
     begin = time.process_time()
     before = signal.signal(signal.SIGPROF, _too_long)
     signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
     try:
-        answer = answerer(case)
+        answer = answered()
     except Exception as error:  # noqa: BLE001 - whatever it is, it counts as a wrong answer
         answer = {"error": f"{type(error).__name__}: {error}"}
     finally:

@@ -5,11 +5,47 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from benchmarks.corpus.case import Case
+
+class Numbered(Protocol):
+    """A specification."""
+
+    @property
+    def index(self) -> int:
+        """Its place in the plan."""
+        ...
+
+
+class Shown(Protocol):
+    """What a case of any corpus has."""
+
+    @property
+    def spec(self) -> Numbered:
+        """What it is about."""
+        ...
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """Columns of the runs to fit."""
+        ...
+
+    @property
+    def holdout(self) -> list[dict[str, Any]]:
+        """Columns of the runs to predict."""
+        ...
+
+    @property
+    def model(self) -> dict[str, Any]:
+        """What its user believes."""
+        ...
+
+    @property
+    def label(self) -> dict[str, Any]:
+        """The truth, for nobody who answers."""
+        ...
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -20,7 +56,7 @@ def write_whole(path: Path, text: str) -> None:
     temporary.replace(path)
 
 
-def write_case(case: Case, folder: Path, labels: Path) -> Path:
+def write_case(case: Shown, folder: Path, labels: Path) -> Path:
     """Write `run_N.csv`, `holdout_N.csv` and `model.yaml` under `folder`, the label under
     `labels`; return the case's folder."""
     name = f"case_{case.spec.index:05d}"
@@ -33,7 +69,7 @@ def write_case(case: Case, folder: Path, labels: Path) -> Path:
     return folder / name
 
 
-def write_label(case: Case, labels: Path) -> None:
+def write_label(case: Shown, labels: Path) -> None:
     """Write the label, and what the library must do without, into the folder of labels."""
     write_whole(labels / f"case_{case.spec.index:05d}.json",
                 json.dumps(case.label, indent=1) + "\n")

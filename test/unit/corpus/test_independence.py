@@ -18,7 +18,8 @@ def imported(source: str) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize("path", sorted(CORPUS.glob("*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(CORPUS.rglob("*.py")),
+                         ids=lambda path: path.relative_to(CORPUS).as_posix())
 def test_the_corpus_imports_only_itself_and_public_libraries(path: Path) -> None:
     source = path.read_text("utf-8")
     known = ("benchmarks.corpus", "numpy", "numba", "scipy")
