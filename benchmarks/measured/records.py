@@ -1,4 +1,4 @@
-"""The table of measured records: where they are from, what they are, what a diagnosis should say."""
+"""The table of measured records: their sources, and what a diagnosis of each should say."""
 
 from __future__ import annotations
 
