@@ -131,7 +131,7 @@ def offset_of(model: Model, columns: Columns, convention: Convention, free: int)
     """What the sensor adds to the model's output on average over a (fitted) record."""
     measured = output_of(columns)[1]
     offset = 0.0
-    for _ in range(2):
+    for _ in range(SEARCH_STEPS):
         offset = float(np.mean(measured[free:]
                                - simulated(model, columns, convention, free, offset)[free:]))
     return offset
