@@ -133,6 +133,7 @@ def _parameters(trial: Trial) -> list[Figure]:
         key = f"real.{trial.record.name}.{address.replace('.', '_')}"
         if told is None or told.get("value") is None:
             found.append(_missing(key, published))
+            held.append(False)
             continue
         value = abs(told["value"]) if published.get("absolute") else told["value"]
         wide = published["value"] * published.get("bar", math.nan) / 100.0
@@ -149,7 +150,7 @@ def _parameters(trial: Trial) -> list[Figure]:
         promised = 100.0 if trial.record.development else None
         found.append(Figure(
             f"real.{trial.record.name}.intervals_hold_percent", 100.0 * sum(held) / len(held), "%",
-            promised, how=f"published values inside the 95 % intervals of {len(held)} parameters",
+            promised, how=f"published values inside the 95 % interval told, of {len(held)}",
             bar_kind="at least" if promised else None))
     return found
 

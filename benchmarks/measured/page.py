@@ -138,10 +138,23 @@ def sources(table: Mapping[str, MeasuredRecord] | None = None) -> str:
                   + ", ".join(f"`{file}`" for file in r.files) + ".",
                   f"- Given: {r.rate}.",
                   f"- Fitted: {fitted}. Held out: {held or 'by the command itself'}.",
-                  f"- Expected: {_expected(r)}. {r.expected.why}",
+                  f"- Started from: {_start(r)}.",
+                  f"- Expected: {_expected(r)}{_also(r)}. {r.expected.why}",
                   *(f"- Published: {each}." for each in r.published),
                   f"- `./run bench real --data DIR --only {name}`", ""]
     return "\n".join(parts).rstrip()
+
+
+def _start(record: MeasuredRecord) -> str:
+    model = (", ".join(f"{name} {value:g}" for name, value in record.model["base"].items())
+             if record.model else f"its `{record.model_file}`")
+    return f"{model}; `{' '.join(record.options)}`" if record.options else model
+
+
+def _also(record: MeasuredRecord) -> str:
+    others = [name for name in dict.fromkeys(record.expected.also)
+              if name not in record.expected.first]
+    return f"; beside it not wrong: {', '.join(f'`{name}`' for name in others)}" if others else ""
 
 
 def with_tables(text: str, results: Mapping[str, Result]) -> str:

@@ -16,7 +16,8 @@ LINEAR = Expected(("none", "retune"), "because")
 
 
 def answer(verdict: str, *names: str, **more: object) -> dict[str, object]:
-    effects = [{"name": each.split("|", maxsplit=1)[0], "class": each.split("|")} for each in names]
+    classes = [each.split("|") for each in names]
+    effects = [{"name": members[0], "class": members} for members in classes]
     return {"verdict": verdict, "effects": effects, "description": None, **more}
 
 

@@ -79,11 +79,13 @@ def test_a_band_limited_record_is_predicted_only_with_its_convention():
 
 def test_inverse_dynamics_needs_the_force_that_was_applied():
     time = T * np.arange(20_000)
-    angle = 2 * np.pi * 0.7
-    x, v = 0.1 * np.sin(angle * time), 0.1 * angle * np.cos(angle * time)
-    force = 95.0 * -(angle**2) * x + 200.0 * v + 20.0 * np.sign(v) - 3.0
+    slow, fast = 2 * np.pi * 0.7, 2 * np.pi * 15.0
+    x = 0.1 * np.sin(slow * time) + 1e-3 * np.sin(fast * time)
+    v = 0.1 * slow * np.cos(slow * time) + 1e-3 * fast * np.cos(fast * time)
+    a = -0.1 * slow**2 * np.sin(slow * time) - 1e-3 * fast**2 * np.sin(fast * time)
+    force = 95.0 * a + 200.0 * v + 20.0 * np.sign(v) - 3.0
     volts = force / 35.0
-    # half a sample before and after: what a held input gives on average at a sample
+    # held from half a sample before on, an input has on average the value of its sample
     columns = {"input_v": np.interp(time + T / 2, time, volts), "position_m": x}
     model = Model("axis", T, base={"mass": 95.0, "damping": 200.0, "force_constant": 35.0})
     whole = model.with_effect("coulomb_friction", {"force": 20.0}).with_effect(
