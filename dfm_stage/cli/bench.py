@@ -35,6 +35,7 @@ EPILOG = """\
 examples:
   ./run bench loop lockstep --json out/loop.json
   ./run bench diagnose --cases 100 --seed 7 --resume --keep out/diagnose
+  ./run bench real --data ~/records --keep out/real
   ./run bench --from out/loop.json --from out/all.json --page out/bench.html
 """
 CASE_OPTIONS = (
@@ -43,6 +44,10 @@ CASE_OPTIONS = (
     option("--resume", action="store_true", help="keep the cases answered already"),
     option("--keep", type=Path, metavar="DIR", help="the folder of the answers"),
     option("--jobs", type=int, metavar="N", help="how many processes at once"),
+)
+RECORD_OPTIONS = (
+    option("--data", type=Path, metavar="DIR", help="your copies of the records, a folder each"),
+    option("--only", metavar="NAME", help="this record alone"),
 )
 OPTIONS = (
     option("names", nargs="*", metavar="NAME", help="which; all without a name"),
@@ -54,6 +59,7 @@ OPTIONS = (
     option("--quick", action="store_true", help="shorter runs, rougher figures"),
     option("--list", action="store_true", help="print the names and stop"),
     ("for benchmarks of many cases (diagnose)", CASE_OPTIONS),
+    ("for records that others measured (real)", RECORD_OPTIONS),
     option("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS),
     option("--child", nargs=2, help=argparse.SUPPRESS),
 )
@@ -129,7 +135,7 @@ def _end_with(parent: int) -> None:
 
 def _extra(options: argparse.Namespace) -> dict[str, Any]:
     """The options that only some benchmarks take, as far as they were given."""
-    names = (flag.removeprefix("--") for (flag,), _ in CASE_OPTIONS)
+    names = (flag.removeprefix("--") for (flag,), _ in (*CASE_OPTIONS, *RECORD_OPTIONS))
     return {name: value for name in names
             if (value := getattr(options, name)) not in (None, False)}
 
@@ -172,8 +178,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = command_parser(
         "bench", "Run the benchmarks; each figure stands beside its bar and its peer.", EPILOG,
         OPTIONS).parse_args(argv)
-    if options.keep:
-        options.keep = options.keep.resolve()
+    for name in ("keep", "data"):
+        if path := getattr(options, name):
+            setattr(options, name, path.resolve())
     folder = options.folder.resolve()
     if options.child:
         answer, parent = options.child

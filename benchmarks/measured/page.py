@@ -1,0 +1,182 @@
+"""The tables of docs/measured_stages.md, from the table of records and from kept results.
+
+    ./run bench real --data DIR --keep out/real
+    ./run exec python -m benchmarks.measured.page out/real/results.json
+
+keeps the results (figures only) as `benchmarks/kept/measured_stages.json` and writes the page's
+tables anew. Without an argument the tables are made from what is kept.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from benchmarks.measured.records import MeasuredRecord, load_records
+from dfm_stage.files import write_whole
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = ROOT / "benchmarks" / "kept" / "measured_stages.json"
+PAGE = ROOT / "docs" / "measured_stages.md"
+NOT_RUN = "not run"
+MOST_NAMES = 3
+"""Names that a cell of the table of answers spells out."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came out of one record; `figures` by the last part of their keys."""
+
+    verdict: str
+    names: tuple[str, ...]
+    judged: str
+    reason: str
+    seconds: float
+    figures: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def write_results(path: Path, results: Mapping[str, Result]) -> None:
+    """Keep results, those of other records that the file has already with them."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    before = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    content = {**before, **{name: asdict(each) for name, each in results.items()}}
+    write_whole(path, json.dumps(content, indent=1) + "\n")
+
+
+def read_results(path: Path = KEPT) -> dict[str, Result]:
+    """Read kept results; none where nothing was run."""
+    if not path.exists():
+        return {}
+    return {name: Result(**{**each, "names": tuple(each["names"])})
+            for name, each in json.loads(path.read_text("utf-8")).items()}
+
+
+def answers(results: Mapping[str, Result],
+            table: Mapping[str, MeasuredRecord] | None = None) -> str:
+    """What was expected of each record, and what was answered."""
+    rows = ["| record | expected | answered | | held-out RMS left | processor time |",
+            "|---|---|---|---|---|---|"]
+    for name, record in (table or load_records()).items():
+        mark = " (used to set rules)" if record.development else ""
+        row = [f"[`{name}`](#{name}){mark}", _expected(record, MOST_NAMES)]
+        result = results.get(name)
+        if result is None:
+            row += [NOT_RUN, "", "", ""]
+        else:
+            told = ", ".join(f"`{each.replace('|', '` or `')}`" for each in result.names)
+            judged = result.judged if result.judged == "right" else f"**{result.judged}**"
+            reason = "" if result.judged == "right" else f": {result.reason}"
+            left = result.figures.get("held_out_left_percent", {}).get("value")
+            row += [f"{result.verdict}{': ' + told if told else ''}", judged + reason,
+                    "" if left is None else f"{left:.3g} %", f"{result.seconds:.0f} s"]
+        rows.append("| " + " | ".join(row) + " |")
+    return "\n".join(rows)
+
+
+def _expected(record: MeasuredRecord, most: int | None = None) -> str:
+    """In words; of more than `most` names that may come first, only that they are relatives."""
+    expected = record.expected
+    verdicts = ", ".join(f"`{each}`" for each in expected.verdicts)
+    groups = [" or ".join(f"`{each}`" for each in group) for group in expected.required]
+    open_end = ", not complete" if expected.complete is False else ""
+    if groups:
+        return f"{' and '.join(groups)}: {verdicts}{open_end}"
+    if not expected.first:
+        return verdicts
+    if most is not None and len(expected.first) > most:
+        return f"{verdicts}; of names a relative first{open_end}"
+    return (f"{verdicts}; of names {' or '.join(f'`{each}`' for each in expected.first)} first"
+            f"{open_end}")
+
+
+def figures_beside_published(results: Mapping[str, Result],
+                             table: Mapping[str, MeasuredRecord] | None = None) -> str:
+    """Each figure that a source publishes, and ours."""
+    rows = ["| record | figure | ours | published | bar | how |", "|---|---|---|---|---|---|"]
+    for name in table or load_records():
+        result = results.get(name)
+        for key, figure in ({} if result is None else result.figures).items():
+            if figure.get("peer_value") is None:
+                continue
+            rows.append(f"| `{name}` | {key.replace('_', ' ')} | {_number(figure['value'])} "
+                        f"{figure['unit']}{_missed(figure)} | {_number(figure['peer_value'])} | "
+                        f"{_bar(figure)} | {figure['how']} |")
+    if len(rows) == 2:
+        rows.append(f"| | | {NOT_RUN} | | | |")
+    return "\n".join(rows)
+
+
+def _bar(figure: Mapping[str, Any]) -> str:
+    if figure.get("bar_kind") == "between":
+        return f"{_number(figure['bar'])} to {_number(figure['bar_to'])}"
+    return "" if figure.get("bar") is None else f"{figure['bar_kind']} {_number(figure['bar'])}"
+
+
+def _missed(figure: Mapping[str, Any]) -> str:
+    return " **missed**" if figure.get("met") is False else ""
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None or not math.isfinite(value) else f"{value:.4g}"
+
+
+def sources(table: Mapping[str, MeasuredRecord] | None = None) -> str:
+    """What each record is, where it is from, how it is split, what was said of it before."""
+    parts = []
+    for name, r in (table or load_records()).items():
+        used = " Used to set rules." if r.development else ""
+        held = ", ".join(f"`{part}` ({words})" for part, words in r.hold.items())
+        fitted = ", ".join(f"`{part}` ({words})" for part, words in r.fit.items())
+        parts += [f"### {name}", f"{r.what[0].upper()}{r.what[1:]}.{used}", "",
+                  f"- Source: {r.source}. Licence: {r.licence}.",
+                  f"- Files, in `DIR/{r.folder or name}`: "
+                  + ", ".join(f"`{file}`" for file in r.files) + ".",
+                  f"- Given: {r.rate}.",
+                  f"- Fitted: {fitted}. Held out: {held or 'by the command itself'}.",
+                  f"- Started from: {_start(r)}.",
+                  f"- Expected: {_expected(r)}{_also(r)}. {r.expected.why}",
+                  *(f"- Published: {each}." for each in r.published),
+                  f"- `./run bench real --data DIR --only {name}`", ""]
+    return "\n".join(parts).rstrip()
+
+
+def _start(record: MeasuredRecord) -> str:
+    model = (", ".join(f"{name} {value:g}" for name, value in record.model["base"].items())
+             if record.model else f"its `{record.model_file}`")
+    return f"{model}; `{' '.join(record.options)}`" if record.options else model
+
+
+def _also(record: MeasuredRecord) -> str:
+    others = [name for name in dict.fromkeys(record.expected.also)
+              if name not in record.expected.first]
+    return f"; beside it not wrong: {', '.join(f'`{name}`' for name in others)}" if others else ""
+
+
+def with_tables(text: str, results: Mapping[str, Result]) -> str:
+    """The page with its tables made anew."""
+    made = {"answers": answers(results), "figures": figures_beside_published(results),
+            "records": sources()}
+    for name, table in made.items():
+        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        head, _, rest = text.partition(begin)
+        tail = rest.partition(end)[2]
+        text = f"{head}{begin}\n{table}\n{end}{tail}"
+    return text
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Keep the results named, if any, and write the page's tables."""
+    given = sys.argv[1:] if argv is None else argv
+    for path in given:
+        write_results(KEPT, read_results(Path(path)))
+    PAGE.write_text(with_tables(PAGE.read_text("utf-8"), read_results()), "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,176 @@
+"""The original files of the records, read as the columns that `diagnose` understands.
+
+A reader takes the folder with the reader's own copy of the files and returns the parts that
+records.yaml names, each as columns `time_s`, `input_<unit>`, `position_<unit>` or
+`velocity_<unit>_s` (or an acceleration), with `reference_<unit>` in closed loop. It cuts, takes
+every n-th sample and changes units; it never filters.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Columns = dict[str, Array]
+Reader = Callable[[Path], dict[str, Columns]]
+
+STANDARD_GRAVITY = 9.80665
+
+
+def _timed(period: float, **columns: Array) -> Columns:
+    """Columns with even time stamps."""
+    size = len(next(iter(columns.values())))
+    return {"time_s": period * np.arange(size),
+            **{name: np.asarray(values, float) for name, values in columns.items()}}
+
+
+def _matlab(path: Path, name: str) -> NDArray[np.object_] | Array:
+    return np.asarray(scipy.io.loadmat(path, squeeze_me=True)[name])
+
+
+def _shared(path: Path) -> Columns:
+    """An .npz whose columns have our names already."""
+    with np.load(path) as data:
+        return {name: np.asarray(data[name], float) for name in data.files}
+
+
+def silverbox(folder: Path) -> dict[str, Columns]:
+    """The split that the benchmark prescribes."""
+    return {"train": _shared(folder / "train.npz"),
+            "multisine": _shared(folder / "holdout_multisine.npz"),
+            "arrow": _shared(folder / "holdout_arrow_full.npz")}
+
+
+def emps(folder: Path) -> dict[str, Columns]:
+    """The split that the benchmark prescribes."""
+    return {name: _shared(folder / f"{name}.npz") for name in ("train", "holdout")}
+
+
+def motor_bench(folder: Path) -> dict[str, Columns]:
+    """Measured current to motor angle, without the first, transient period."""
+    parts = {}
+    for part in "ab":
+        with np.load(folder / f"motor_bench_multisine{part.upper()}.npz") as data:
+            first = int(data["period"])
+            parts[part] = _timed(1.0 / float(data["fs"]), input_a=data["iq"][first:],
+                                 position_rad=data["theta_motor"][first:])
+    return parts
+
+
+def beam(folder: Path) -> dict[str, Columns]:
+    """Eight seconds of the decay, from where the drive has stopped."""
+    with np.load(folder / "decay.npz") as data:
+        strain = data["strain"][12_600:20_600, 0]
+    return {"decay": {**_timed(1e-3, input_v=np.zeros(strain.size)), "strain": strain}}
+
+
+def hsm150(folder: Path) -> dict[str, Columns]:
+    """Columns of `data`: time, reference, angle, velocity, torque, measured torque, current."""
+    parts = {}
+    for name in ("pos_0.06_1", "neg_0.04_1", "pos_0.065_2", "neg_0.045_2"):
+        data = np.asarray(_matlab(folder / f"idf_{name}.mat", "data"), float)
+        parts[name] = {"time_s": data[:, 0], "input_Nm": data[:, 4],
+                       "position_rad": data[:, 2], "velocity_rad_s": data[:, 3]}
+    return parts
+
+
+def servo_motor(folder: Path) -> dict[str, Columns]:
+    """Columns: angle, velocity (a difference of the angle), their references, torque command."""
+    parts = {}
+    for number in (1, 6):
+        data = np.loadtxt(folder / f"data_S1_{number}.txt")
+        parts[f"gains_{number}"] = _timed(1e-3, input_Nm=data[:, 4], position_rad=data[:, 0],
+                                          reference_rad=data[:, 2])
+    return parts
+
+
+def quarter_drone(folder: Path) -> dict[str, Columns]:
+    """The time stamps are those of the logger; percent of full drive stands as volts."""
+    with (folder / "dados_14_drone.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    time, angle, drive, wanted = (np.array([float(row[name]) for row in rows]) for name in (
+        "tempo_ms", "angulo_deg", "u_pct", "referencia"))
+    columns = {"time_s": 1e-3 * time, "input_v": drive, "position_rad": np.radians(angle),
+               "reference_rad": np.radians(wanted)}
+    return {part: {name: values[cut] for name, values in columns.items()}
+            for part, cut in (("first", slice(0, 6000)), ("second", slice(6000, 12_000)))}
+
+
+def pendulum(folder: Path) -> dict[str, Columns]:
+    """The angle from hanging; the parts of the source follow each other without a gap."""
+    path = folder / "SinglePendulumDataForParameterEstimation.mat"
+    parts = {}
+    for part, name in (("identification", "Y_id"), ("validation", "Y_vad")):
+        angle = np.concatenate([each[0] for each in _matlab(path, name)])[::4] - np.pi
+        parts[part] = _timed(4e-3, input_Nm=np.zeros(angle.size), position_rad=angle)
+    return parts
+
+
+def aero_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: angle, fan voltage."""
+    parts = {}
+    for name in ("ident", "val"):
+        data = np.loadtxt(folder / f"{name}_data.txt", delimiter=",", skiprows=1)
+        parts[name] = _timed(0.01, input_v=data[:, 1], position_rad=data[:, 0])
+    return parts
+
+
+def harvester(folder: Path) -> dict[str, Columns]:
+    """Time and value of base acceleration (g), piezo voltage, velocity; the force on 1 kg."""
+    parts = {}
+    for level in (100, 150, 200):
+        data = np.loadtxt(folder / f"amplitude_{level}mV.csv", delimiter=",")
+        parts[f"{level}mV"] = _timed(1.0 / 64.0, input_N=-STANDARD_GRAVITY * data[:, 1],
+                                     velocity_m_s=data[:, 5])
+    return parts
+
+
+def double_beam(folder: Path) -> dict[str, Columns]:
+    """Decays number 1, 5, 9 (fitted) and 2, 6 (the source's test set), from 20 ms on."""
+    decays = _matlab(folder / "data.mat", "xData")
+    parts = {}
+    for number in (1, 5, 9, 2, 6):
+        velocity = np.asarray(decays[number - 1][1], float)[102:]
+        parts[f"blow_{number}"] = _timed(1.0 / 5120.0, input_N=np.zeros(velocity.size),
+                                         velocity_m_s=velocity)
+    return parts
+
+
+def robot_arm(folder: Path) -> dict[str, Columns]:
+    """Columns: reaction torque, acceleration; halves as others split it."""
+    data = np.loadtxt(folder / "robot_arm.dat")
+    return {part: _timed(0.01, input_N=data[cut, 0], acceleration_m_s2=data[cut, 1])
+            for part, cut in (("first_half", slice(0, 512)), ("second_half", slice(512, 1024)))}
+
+
+def servo_link(folder: Path) -> dict[str, Columns]:
+    """Samples 2127 to 3911 as the source selects them; the command stands meanwhile."""
+    path = folder / "resultID.mat"
+    drive, tip = (np.asarray(_matlab(path, name), float)[2126:3911] for name in "uy")
+    return {part: _timed(3e-3, input_v=drive[cut], acceleration_m_s2=tip[cut])
+            for part, cut in (("ring_down", slice(0, 1250)), ("later", slice(1250, None)))}
+
+
+def geared_motor(folder: Path) -> dict[str, Columns]:
+    """Voltage and speed; the current is left out."""
+    path = folder / "aprbsResult.mat"
+    volts, speed = (np.asarray(_matlab(path, name), float) for name in "uy")
+    return {part: _timed(0.02, input_v=volts[cut], velocity_rad_s=speed[cut])
+            for part, cut in (("first", slice(0, 3361)), ("last", slice(3361, None)))}
+
+
+READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
+    silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
+    aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor)}
+
+
+def write_csv(path: Path, columns: Columns) -> None:
+    """Write columns as a CSV file that `read_record` takes."""
+    np.savetxt(path, np.column_stack(list(columns.values())), fmt="%.12g", delimiter=",",
+               header=",".join(columns), comments="")
