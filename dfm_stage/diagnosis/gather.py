@@ -10,7 +10,6 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.alike import shares_class
-from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import AS_GIVEN, STEP_GRID
 from dfm_stage.diagnosis.evidence import (
@@ -29,6 +28,7 @@ from dfm_stage.diagnosis.evidence import (
 )
 from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import Finding, describe, findings
@@ -97,7 +97,7 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     if seen is None or seen.cannot_tell:
         return evidence
     noise, gap = evidence.judged.noise_power, evidence.retuned.held_out.power
-    predictable = math.sqrt(noise + seen.left**2 * max(gap - noise, 0.0))
+    predictable = math.sqrt(noise + seen.predictable**2 * max(gap - noise, 0.0))
     named = {x.name for x in evidence.effects}
     effects = tuple(replace(x, rivals=tuple(
         replace(r, margin=max(r.margin, seen.margins.get(r.name, 0.0)))
@@ -105,7 +105,7 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
     return replace(evidence, effects=effects, witness={
         "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
-        "predictable": 1.0 - seen.left**2, "margins": dict(seen.margins)},
+        "predictable": 1.0 - seen.predictable**2, "margins": dict(seen.margins)},
         judged=replace(evidence.judged, predictable=predictable))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -33,7 +34,7 @@ def cuts(sizes: Sequence[int]) -> list[list[slice]]:
     found = []
     for size in sizes:
         edges = np.linspace(0, size, max(size // length, 1) + 1).astype(int)
-        found.append([slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+        found.append([slice(int(a), int(b)) for a, b in pairwise(edges)])
     return found
 
 
@@ -107,7 +108,7 @@ def constancy(found: Fit, address: str) -> Constancy | None:
         wide[:, count - 1 + g] = j[:, own]
         plain.append((j, r))
         split.append((wide, r))
-    ratio = np.asarray(0.5 * np.log(_left_out(plain) / _left_out(split)))
+    ratio: Array = 0.5 * np.log(_left_out(plain) / _left_out(split))
     return Constancy(float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size))
 
 
