@@ -148,7 +148,7 @@ def _left_out(blocks: Sequence[tuple[Array, Array]]) -> Array:
         left = gram - own
         step = np.linalg.lstsq(left, score - part, rcond=1e-9)[0]
         found.append(float(np.mean((r - j @ step) ** 2)))
-    return np.maximum(np.array(found), 1e-300)
+    return np.asarray(np.maximum(np.array(found), 1e-300))
 
 
 def score_by_blocks(found: Fit) -> tuple[Array, float]:
