@@ -293,7 +293,7 @@ LEAD_IN = decision(
 SHORTEST = decision(
     "SHORTEST", 400, "samples", meaning="Shortest record that is diagnosed.", set_on=FIRST_FORM)
 WINDOWS = decision(
-    "WINDOWS", 50, "1", meaning="Windows with a state of their own into which a record of a body "
+    "WINDOWS", 75, "1", meaning="Windows with a state of their own into which a record of a body "
     "without a spring is cut where its model leaves a gross gap.", set_on="EMPS: windows of 0.25 "
     "to 1 s of 25 s give the published parameters")
 SHORTEST_WINDOW = decision(

@@ -63,7 +63,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     while True:
         h = Hypothesis(names, found, bare,
                        {n: list(_rivals(search, n, names, found)) for n in names})
-        judged = with_witness(replace(gather(trial, h, warnings, split), graded=True), seen)
+        judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
         weakest = fallen(judged)
         if weakest is None:
             trial.dropped.update({n: r for n, r in dropped.items() if n not in names})

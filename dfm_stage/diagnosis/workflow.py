@@ -113,6 +113,7 @@ def _judged_to_noise(trial: Trial, first: Fit, warnings: Sequence[str],
         part, told_part = graded(trial, hypothesis, warnings, split)
         if part.names:
             return part, told_part
+        evidence = replace(evidence, witness=told_part.witness, judged=told_part.judged)
     return hypothesis, evidence
 
 
