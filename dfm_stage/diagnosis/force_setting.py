@@ -86,6 +86,8 @@ def setting(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
     target = _stacked(runs, offset, lambda run: gain * run.drive(timing))
     values = least_squares(columns, target)
     linear = Linear(float(values[0]), float(values[1]), float(values[2]) if spring else 0.0)
+    if linear.mass <= 0.0 or linear.stiffness < 0.0:    # a gap so gross says nothing of them
+        linear = Linear(*(model.base.get(n, 0.0) for n in ("mass", "damping", "stiffness")))
     return Setting(runs, timing, (*orders, "late"), columns, target, linear, offset)
 
 

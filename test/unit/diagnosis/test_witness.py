@@ -129,6 +129,8 @@ def test_effects_of_the_library_come_first_in_their_class(name, parameters, alik
     assert found.singles[0].names[0] in (name, *alike)
     assert found.of(name).of_predictable > 0.9
     assert min(m for n, m in found.margins.items() if n not in alike) > 3.0
+    if name != "saturation":        # that less input leaves less of everything explains nothing
+        assert found.of("saturation").share < 0.6
 
 
 def test_short_records_and_resting_inputs_are_refused(cubic):
