@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -247,3 +249,24 @@ def test_what_is_given_by_hand_is_taken() -> None:
     assert find_convention(column, output, shift=-1.0).hold == "zero"
 
 
+
+
+SHARED = Path(os.environ.get("DFM_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data"))
+
+
+@pytest.mark.skipif(not (SHARED / "silverbox").is_dir(),
+                    reason="the recorded data are not here (DFM_SHARED_DATA or ../shared/data)")
+@pytest.mark.parametrize("name", ["train", "holdout_multisine", "holdout_arrow_full"])
+def test_silverbox_was_sampled_at_the_same_instant(name: str) -> None:
+    data = np.load(SHARED / "silverbox" / f"{name}.npz")
+    found = find_convention(data["input_v"], data["position_v"])
+    assert (found.hold, found.shift, found.source) == ("band_limited", 0.0, "estimated")
+    assert "both columns were sampled at the same instant" in found.words
+
+
+@pytest.mark.skipif(not (SHARED / "emps").is_dir(),
+                    reason="the recorded data are not here (DFM_SHARED_DATA or ../shared/data)")
+@pytest.mark.parametrize("name", ["train", "holdout"])
+def test_a_servo_s_input_is_held(name: str) -> None:
+    data = np.load(SHARED / "emps" / f"{name}.npz")
+    assert find_convention(data["input_v"], data["position_m"]).held
