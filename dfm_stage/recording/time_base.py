@@ -69,7 +69,7 @@ def find_time_base(time: FloatArray, rows: Ints, where: Where,
     """
     if len(time) < 3:
         raise RecordError(f"only {len(time)} usable rows; a record needs at least 3")
-    time, rows, notes = _without_repeats(time, rows, where)
+    time, rows, notes = without_repeats(time, rows, where)
     steps = np.diff(time)
     advance = _advance(time)
     after = np.flatnonzero(advance > 1)
@@ -88,7 +88,7 @@ def find_time_base(time: FloatArray, rows: Ints, where: Where,
         time, rows, advance = time[first:last], rows[first:last], advance[first:last - 1]
         if len(time) < 3:
             raise RecordError("no stretch without a gap has 3 samples or more")
-    return _fit(time, rows, np.concatenate(([0], np.cumsum(advance))), notes)
+    return fit_even(time, rows, np.concatenate(([0], np.cumsum(advance))), notes)
 
 
 def _advance(time: FloatArray) -> Ints:
@@ -127,8 +127,15 @@ def kept_stretch(rows: Ints, after: Ints, where: Where, notes: list[str]) -> tup
     return first, last
 
 
-def _without_repeats(time: FloatArray, rows: Ints,
-                     where: Where) -> tuple[FloatArray, Ints, list[str]]:
+def without_repeats(time: FloatArray, rows: Ints,
+                    where: Where) -> tuple[FloatArray, Ints, list[str]]:
+    """Leave out rows that repeat a time; (times, rows, notes).
+
+    Raises
+    ------
+    RecordError
+        If time runs backwards, or stands still in many places.
+    """
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
     if len(back):
@@ -162,8 +169,8 @@ def _gap_note(time: FloatArray, steps: FloatArray, rows: Ints,
     return f"{missing} samples are missing before {', '.join(places)}{more}"
 
 
-def _fit(time: FloatArray, rows: Ints, index: Ints,
-         notes: list[str]) -> TimeBase:
+def fit_even(time: FloatArray, rows: Ints, index: Ints, notes: list[str]) -> TimeBase:
+    """Return the even time base of rows whose samples are numbered: `index` (n,) from 0."""
     slope, start = np.polyfit(index, time - time[0], 1)
     deviation = time - time[0] - (start + slope * index)
     worst = float(np.abs(deviation).max())
