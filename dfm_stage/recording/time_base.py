@@ -94,7 +94,8 @@ def find_time_base(time: FloatArray, rows: Ints, where: Where,
 def _advance(time: FloatArray) -> Ints:
     """Return how many samples each row is further than the one before it, (n - 1,).
 
-    Where steps are uneven, a running average of the phase tells a late sample from a lost one.
+    Where steps are uneven, a running average of the phase tells a late sample from a lost one:
+    after a late one the next are on time again, after a lost one all come later.
     """
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -105,6 +106,10 @@ def _advance(time: FloatArray) -> Ints:
     phase = float(np.median(time[:first] - period * np.arange(first)))
     for k, stamp in enumerate(time[1:].tolist()):
         ahead = max(round(min((stamp - phase) / period, _LONGEST_GAP)), 1)
+        if ahead > 1:
+            near = (time[k + 1:k + 1 + _PHASE_SAMPLES] - phase) / period
+            least = float((near - np.arange(len(near))).min())
+            ahead = max(round(min(least, _LONGEST_GAP)), 1)
         advance[k] = ahead
         phase += ahead * period
         phase += (stamp - phase) / _PHASE_SAMPLES
