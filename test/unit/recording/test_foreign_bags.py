@@ -312,3 +312,29 @@ def test_a_sqlite_bag_says_what_it_lacks(make: Maker, monkeypatch: pytest.Monkey
     assert "sensor_msgs/msg/JointState" in bag.left_out["/joint_states"]
     with pytest.raises(RecordError, match="sensor_msgs/msg/JointState"):
         read_record(folder, input="/joint_states.effort[1]", output="/joint_states.position[1]")
+
+
+@pytest.mark.parametrize(("encoding", "text"), [("ros2idl", b"module std_msgs {"), ("", b""),
+                                                ("ros2msg", b"")])
+def test_definitions_that_a_bag_lacks_are_those_of_installed_messages(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str, text: bytes) -> None:
+    from mcap.writer import Writer as McapWriter
+
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("made_msgs/msg/Pair", encoding, text)
+        channel = writer.register_channel("/pair", "cdr", schema)
+        for k in range(5):
+            writer.add_message(channel, 10**18 + k, b"\0\1\0\0" + np.array(
+                [k, -k], np.float64).tobytes(), 10**18 + k)
+        writer.finish()
+    share = tmp_path / "prefix" / "share" / "made_msgs" / "msg"
+    share.mkdir(parents=True)
+    (share / "Pair.msg").write_text("float64 a\nfloat64 b\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    absent = read_bag(path)
+    assert "/pair" in absent.left_out or absent["/pair"].message_count == 0
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    assert read_bag(path)["/pair"]["b"].tolist() == [0, -1, -2, -3, -4]
