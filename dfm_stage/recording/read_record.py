@@ -16,12 +16,13 @@ from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
 from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.mcap_scan import MAGIC
+from dfm_stage.recording.parts import filled, without_gaps
 from dfm_stage.recording.record import AxisRecord, FloatArray, Record
 from dfm_stage.recording.rosbag2_metadata import STORAGES
 from dfm_stage.recording.table import Options, Table, table_record
 from dfm_stage.recording.table_files import CsvTable, load_mat, load_npz
 
-GAPS = ("longest", "mask")
+GAPS = ("longest", "mask", "fill")
 _TABLES: dict[str, Callable[[Path], Table]] = {
     "npz": load_npz, "mat": load_mat, "csv": CsvTable}
 WHOLE_BYTES = 1 << 23
@@ -58,7 +59,8 @@ def read_record(
         s; takes the place of the time column, or of the period that a bag's stamps show.
     gaps : str
         What becomes of a record with samples missing: `longest` keeps the longest stretch without
-        a gap, `mask` keeps all and puts NaN where nothing is known.
+        a gap, `mask` keeps all and puts NaN where nothing is known, `fill` fills in up to two
+        samples in a row and then keeps the longest stretch.
     input_hold : str, optional
         What the input does between its samples, one of `record.HOLDS`; by default it is to be
         estimated. Where samples are moved to even times, an input that stands keeps its integral;
@@ -79,6 +81,11 @@ def read_record(
     where = Path(path)
     if gaps not in GAPS:
         raise RecordError(f"gaps={gaps!r}: choose one of {', '.join(GAPS)}")
+    if gaps == "fill":
+        return without_gaps(filled(read_record(
+            path, axis=axis, time=time, input=input, output=output, time_unit=time_unit,
+            input_unit=input_unit, output_unit=output_unit, sample_period=sample_period,
+            gaps="mask", input_hold=input_hold, input_shift=input_shift)))
     kind = _kind(where)
     options = Options(axis, time, input, output, time_unit, input_unit, output_unit,
                       sample_period, gaps, input_hold, input_shift)
