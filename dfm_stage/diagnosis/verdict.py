@@ -218,7 +218,10 @@ def explained_share(e: Evidence) -> float:
 
 
 def _above(e: Evidence, power: float) -> float:
-    """Share of the held-out gap's power above the noise that a model leaving `power` explains."""
+    """Share of the held-out gap's power above the noise that a model leaving `power` explains;
+    none where it cannot be simulated."""
+    if not math.isfinite(power):
+        return 0.0
     noise = e.judged.noise_power
     gap = max(e.retuned.held_out.power - noise, 1e-300)
     return 1.0 - (power - noise) / gap
