@@ -171,8 +171,10 @@ def test_a_diagnosis_is_put_together_as_schema_2():
     extended = MODEL.with_effect("cubic_stiffness", {"k3": 3e6})
     found = told(NAMED, verdict(NAMED), extended)
     data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
-    assert data["schema"] == 2 and data["schema_note"].startswith("schema 2 keeps every key")
-    assert data["verdict"] == "named" and data["complete"] is True
+    assert data["schema"] == 2
+    assert data["schema_note"].startswith("schema 2 keeps every key")
+    assert data["verdict"] == "named"
+    assert data["complete"] is True
     assert data["effects"][0]["class"] == ["cubic_stiffness"]
     assert data["effects"][0]["gap_share"] == 1.0
     assert data["base"] == {"stiffness": {"value": 650.0, "unit": "N/m", "ci95": None}}
