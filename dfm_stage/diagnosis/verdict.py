@@ -282,6 +282,12 @@ def needs_grading(e: Evidence) -> bool:
         e.retuned.held_out.power > EXCESS**2 * e.judged.noise_power)
 
 
+def stays_open(e: Evidence) -> bool:
+    """Whether effects that explain a part are found, and what they leave is no noise."""
+    return bool(e.effects) and verdict(e).kind != "unknown" and e.extended.remainder and (
+        e.extended.held_out.power > EXCESS**2 * e.judged.noise_power)
+
+
 def needs_joint_fit(e: Evidence) -> bool:
     """Whether the verdict hangs on one fit to fitted and held-out records that is not there."""
     return e.joint is None and judge_hypothesis(e).reason is Reason.ABOVE_FLOOR
