@@ -18,7 +18,6 @@ pytestmark = pytest.mark.real_time
 NODES = Path(__file__).with_name("plain_nodes.py")
 SECONDS = 12
 FREQUENCY_HZ, DAMPING_RATIO, GAIN = 3.0, 0.05, 0.02     # as in plain_nodes.py
-STATE = ["--output", "/joint_states.position[arm]"]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_nodes_know_nothing_of_us(bag: Path) -> None:
     assert "dfm" not in NODES.read_text()
-    assert {"/joint_states", "/arm/command"} <= set(read_bag(bag))
+    assert {"/joint_states", "/elbow/command"} <= set(read_bag(bag))
     assert not [name for name in read_bag(bag) if name.endswith("/measurement")]
 
 
@@ -48,28 +47,29 @@ def test_bags_says_what_could_be_input_and_output(
     assert topics["/joint_states"]["type"] == "sensor_msgs/msg/JointState"
     assert topics["/joint_states"]["rate_hz"] == pytest.approx(100.0, rel=0.1)
     assert fields["/joint_states.effort[arm]"]["greatest"] == 1.0
-    assert topics["/arm/command"]["fields"][0]["path"] == "/arm/command.data"
+    assert topics["/elbow/command"]["fields"][0]["path"] == "/elbow/command.data"
 
 
-@pytest.mark.parametrize("drive", ["/joint_states.effort[arm]", "/arm/command.data"])
-def test_a_model_comes_out_of_two_fields(bag: Path, tmp_path: Path, drive: str) -> None:
-    """The same topic's effort, and the command of another topic without header at 50 Hz."""
+@pytest.mark.parametrize(("drive", "joint", "accuracy"), [
+    ("/joint_states.effort[arm]", "arm", 0.01), ("/elbow/command.data", "elbow", 0.05)])
+def test_a_model_comes_out_of_two_fields(bag: Path, tmp_path: Path, drive: str, joint: str,
+                                         accuracy: float) -> None:
+    """The effort of the same topic, and a command without header at another rate."""
     out = tmp_path / "found"
-    assert __main__.main(["identify", str(bag), "--input", drive, *STATE, "--input-unit", "V",
-                          "--from", "0.5", "--split", "0.8", "--no-report",
-                          "--out", str(out)]) == 0
+    assert __main__.main(["identify", str(bag), "--input", drive, "--input-unit", "V", "--output",
+                          f"/joint_states.position[{joint}]", "--from", "0.5", "--split", "0.8",
+                          "--no-report", "--out", str(out)]) == 0
     found = json.loads((out / "identify.json").read_text())
-    assert found["natural_frequency_hz"]["value"] == pytest.approx(FREQUENCY_HZ, rel=0.01)
-    assert found["damping_ratio"]["value"] == pytest.approx(DAMPING_RATIO, rel=0.15)
-    assert found["gain"]["value"] == pytest.approx(GAIN, rel=0.03)
-    assert found["held_out"]["fit_percent"] > 95.0
+    assert found["natural_frequency_hz"]["value"] == pytest.approx(FREQUENCY_HZ, rel=accuracy)
+    assert found["damping_ratio"]["value"] == pytest.approx(DAMPING_RATIO, rel=3 * accuracy)
+    assert found["gain"]["value"] == pytest.approx(GAIN, rel=accuracy)
+    assert found["held_out"]["fit_percent"] > (98.0 if joint == "arm" else 85.0)
     assert any("by header times" in text for text in found["warnings"])
-    if drive == "/arm/command.data":
-        assert any("nearest message is" in text for text in found["warnings"])
+    assert any("nearest message is" in text for text in found["warnings"])
 
 
 def test_the_export_is_the_record(bag: Path, tmp_path: Path) -> None:
-    words = ["--input", "/arm/command.data", *STATE]
+    words = ["--input", "/elbow/command.data", "--output", "/joint_states.position[elbow]"]
     assert __main__.main(["bags", str(bag), *words, "--export", str(tmp_path / "run.csv")]) == 0
     exported = read_record(tmp_path / "run.csv").axis()
     record = read_record(bag, input=words[1], output=words[3])
