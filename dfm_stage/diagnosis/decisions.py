@@ -122,6 +122,9 @@ PARAMETER_PART = decision(
 GRADED_FALL = decision(
     "GRADED_FALL", 1e-4, "1", meaning="Fall of the power left, over it, at which a fit ends that "
     "ranks sets by it.", set_on="derivation: 0.05 standard errors of 24 blocks")
+POLISHED_PART = decision(
+    "POLISHED_PART", 1e-6, "1", meaning="The same for the set that is told.",
+    set_on="derivation: 0.005 standard errors of 24 blocks")
 GRADED_ITERATIONS = decision(
     "GRADED_ITERATIONS", 15, "1", meaning="Iterations of such a fit at most.",
     set_on="derivation: processor time")
@@ -260,10 +263,12 @@ STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration ste
                             "further candidate that is slow to simulate is tried.", BOUND)
 STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 60e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
-MOST_STEPS = _search("MOST_STEPS", 75e6, "steps", "Integration steps after which every fit ends "
+MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps after which every fit ends "
                      "where it is.", BOUND)
-GRADING_STEPS = _search("GRADING_STEPS", 40e6, "steps", "Integration steps of the search for "
+GRADING_STEPS = _search("GRADING_STEPS", 50e6, "steps", "Integration steps of the search for "
                         "effects that explain a part.", BOUND)
+LEAST_STEPS = _search("LEAST_STEPS", 25e6, "steps", "Integration steps that are left to it, and "
+                      "to the search to the noise after it, at least.", BOUND)
 STEPS_A_FIT = _search("STEPS_A_FIT", 24e6, "steps", "Integration steps of one fit at most.", BOUND)
 
 # -- noise ---------------------------------------------------------------------------------------

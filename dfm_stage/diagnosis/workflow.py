@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.decisions import GROSS_GAP, MOST_STEPS
+from dfm_stage.diagnosis.decisions import GROSS_GAP, LEAST_STEPS, MOST_STEPS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
@@ -116,7 +116,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
         if stays_open(part[2]):
             return part
-        trial.search.begin_work(MOST_STEPS)
+        trial.search.begin_work(max(MOST_STEPS - own.search.steps, LEAST_STEPS))
     h = trial.run(*trial.search.grown((), first))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
