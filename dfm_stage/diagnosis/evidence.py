@@ -104,12 +104,14 @@ class EffectEvidence:
 @dataclass(frozen=True)
 class Candidate:
     """An effect of the library: why it is no candidate here, the fall in chi-square that the
-    screen promised, and why it was dropped after it had been fitted."""
+    screen promised, the share of the missing force that it explains by itself, and why it was
+    dropped after it had been fitted."""
 
     name: str
     excluded: str | None = None
     gain: float | None = None
     dropped: DropReason | None = None
+    share: float | None = None
 
 
 @dataclass(frozen=True)

@@ -103,8 +103,10 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     effects = tuple(replace(x, rivals=tuple(
         replace(r, margin=max(r.margin, seen.margins.get(r.name, 0.0)))
         for r in x.rivals)) if x.name in seen.best.names else x for x in evidence.effects)
+    alone = {e.names[0]: e.share for e in seen.singles}
+    library = tuple(replace(c, share=alone.get(c.name)) for c in evidence.library)
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
-    return replace(evidence, effects=effects, witness={
+    return replace(evidence, effects=effects, library=library, witness={
         "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
         "predictable": 1.0 - seen.predictable**2, "margins": dict(seen.margins)},
         judged=replace(evidence.judged, predictable=predictable))

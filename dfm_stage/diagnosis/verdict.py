@@ -79,6 +79,7 @@ Rejected = Enum("Rejected", [
     "RIVAL",          # another one in its place fits better
     "EXCLUDED",       # it is no candidate here
     "NOT_HELD_OUT",   # it is in the hypothesis, which did not pass
+    "FORCE_SHARE",    # it explains but a share of the missing force
     "NO_RESPONSE",    # the data show none of it
     "SHARE",          # it could take but a share of the gap
     "BELOW_LIMIT",    # chi-square falls by less than the limit
@@ -364,6 +365,8 @@ def _not_named(c: Candidate, fitted: bool, above: float) -> Rejection:
         return Rejection(c.name, c.dropped)
     if fitted:
         return Rejection(c.name, Rejected.NOT_HELD_OUT)
+    if c.share is not None and (c.gain is None or c.gain <= 0.0):
+        return Rejection(c.name, Rejected.FORCE_SHARE, max(c.share, 0.0))
     if c.gain is None or c.gain <= 0.0:
         return Rejection(c.name, Rejected.NO_RESPONSE)
     if above > FIRST and c.gain > FIRST:

@@ -53,6 +53,7 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
     Rejected.EXCLUDED: "{about}",
     Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
+    Rejected.FORCE_SHARE: "explains {value:.0%} of the missing force by itself",
     Rejected.NO_RESPONSE: "no response that the data show",
     Rejected.SHARE: "could take {value:.0%} of the gap at best",
     Rejected.BELOW_LIMIT: f"chi-square falls by {{value:.0f}}, below the limit {FIRST:g}"}
