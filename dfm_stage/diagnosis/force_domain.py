@@ -110,7 +110,7 @@ class RunForces:
     def __init__(self, run: Observation, width: float) -> None:
         self.run, self.width = run, width
         self.grid = Grid(run.output.size, run.sample_period)
-        self.x_spectrum = self.grid.spectrum(run.output)
+        self.y_spectrum = self.grid.spectrum(run.output)
         self.u_spectrum = self.grid.spectrum(run.input)
         self.noise = noise_density(run.output)
 
@@ -123,7 +123,7 @@ class RunForces:
         """The same run behind another filter."""
         other = object.__new__(RunForces)
         other.__dict__.update({k: v for k, v in self.__dict__.items()
-                               if k in ("run", "grid", "x_spectrum", "u_spectrum", "noise")})
+                               if k in ("run", "grid", "y_spectrum", "u_spectrum", "noise")})
         other.width = width
         return other
 
@@ -131,7 +131,16 @@ class RunForces:
         """The derivative (N,) of the position of this order, behind a filter."""
         grid = self.grid
         gauss = self.gauss if width is None else grid.gauss(width)
-        return grid.signal(self.x_spectrum * gauss * (1j * grid.omega) ** order)
+        return grid.signal(self.y_spectrum * gauss * self.per_output(order))
+
+    def per_output(self, order: int) -> Complex:
+        """What makes the derivative of the position of this order of the output (F,): its
+        integral has no mean."""
+        if order >= self.run.order:
+            return np.asarray((1j * self.grid.omega) ** (order - self.run.order))
+        found = np.zeros(self.grid.omega.size, dtype=complex)
+        found[1:] = (1j * self.grid.omega[1:]) ** (order - self.run.order)
+        return found
 
     def filtered(self, signal: Array) -> Array:
         """`signal` (N,) behind the filter."""
@@ -148,11 +157,11 @@ class RunForces:
 
     def operated(self, operator: Complex) -> Array:
         """A linear operator (F,) on the position, behind the filter."""
-        return self.grid.signal(self.x_spectrum * operator * self.gauss)
+        return self.grid.signal(self.y_spectrum * self.per_output(0) * operator * self.gauss)
 
     def noise_rms(self, stiffness: Complex | Array, width: float) -> float:
-        """RMS that the noise of the position leaves of an operator (F,) on it."""
-        power = np.abs(stiffness) ** 2 * self.grid.gauss(width) ** 2
+        """RMS that the noise of the output leaves of an operator (F,) on the position."""
+        power = np.abs(stiffness * self.per_output(0)) ** 2 * self.grid.gauss(width) ** 2
         return math.sqrt(self.noise * float(np.mean(power)))
 
     @cached_property

@@ -77,7 +77,7 @@ def setting(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
     """Compute base columns and target, and fit the linear part."""
     gain = model.base.get("force_constant", 1.0)
     spring = model.base.get("stiffness", 0.0) > 0.0
-    offset = spring and "encoder_zero" not in model.base
+    offset = spring and ("encoder_zero" not in model.base or runs[0].run.order > 0)
     orders = {"mass": 2, "damping": 1, **({"stiffness": 0} if spring else {})}
     columns = _stacked(runs, offset, lambda run: np.array([
         *(run.derivative(order) for order in orders.values()), gain * run.drive(timing, 1)]))

@@ -15,7 +15,14 @@ from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import gather, with_joint_fit, with_next_experiment
 from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.observation import Observation, in_windows, observe, split_by_time
+from dfm_stage.diagnosis.margins import velocity_like
+from dfm_stage.diagnosis.observation import (
+    Observation,
+    alike,
+    in_windows,
+    observe,
+    split_by_time,
+)
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import leaves_open, needs_grading, needs_joint_fit, verdict
@@ -67,6 +74,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     held = [observe(r, one, chosen if chosen in r.axes else axis, n or None)
             for r, n in zip(holdout, labels[len(records):], strict=True)]
     warnings = [f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings]
+    both = alike([*runs, *held])
+    runs, held = both[:len(runs)], both[len(runs):]
     if not held:
         runs, held = split_by_time(runs)
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
@@ -118,8 +127,9 @@ def _judged_to_noise(trial: Trial, first: Fit, warnings: Sequence[str],
 
 def drifts(bare: Fit) -> bool:
     """Whether a body without a spring misses so much force that its position says nothing."""
-    change = max(float(np.std(np.diff(run.output))) for run in bare.system.runs)
-    left = rms([np.diff(parts[0]) for parts in bare.residuals])
+    runs = bare.system.runs
+    change = max(float(np.std(velocity_like(run.output, run.order))) for run in runs)
+    left = rms([velocity_like(parts[0], runs[0].order) for parts in bare.residuals])
     return bare.system.springless and left > GROSS_GAP * change
 
 
