@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dfm_stage.arrays import Array
+
 
 def compile_all() -> None:
     """Compile the simulator (plant, records, parameter sets, sensitivities), the hooks of all
@@ -32,6 +34,21 @@ def _simulator() -> None:
     bare = Model("compiled", 1e-3, base={"mass": 1.0, "damping": 1.0, "coil_resistance": 1.0})
     for effect in EFFECTS.values():
         Simulator(bare.with_effect(effect.name, effect.defaults))
+    _along()
+
+
+def _along() -> None:
+    from dfm_stage.model import EFFECTS
+    from dfm_stage.model.kernel import along, hooks
+
+    def first(kind: str) -> tuple[int, Array]:
+        effect = next(e for e in EFFECTS.values() if getattr(e, kind) is not None)
+        return hooks.address(kind, [(effect, 0)]), np.array([*effect.defaults.values()])
+
+    rest = np.zeros(8)
+    along.forces_along(*first("force"), rest, rest, rest, np.zeros(8))
+    along.bristles_along(*first("advance"), rest, rest, np.zeros(8))
+    along.senses_along(*first("sense"), rest, 1e-3, np.empty(0), np.zeros(8))
 
 
 def _reader() -> None:

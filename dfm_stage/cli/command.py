@@ -24,7 +24,7 @@ Options = Sequence[Option | Group]
 Work = Callable[[argparse.Namespace], int]
 Tone = Literal["good", "warn", "bad"]
 TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
-                          "unknown": "bad", "not_excited": "warn"}
+                          "unknown": "bad", "partial": "warn", "not_excited": "warn"}
 """How good news each verdict of the diagnosis is."""
 _CODES = {"good": "32", "warn": "33", "bad": "31"}
 _made: list[Path] = []

@@ -37,6 +37,7 @@ EPILOG = """\
 examples:
   ./run diagnose runs/multisine --holdout runs/scan --model found/model.yaml --out diagnosis
   ./run diagnose log.csv --model m.yaml --time t --input iq --output theta --output-unit rad
+  ./run diagnose log.csv --model m.yaml --from 2 --to 60 --split 0.75
   ./run diagnose runs/multisine --model m.yaml --run stage.yaml   # and the next experiment
 """
 OPTIONS: Options = (

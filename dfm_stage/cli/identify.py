@@ -36,6 +36,7 @@ examples:
   ./run identify runs/multisine
   ./run identify train.csv --holdout scan.csv --model config/models/paper_stage.yaml --out found
   ./run identify log.csv --time t --input iq --output theta --input-unit A --output-unit rad
+  ./run identify robot_bag --input /joint_states.effort[0] --output /joint_states.position[0]
 """
 FEWEST_SAMPLES = 100
 """A shorter record is refused: it holds too little of a stage's motion to fit a noise model to."""

@@ -9,7 +9,15 @@ from collections.abc import Sequence
 
 from dfm_stage.cli.command import Group, option
 from dfm_stage.errors import DfmError
-from dfm_stage.recording import Record, at_period, part, read_record, split, without_gaps
+from dfm_stage.recording import (
+    Record,
+    at_period,
+    filled,
+    part,
+    read_record,
+    split,
+    without_gaps,
+)
 from dfm_stage.recording.record import HOLDS
 
 COLUMNS: Group = ("CSV files with other column names, bags of other nodes", (
@@ -24,7 +32,10 @@ RANGE: Group = ("which part of each record", (
     option("--to", dest="to_s", type=float, metavar="SECONDS",
            help="end so long after the record began"),
     option("--rows", metavar="A:B", help="samples A to B, B left out, counted from 0; either may "
-           "be missing")))
+           "be missing"),
+    option("--gaps", choices=("longest", "fill"), default="longest",
+           help="where samples are missing, keep the longest stretch, or first fill in up to two "
+           "in a row (default: %(default)s)")))
 SPLIT = option("--split", type=float, metavar="SHARE",
                help="fit this first share of each record and hold out the rest, as 0.75")
 CONVENTION: Group = ("when the input acts", (
@@ -53,12 +64,14 @@ def read_with(options: argparse.Namespace, path: str, axis: str | None = None,
     record = read_record(path, axis=axis, time=options.time, input=options.input,
                          output=options.output, time_unit=options.time_unit,
                          input_unit=options.input_unit, output_unit=options.output_unit,
-                         sample_period=options.sample_period, gaps="mask" if cuts else "longest",
+                         sample_period=options.sample_period,
+                         gaps="mask" if cuts else options.gaps,
                          input_hold=None if options.input_hold == "auto" else options.input_hold,
                          input_shift=_shift(options.input_shift))
     if cuts:
         # what is missing elsewhere must not move or shorten the part
-        record = without_gaps(_part(options, record))
+        record = _part(options, record)
+        record = without_gaps(filled(record) if options.gaps == "fill" else record)
     return record if period is None else at_period(record, period)
 
 

@@ -12,6 +12,8 @@ from dfm_stage.diagnosis.candidates import late_splits, starts
 from dfm_stage.diagnosis.decisions import (
     AROUND_STEPS,
     FURTHER,
+    GRADED_FALL,
+    GRADED_ITERATIONS,
     MOST_STEPS,
     NOISE_SHARES,
     PER_PARAMETER,
@@ -133,11 +135,15 @@ class Fits:
         return self.keep(names, found)
 
     def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = ()) -> Fit:
-        """The fit with the effects `names` from one beginning, without what is freed last: enough
-        to rank by the power left where no set reaches the noise."""
+        """The fit with the effects `names` from one beginning, without what is freed last, as far
+        as power left is told by: enough to rank sets of which none reaches the noise."""
         key = frozenset(names), self.weighing
-        return self.fits[key] if key in self.fits else self.keep(
-            names, self._from(start.model, names, start, hits, 0.0))
+        if key in self.fits:
+            return self.fits[key]
+        model, later = self._with(start.model, names, hits)
+        free = tuple(n for n in self.parameters(model) if n not in later)
+        return self.keep(names, self._fit(model, free, start, iterations=GRADED_ITERATIONS,
+                                          tolerance=GRADED_FALL * start.white.size))
 
     def in_place_of(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
@@ -157,13 +163,7 @@ class Fits:
         """`others_first`: fit all else around the new effects first, and only then them, too.
         Begun together, a large effect may be traded away for what it displaces. Once the work is
         beyond `limit`, nothing slow is begun."""
-        for use in model.effects:
-            if use.name not in names and self.model.effect(use.name) is None:
-                model = model.without_effect(use.name)
-        later: list[str] = []
-        for hit in hits:
-            model = model.with_effect(hit.name, _inside(hit.name, hit.parameters))
-            later += [f"{hit.name}.{n}" for n in EFFECTS[hit.name].freed_last]
+        model, later = self._with(model, names, hits)
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
         slow = bool(later) or (self.steps > STEPS_BEFORE_LINEAR
@@ -189,6 +189,19 @@ class Fits:
         if found.ok and any(EFFECTS[h.name].late for h in hits):
             found = self.resplit(found)
         return found
+
+    def _with(self, model: Model, names: Sequence[str],
+              hits: Sequence[Hit]) -> tuple[Model, list[str]]:
+        """The model with the effects `names`, those of `hits` where these begin, and what of the
+        latter is freed last."""
+        for use in model.effects:
+            if use.name not in names and self.model.effect(use.name) is None:
+                model = model.without_effect(use.name)
+        later: list[str] = []
+        for hit in hits:
+            model = model.with_effect(hit.name, _inside(hit.name, hit.parameters))
+            later += [f"{hit.name}.{n}" for n in EFFECTS[hit.name].freed_last]
+        return model, later
 
     def _fit(self, model: Model, free: Names, start: Fit, *, iterations: int = 25,
              tolerance: float = 1e-2, exact: bool = False) -> Fit:
@@ -267,8 +280,7 @@ class Fits:
 def first_weights(found: Fit) -> Weights:
     """White noise, in the output or, of the position of a stage without a spring, in the
     velocity."""
-    drifting = found.system.springless and found.system.runs[0].order == 0
-    weights = velocity_weights if drifting else white_weights
+    weights = velocity_weights if found.system.drifts else white_weights
     return weights(found.residuals)
 
 

@@ -35,12 +35,14 @@ SAME = 1e-10
 @dataclass(frozen=True)
 class Candidate:
     """An effect at one starting point: the parameters of each of its `columns`; of one whose size
-    is not free the `target` that it leaves instead."""
+    is not free the `target` that it leaves instead, and by what `factor` that has less power: an
+    effect that takes from the input makes every remainder smaller."""
 
     name: str
     directions: tuple[Parameters, ...]
     columns: tuple[int, ...]
     target: int = 0
+    factor: float = 1.0
 
     def wrong_sign(self, coefficients: Array) -> bool:
         """Whether its size (first of `coefficients`) is on the wrong side of zero."""
@@ -136,7 +138,9 @@ class Candidates:
         self.shadows += [self.inverse @ c for c in found]
         if EFFECTS[name].searched:
             self.columns.append(self.missing - off[0])
-            return Candidate(name, (dict(parameters),), (), first)
+            less = np.linalg.norm(self.setting.target) / max(
+                float(np.linalg.norm(self.setting.target + found[0])), 1e-300)
+            return Candidate(name, (dict(parameters),), (), first, float(less**2))
         self.columns += off
         return Candidate(name, tuple(directions), tuple(range(first, first + len(off))))
 
@@ -220,17 +224,24 @@ class Fits:
             if m.wrong_sign(solution.coefficients[at:at + len(m.columns)]):
                 return None
             at += len(m.columns)
-        return Fitted(members, solution)
+        return Fitted(members, replace(solution, errors=solution.errors * _factor(members)))
 
     def black_box(self, members: Sequence[Candidate] = ()) -> Array:
         """Held-out errors (B,) of a black box, alone or beside effects."""
         columns, target = self.place(members)
-        return self.blocks.ridge_errors([*self.base, *columns], self.extra, target, RIDGES)
+        return self.blocks.ridge_errors([*self.base, *columns], self.extra, target,
+                                        RIDGES) * _factor(members)
 
     def by_group(self, found: Fitted, groups: Lines) -> Array:
         """Held-out errors (B,) of a set whose sizes differ between groups (B,) of blocks."""
         columns, target = self.place(found.members)
-        return self.blocks.fit_by_group(self.base, columns, target, groups).errors
+        return self.blocks.fit_by_group(self.base, columns, target,
+                                        groups).errors * _factor(found.members)
+
+
+def _factor(members: Sequence[Candidate]) -> float:
+    """Makes errors comparable with those of the target that is not smaller."""
+    return math.prod(m.factor for m in members)
 
 
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)

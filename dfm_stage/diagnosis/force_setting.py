@@ -32,6 +32,8 @@ below it is taken."""
 BIASED = 0.3
 """Noise of the acceleration over its RMS behind a filter that is wide enough: noise in a term
 lowers its coefficient by the square, and with the mass what is taken for noise."""
+LEAST_LEFT = 4.0
+"""Shortest record over an edge of the filter and a block."""
 EARLIEST, LATEST = -2.0, 4.0
 """Samples around the model's delay where the input's timing is looked for."""
 TIMED = 4
@@ -84,6 +86,8 @@ def setting(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
     target = _stacked(runs, offset, lambda run: gain * run.drive(timing))
     values = least_squares(columns, target)
     linear = Linear(float(values[0]), float(values[1]), float(values[2]) if spring else 0.0)
+    if linear.mass <= 0.0 or linear.stiffness < 0.0:    # a gap so gross says nothing of them
+        linear = Linear(*(model.base.get(n, 0.0) for n in ("mass", "damping", "stiffness")))
     return Setting(runs, timing, (*orders, "late"), columns, target, linear, offset)
 
 
@@ -108,32 +112,33 @@ def settled(runs: Sequence[RunForces], model: Model) -> tuple[Setting, float,
     period = runs[0].run.sample_period
     timing = Timing(model.effective_base().get("delay", 0.0) + 0.5 * period,
                     linear_part(model).lag_s, True)
-    found = _filtered(runs, model, timing)
+    found, clear = _filtered(runs, model, timing)
     inertia = model.base["mass"] * float(np.std(found.columns[:, 0]))
     if float(np.std(found.target)) <= NO_FORCE * inertia:
         raise DiagnosisError("the input does nothing: a look at forces needs a driven motion")
     timing, error = _timed(found, model)
     found = setting(found.runs, model, timing)
-    return found, _noise_share(found), (timing.late / period, error / period)
+    return found, _noise_share(found) if clear else 1.0, (timing.late / period, error / period)
 
 
-def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
-    """The narrowest filter behind which noise is a small share of what is missing."""
+def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing) -> tuple[Setting, bool]:
+    """The narrowest filter behind which noise is a small share of what is missing, and whether
+    the acceleration stands out of the noise there."""
     shortest = min(run.grid.size - run.run.skip for run in runs)
-    widths = [w for w in WIDTHS if shortest >= 4.0 * EDGE * w + 4 * SHORTEST_BLOCK]
+    widths = [w for w in WIDTHS if shortest >= LEAST_LEFT * (EDGE * w + SHORTEST_BLOCK)]
     if not widths:
         raise DiagnosisError("the records are too short for a look at forces")
     biased = {w: max(run.noise_rms(run.grid.omega**2, w)
                      / max(float(np.std(run.derivative(2, w))), 1e-300) for run in runs)
               for w in widths}
-    usable = [w for w in widths if biased[w] < BIASED] or [min(widths, key=lambda w: biased[w])]
+    usable = [w for w in widths if biased[w] < BIASED]
     tried = []
-    for width in usable:
+    for width in usable or [min(widths, key=lambda w: biased[w])]:
         found = setting([run.at_width(width) for run in runs], model, timing)
         tried.append((found, _noise_share(found)))
         if tried[-1][1] < NOISE_SHARE:
             break
-    return min(tried, key=lambda each: each[1])[0]
+    return min(tried, key=lambda each: each[1])[0], bool(usable)
 
 
 def _noise_share(found: Setting) -> float:

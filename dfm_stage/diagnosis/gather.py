@@ -28,7 +28,7 @@ from dfm_stage.diagnosis.evidence import (
 )
 from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers
+from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers, score_by_blocks
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import Finding, describe, findings
@@ -43,11 +43,12 @@ from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS
 
 
-def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
-           split: bool = False) -> Evidence:
+def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: bool = False,
+           graded: bool = False) -> Evidence:
     """Do all that every verdict needs.
 
-    `warnings` are those of the records; `split` says that parts of these are held out.
+    `warnings` are those of the records; `split` says that parts of these are held out, `graded`
+    that the effects leave a remainder: then blocks set the intervals.
     """
     search, held = trial.search, (trial.held, trial.held_weights)
     runs, weight = search.runs, search.weights[0][0]
@@ -56,7 +57,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
     given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
     seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
     retuned = _of_model(runs, h.bare, seen[1], judged)
-    extended = _of_model(runs, h.fit, seen[2], judged) if h.fit is not h.bare else \
+    extended = _of_model(runs, h.fit, seen[2], judged, graded) if h.fit is not h.bare else \
         replace(retuned, held_out=_errors(seen[2], judged))
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
@@ -76,8 +77,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
         split=split, not_compared=tuple(search.not_compared), judged=judged,
-        conventions=tuple(r.convention.to_dict(r.name)
-                          for r in (*runs, *(() if split else trial.held))))
+        graded=graded, conventions=tuple(r.convention.to_dict(r.name)
+                                         for r in (*runs, *(() if split else trial.held))))
 
 
 def judged_in(h: Hypothesis) -> Judged:
@@ -85,7 +86,7 @@ def judged_in(h: Hypothesis) -> Judged:
     drifts by whatever small force there is, and its position is judged in velocity."""
     system = h.fit.system if h.fit.ok else h.bare.system
     measures = system.runs[0].measures
-    change = system.springless and measures == "position"
+    change = system.drifts
     signal: Signal = "velocity" if change else measures
     left = h.fit.residuals if h.fit.ok else []
     noise = white_weights(left)[0][0].rms if left else 0.0
@@ -148,12 +149,12 @@ def _motion(runs: Sequence[Observation], bare: Fit) -> Motion:
 
 
 def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,
-              judged: Judged) -> ModelEvidence:
+              judged: Judged, by_blocks: bool = False) -> ModelEvidence:
     fitted = Errors(found.rms, found.chi2, found.white.size, _change_rms(found.residuals),
                     power(found.residuals, judged.change))
     if not found.ok:
         return ModelEvidence(fitted, _errors(seen, judged))
-    evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found),
+    evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found, by_blocks),
                              _findings(runs, found))
     return replace(evidence, description=describe(runs, found.residuals)
                    if evidence.remainder else None)
@@ -166,11 +167,11 @@ def _findings(runs: Sequence[Observation], found: Fit) -> dict[str, tuple[Findin
             for run, parts in zip(runs, found.residuals, strict=True)}
 
 
-def _values(found: Fit) -> dict[str, Quantity]:
+def _values(found: Fit, by_blocks: bool) -> dict[str, Quantity]:
     """Free parameters: the intervals about the values that the model has."""
     values = found.model.parameters()
-    return {n: replace(q, value=float(values.get(n, q.value)))
-            for n, q in found.quantities.items()}
+    told = found.quantities_over(*score_by_blocks(found)) if by_blocks else found.quantities
+    return {n: replace(q, value=float(values.get(n, q.value))) for n, q in told.items()}
 
 
 def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str, Quantity],

@@ -8,7 +8,6 @@ without it, and no rival outside its class does as well.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from dfm_stage.diagnosis.decisions import (
     GRADED_RIVALS,
     GRADING_STEPS,
     MOST_GRADED,
+    NEAR_RIVAL,
     PARAMETER_PART,
     PRESLIDING_DISTANCE,
     PROPOSED,
@@ -25,7 +25,6 @@ from dfm_stage.diagnosis.decisions import (
     SHORT_LIST,
 )
 from dfm_stage.diagnosis.effect_fits import Names
-from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.gather import gather, with_witness
@@ -34,7 +33,7 @@ from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.verdict import fallen
 from dfm_stage.diagnosis.verification import weights_like
-from dfm_stage.diagnosis.witness import Witness, witness
+from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.effect import Parameters
 
@@ -51,19 +50,19 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     """
     search = trial.search
     search.begin_work(GRADING_STEPS)
-    search.step("judging in the force domain")
-    seen = _heard(trial)
+    seen = trial.witness
     bare = h.bare
     search.weigh_at_first(bare)
     bare = search.once((), bare)
     trial.held_weights = weights_like(trial.held, search.weights)
-    names, found = _largest(search, bare, [*_proposed(search, seen), *_found_before(search, h)])
-    names, found = _further(search, names, found)
+    names, found = _largest(search, bare, [*_proposed(search, seen), *_found_before(trial, h)])
+    if not told_by(seen, search):
+        names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
     while True:
         h = Hypothesis(names, found, bare,
-                       {n: list(_rivals(search, n, names, found)) for n in names})
-        judged = with_witness(replace(gather(trial, h, warnings, split), graded=True), seen)
+                       {n: list(_rivals(search, seen, n, names, found)) for n in names})
+        judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
         weakest = fallen(judged)
         if weakest is None:
             trial.dropped.update({n: r for n, r in dropped.items() if n not in names})
@@ -79,16 +78,6 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         dropped[name] = reason
 
 
-def _heard(trial: Trial) -> Witness | None:
-    """What the force domain says; None where the records are too short for it."""
-    search = trial.search
-    try:
-        return witness([replace(r, window=0) for r in search.runs], search.model, search.library,
-                       held=[replace(r, window=0) for r in trial.held])
-    except DiagnosisError:
-        return None
-
-
 def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parameters]]:
     """The sets that explain most of the missing force."""
     if seen is None or seen.cannot_tell:
@@ -100,12 +89,13 @@ def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parame
         if each.names and allowed and frozenset(each.names) not in told \
                 and each.share > RIVAL_GAIN * seen.best.share:
             told.add(frozenset(each.names))
-            yield {n: {p: each.parameters[f"{n}.{p}"] for p in EFFECTS[n].defaults}
-                   for n in each.names}
+            yield {n: {p: each.parameters.get(f"{n}.{p}", value)
+                       for p, value in EFFECTS[n].defaults.items()} for n in each.names}
 
 
-def _found_before(search: Search, h: Hypothesis) -> Iterator[dict[str, Parameters]]:
+def _found_before(trial: Trial, h: Hypothesis) -> Iterator[dict[str, Parameters]]:
     """The sets that the search fitted: its answer, and the best single effects."""
+    search, seen = trial.search, trial.witness
     if h.names:
         yield _own(search, h.fit)
     singles: dict[str, Fit] = {}
@@ -116,7 +106,7 @@ def _found_before(search: Search, h: Hypothesis) -> Iterator[dict[str, Parameter
                 singles[name] = found
     for found in sorted(singles.values(), key=lambda f: f.rms)[:2]:
         yield _own(search, found)
-    if not search.hits and not search.runs[0].window:
+    if not search.hits and (seen is None or seen.cannot_tell):
         search.step("screening every effect")
         _, hits = search.screened(h.bare, ())
         search.hits.update({x.name: x for x in reversed(hits)})
@@ -137,8 +127,7 @@ def _largest(search: Search, bare: Fit, begins: Begins) -> tuple[Names, Fit]:
     for begin in begins:
         names = tuple(begin)
         search.step(f"fitting {' and '.join(names)}")
-        hits = [Hit(n, 0.0, dict(p), np.zeros((0, 0)), np.zeros(0)) for n, p in begin.items()]
-        found = search.once(names, bare, hits)
+        found = search.once(names, bare, [_begun(n, p) for n, p in begin.items()])
         if _usable(found, names) and _score(names, found) < _score(*best):
             best = names, found
     return best
@@ -176,22 +165,49 @@ def _further(search: Search, names: Names, found: Fit) -> tuple[Names, Fit]:
     return names, found
 
 
-def _rivals(search: Search, name: str, names: Names, found: Fit) -> Iterator[Rival]:
-    """The effects that the screen ranks highest in the place of one."""
+def told_by(seen: Witness | None, search: Search) -> bool:
+    """Whether the force domain alone proposes: without a spring, where it sees every effect and
+    screens of many windows are slow."""
+    return seen is not None and not seen.cannot_tell and bool(search.runs[0].window)
+
+
+def _rivals(search: Search, seen: Witness | None, name: str, names: Names,
+            found: Fit) -> Iterator[Rival]:
+    """The effects that come nearest in the place of one, fitted."""
     rest = tuple(n for n in names if n != name)
     without = search.once(rest, found)
     if not without.ok:
         return
+    for hit in _near(seen, name, names) if seen is not None and told_by(seen, search) else \
+            _screened(search, name, rest, without):
+        search.step(f"fitting {hit.name} in place of {name}")
+        rival = search.once((*rest, hit.name), without, [hit])
+        if _usable(rival, (hit.name,)):
+            yield Rival(hit.name, rival.chi2 - found.chi2, rival)
+
+
+def _near(seen: Witness, name: str, names: Names) -> list[Hit]:
+    """The rivals that the force domain puts within NEAR_RIVAL standard errors."""
+    alone = {e.names[0]: e for e in seen.singles}
+    own = alone[name].share if name in alone else 0.0
+    near = [n for n, m in seen.margins.items() if m < NEAR_RIVAL and n in alone
+            and n not in names and alone[n].share > RIVAL_GAIN * own]
+    return [_begun(n, {p: alone[n].parameters.get(f"{n}.{p}", v)
+                       for p, v in EFFECTS[n].defaults.items()}) for n in near[:GRADED_RIVALS]]
+
+
+def _begun(name: str, parameters: Parameters) -> Hit:
+    return Hit(name, 0.0, dict(parameters), np.zeros((0, 0)), np.zeros(0))
+
+
+def _screened(search: Search, name: str, rest: Names, without: Fit) -> list[Hit]:
+    """The rivals that the screen ranks highest."""
     _, hits = search.screened(without, rest)
     best = {h.name: h for h in reversed(hits)}
     own = best[name].gain if name in best else max((h.gain for h in best.values()), default=0.0)
     listed = sorted((h for h in best.values() if h.name != name
                      and h.gain > RIVAL_GAIN * own), key=lambda h: -h.gain)
-    for hit in listed[:GRADED_RIVALS]:
-        search.step(f"fitting {hit.name} in place of {name}")
-        rival = search.once((*rest, hit.name), without, [hit])
-        if _usable(rival, (hit.name,)):
-            yield Rival(hit.name, rival.chi2 - found.chi2, rival)
+    return listed[:GRADED_RIVALS]
 
 
 def _better_rival(h: Hypothesis, name: str) -> Rival | None:

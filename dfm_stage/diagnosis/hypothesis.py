@@ -8,15 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from dfm_stage.diagnosis.decisions import MARGIN
 from dfm_stage.diagnosis.effect_fits import Names
+from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.verification import Prediction, predict, surrogate_test, weights_like
+from dfm_stage.diagnosis.witness import Witness, witness
 from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.weights import Weights
 from dfm_stage.model import EFFECTS, Model
@@ -53,6 +56,16 @@ class Trial:
     seed: int = 0
     held_weights: Weights = ()
     dropped: dict[str, DropReason] = field(default_factory=dict)
+
+    @cached_property
+    def witness(self) -> Witness | None:
+        """What the force domain says; None where the records are too short for it."""
+        self.search.step("judging in the force domain")
+        try:
+            return witness([replace(r, window=0) for r in self.search.runs], self.search.model,
+                           self.search.library, held=[replace(r, window=0) for r in self.held])
+        except DiagnosisError:
+            return None
 
     def run(self, names: Names, found: Fit) -> Hypothesis:
         """Test what a search found and what it finds after each drop; return what is left."""

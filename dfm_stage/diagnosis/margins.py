@@ -22,16 +22,10 @@ from dfm_stage.diagnosis.fit import Fit
 Signal = Literal["position", "velocity", "acceleration", "force"]
 
 
-def velocity_like(signal: Array, order: int) -> Array:
-    """The change of a position (N,) from sample to sample; what is a derivative of some `order`
-    already as it is."""
-    return signal if order else np.asarray(np.diff(signal))
-
-
 def judged_signal(residual: Array, change: bool) -> Array:
     """The residual (N,) of one run as it is judged: itself, or its change where the velocity of
     a position is."""
-    return velocity_like(residual, 0) if change else residual
+    return np.asarray(np.diff(residual)) if change else residual
 
 
 def cuts(sizes: Sequence[int]) -> list[list[slice]]:

@@ -9,16 +9,27 @@ from typing import Any
 
 from dfm_stage.diagnosis import wording
 from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
+from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.diagnosis.verdict import Found, Kind, Verdict
 from dfm_stage.identification.convention import origin_of
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import Model
 
+SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partial (a reader of "
+               "schema 1 should take it as unknown with a better model) and the keys complete, "
+               "predictable_share, margins, constancy, predictable, judged, window_s, "
+               "conventions, witness")
+
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that was found: parameters, share of the gap's power it took, and why."""
+    """An effect that was found, and why.
+
+    Shares are of the held-out gap's power above the noise, of all of it and of what is
+    predictable; `margins` are those over its rivals in block standard errors, `constancy` is the
+    gain of another size for every size of motion.
+    """
 
     name: str
     members: tuple[str, ...]
@@ -26,12 +37,20 @@ class NamedEffect:
     gap_share: float
     evidence: tuple[str, ...]
     chi2: float
+    predictable_share: float | None = None
+    margins: Mapping[str, float] = field(default_factory=dict)
+    constancy: Constancy | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON keeps it."""
         return {"name": self.name, "class": list(self.members),
                 "parameters": {n: q.to_dict() for n, q in self.parameters.items()},
-                "gap_share": _number(self.gap_share), "evidence": list(self.evidence)}
+                "gap_share": _number(self.gap_share),
+                "predictable_share": _number(self.predictable_share),
+                "margins": {n: _number(m) for n, m in self.margins.items()},
+                "constancy": None if self.constancy is None else {
+                    "gain": _number(self.constancy.gain), "se": _number(self.constancy.se)},
+                "evidence": list(self.evidence)}
 
 
 @dataclass(frozen=True)
@@ -50,13 +69,20 @@ class Rejected:
 
 @dataclass(frozen=True)
 class Gap:
-    """RMS of measured minus simulated before, retuned and after, fitted and held out."""
+    """RMS of measured minus simulated before, retuned and after, fitted and held out.
+
+    `predictable` is the RMS, in the signal judged, that a black box would leave, `window_s` how
+    often the state starts anew.
+    """
 
     unit: str
     noise_floor: float
     noise_floor_from: str
     fit: tuple[float, float, float]
     held_out: tuple[float, float, float]
+    predictable: float | None = None
+    judged: str = "position"
+    window_s: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON keeps it."""
@@ -64,7 +90,9 @@ class Gap:
         return {"unit": self.unit, "noise_floor": _number(self.noise_floor),
                 "noise_floor_from": self.noise_floor_from,
                 "fit": {w: _number(v) for w, v in zip(words, self.fit, strict=True)},
-                "held_out": {w: _number(v) for w, v in zip(words, self.held_out, strict=True)}}
+                "held_out": {w: _number(v) for w, v in zip(words, self.held_out, strict=True)},
+                "predictable": _number(self.predictable), "judged": self.judged,
+                "window_s": _number(self.window_s)}
 
 
 @dataclass(frozen=True)
@@ -73,7 +101,8 @@ class Diagnosis:
     `load_experiment` takes, or None. `detection_limits` are, where nothing was found, the sizes at
     which each effect would have been named in half of such records, `conventions` what the input
     of each record does between its samples, `shown` which of the models compared is the one
-    after."""
+    after. `complete` says that the model explains all but noise, `witness` is what the force
+    domain says by itself."""
 
     verdict: Kind
     sentence: str
@@ -91,6 +120,8 @@ class Diagnosis:
     shown: Which = "given"
     seconds: float = 0.0
     conventions: tuple[Mapping[str, Any], ...] = ()
+    complete: bool = True
+    witness: Mapping[str, Any] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -98,9 +129,10 @@ class Diagnosis:
         return tuple(e.name for e in self.effects)
 
     def to_dict(self) -> dict[str, Any]:
-        """diagnosis.json, schema 1."""
+        """diagnosis.json, schema 2."""
         return {
-            "schema": 1, "verdict": self.verdict,
+            "schema": 2, "schema_note": SCHEMA_NOTE, "verdict": self.verdict,
+            "complete": self.complete,
             "effects": [e.to_dict() for e in self.effects],
             "base": {n: q.to_dict() for n, q in self.base.items()},
             "rejected": [r.to_dict() for r in self.rejected],
@@ -112,6 +144,7 @@ class Diagnosis:
             "detection_limits": {name: {n: q.to_dict() for n, q in sizes.items()}
                                  for name, sizes in self.detection_limits.items()},
             "conventions": [dict(each) for each in self.conventions],
+            "witness": None if self.witness is None else dict(self.witness),
         }
 
 
@@ -121,7 +154,8 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
     effects = tuple(_named(e, found) for found in v.effects)
     gap = Gap(e.unit, *e.noise.floor,
               (e.given.fitted.rms, e.retuned.fitted.rms, shown.fitted.rms),
-              (e.given.held_out.rms, e.retuned.held_out.rms, shown.held_out.rms))
+              (e.given.held_out.rms, e.retuned.held_out.rms, shown.held_out.rms),
+              e.judged.predictable, e.judged.signal, e.judged.window_s)
     rejected = (Rejected(r.name, r.held_out_rms, wording.rejection(r)) for r in v.rejected)
     proposal = e.next_experiment
     return Diagnosis(
@@ -131,17 +165,22 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
         None if proposal is None else wording.experiment(proposal), wording.warnings(e, v),
         _signed(model, effects, e), shown.findings,
         e.limits if v.kind in ("none", "not_excited", "retune") else {},
-        e.comparisons, v.shown, conventions=e.conventions)
+        e.comparisons, v.shown, conventions=e.conventions, complete=v.complete,
+        witness=e.witness)
 
 
 def _named(e: Evidence, found: Found) -> NamedEffect:
-    parameters = next((x.parameters for x in e.effects if x.name == found.name), None)
+    seen = next((x for x in e.effects if x.name == found.name), None)
+    parameters = None if seen is None else seen.parameters
     if parameters is None and e.offset is not None:
         force, half = e.offset.value * e.offset.stiffness, 1.96 * e.offset.sigma \
             * e.offset.stiffness
         parameters = {"force": Quantity(force, "N", (force - half, force + half))}
     return NamedEffect(found.name, found.members, parameters or {}, found.share,
-                       tuple(wording.effect_evidence(e, found)), found.loss)
+                       tuple(wording.effect_evidence(e, found)), found.loss,
+                       found.predictable_share,
+                       {} if seen is None else {r.name: r.margin for r in seen.rivals},
+                       None if seen is None else seen.constancy)
 
 
 def _signed(model: Model, effects: Sequence[NamedEffect], e: Evidence) -> Model:

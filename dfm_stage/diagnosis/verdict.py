@@ -218,7 +218,10 @@ def explained_share(e: Evidence) -> float:
 
 
 def _above(e: Evidence, power: float) -> float:
-    """Share of the held-out gap's power above the noise that a model leaving `power` explains."""
+    """Share of the held-out gap's power above the noise that a model leaving `power` explains;
+    none where it cannot be simulated."""
+    if not math.isfinite(power):
+        return 0.0
     noise = e.judged.noise_power
     gap = max(e.retuned.held_out.power - noise, 1e-300)
     return 1.0 - (power - noise) / gap
@@ -277,6 +280,12 @@ def needs_grading(e: Evidence) -> bool:
     real = e.retuned.remainder if not e.effects else True
     return not outcome.stands and real and (
         e.retuned.held_out.power > EXCESS**2 * e.judged.noise_power)
+
+
+def stays_open(e: Evidence) -> bool:
+    """Whether effects that explain a part are found, and what they leave is no noise."""
+    return bool(e.effects) and verdict(e).kind != "unknown" and e.extended.remainder and (
+        e.extended.held_out.power > EXCESS**2 * e.judged.noise_power)
 
 
 def needs_joint_fit(e: Evidence) -> bool:

@@ -46,7 +46,7 @@ TERCILES = 3
 class Explained:
     """What a set of effects explains of the missing force on held-out blocks.
 
-    `share` is of its power above the noise, with a jackknife standard error `share_se`;
+    `share` is of its power above the noise, `share_se` its standard error;
     `of_predictable` is that over the share of the best of all, black boxes included.
     `parameters` are the base's and the effects' by address, SI; `errors` the jackknife standard
     errors of those that are free here. `constancy` is the relative fall of what remains when the
@@ -248,7 +248,8 @@ class _Figures:
             self._constancy(found) if closer and found.members else None)
 
     def _share(self, errors: Array) -> tuple[float, float]:
-        """Of the power above the noise, and its jackknife standard error."""
+        """Of the power above the noise, and its standard error: from block to block, and what
+        may be noise."""
         sizes = self.fits.blocks.sizes
         before, after = self.whole * sizes, errors * sizes
 
@@ -258,7 +259,7 @@ class _Figures:
         without = [[ratio(float(before.sum() - a), float(after.sum() - b))]
                    for a, b in zip(before, after, strict=True)]
         return (min(ratio(float(before.sum()), float(after.sum())), 1.0),
-                float(jackknife(np.array(without))[0]))
+                math.hypot(float(jackknife(np.array(without))[0]), self.noise))
 
     def remainder(self, found: Fitted) -> Array:
         """What a set leaves of force_constant times input, N, (n,)."""

@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, MARGIN
+from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, INCONSTANT, MARGIN, PARTIAL_SHARE
 from dfm_stage.diagnosis.evidence import DropReason, Evidence, Proposal
-from dfm_stage.diagnosis.verdict import Found, Reason, Rejected, Rejection, Verdict
+from dfm_stage.diagnosis.verdict import (
+    Found,
+    Reason,
+    Rejected,
+    Rejection,
+    Verdict,
+    explained_share,
+)
 from dfm_stage.model import EFFECTS
 
 SENTENCES = {
@@ -53,19 +60,30 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
 
 def sentence(e: Evidence, v: Verdict) -> str:
     """The verdict in one sentence."""
+    if v.kind in ("named", "partial") and e.graded:
+        return _part(e, v)
     if v.kind == "named":
         ratio = e.extended.held_out.rms / max(e.noise.floor[0], 1e-300)
-        tail = "; a remainder stays" if v.remainder else ""
         return (f"The model lacks {_listed([f.name for f in v.effects])}: with it the held-out "
-                f"gap falls to {ratio:.2f} times the noise floor{tail}.")
-    if v.kind == "partial":
-        share = sum(f.predictable_share or 0.0 for f in v.effects)
-        return (f"A part of what is missing behaves like {_listed([f.name for f in v.effects])}: "
-                f"{share:.0%} of what is predictable; the rest is in no effect of the library.")
+                f"gap falls to {ratio:.2f} times the noise floor.")
     if v.kind == "ambiguous":
         kinds = "; ".join(" or ".join(map(_spoken, f.members)) for f in v.effects)
         return f"Something is missing that these data do not tell apart: {kinds}."
     return SENTENCES[v.kind]
+
+
+def _part(e: Evidence, v: Verdict) -> str:
+    """Effects that leave a remainder, with how much they explain and where that was judged."""
+    explained = min(explained_share(e), 1.0)
+    where = f"in {e.judged.signal}" + (
+        f", windows of {e.judged.window_s:.2g} s" if e.judged.window_s else "")
+    what = _listed([" or ".join(map(_spoken, f.members)) for f in v.effects])
+    how = (f"{explained:.0%} of what is predictable of the held-out gap ({where})")
+    if v.kind == "named":
+        return (f"The model lacks {what}: it explains {how}; a remainder of "
+                f"{max(1.0 - explained, 0.0):.0%} stays.")
+    return (f"A part of what is missing behaves like {what}: {how}; the rest is in no effect of "
+            "the library.")
 
 
 def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
@@ -80,8 +98,15 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
     yield (f"held-out RMS {seen.without.held_out.rms:.3g} {e.unit} without it, "
            f"{e.extended.held_out.rms:.3g} {e.unit} with it")
     yield f"{EFFECTS[found.name].meaning}: {EFFECTS[found.name].equation}"
+    if e.graded:
+        yield f"held-out blocks are worse without it by {seen.margin:.1f} standard errors"
+        if seen.constancy is not None:
+            yield (f"another size for every size of motion gains {seen.constancy.gain:.3f} "
+                   f"+- {seen.constancy.se:.3f} (limit {INCONSTANT:g})")
     for rival in seen.rivals[:2]:
-        yield f"{rival.name} in its place costs {rival.cost:.0f} in chi-square"
+        lost = f"{rival.margin:.1f} block standard errors" if e.graded else \
+            f"{rival.cost:.0f} in chi-square"
+        yield f"{rival.name} in its place costs {lost}"
 
 
 def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
@@ -89,7 +114,20 @@ def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
     short = [CUT_SHORT.format(names=", ".join(e.not_compared))] if e.not_compared else []
     return (*e.warnings, *([SPLIT] if e.split else []), *short,
             *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
-              for d in v.doubts))
+              for d in v.doubts), *_disagreement(e, v))
+
+
+def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:
+    """Where the force domain names something else than the fits."""
+    if e.witness is None or v.kind not in ("named", "partial", "ambiguous", "unknown"):
+        return
+    own = {m for f in v.effects for m in f.members}
+    said = [n for n in e.witness["effects"] if n not in own]
+    share = e.witness["share"]
+    if share > PARTIAL_SHARE and said and len(said) == len(e.witness["effects"]):
+        told = f"the fits say {_listed([f.name for f in v.effects])}" if own else \
+            "no fit bears that out on held-out records"
+        yield f"the force domain by itself says {_listed(said)} ({share:.0%}); {told}"
 
 
 def rejection(r: Rejection) -> str:

@@ -8,14 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.decisions import GROSS_GAP
+from dfm_stage.diagnosis.decisions import GROSS_GAP, MOST_STEPS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import gather, with_joint_fit, with_next_experiment
 from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.margins import velocity_like
 from dfm_stage.diagnosis.observation import (
     Observation,
     alike,
@@ -25,7 +24,13 @@ from dfm_stage.diagnosis.observation import (
 )
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.verdict import leaves_open, needs_grading, needs_joint_fit, verdict
+from dfm_stage.diagnosis.verdict import (
+    leaves_open,
+    needs_grading,
+    needs_joint_fit,
+    stays_open,
+    verdict,
+)
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
@@ -93,13 +98,7 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
         raise DiagnosisError(f"model {search.model.name}: cannot be simulated on "
                              f"{search.runs[0].name}: the motion escapes or the parameters leave "
                              "their limits; correct the model")
-    trial = Trial(search, held, seed)
-    if drifts(first):
-        trial = _in_windows(trial)
-        hypothesis, evidence = graded(trial, Hypothesis((), *2 * (trial.search.begin(),)),
-                                      warnings, split)
-    else:
-        hypothesis, evidence = _judged_to_noise(trial, first, warnings, split)
+    trial, hypothesis, evidence = _judged(Trial(search, held, seed), first, warnings, split)
     search = trial.search
     settled = verdict(evidence)
     if leaves_open(settled):
@@ -111,26 +110,40 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
     return told(evidence, answer, models[answer.model])
 
 
-def _judged_to_noise(trial: Trial, first: Fit, warnings: Sequence[str],
-                     split: bool) -> tuple[Hypothesis, Evidence]:
-    """The effects that bring the gap to the noise; where none do, those that explain most."""
-    hypothesis = trial.run(*trial.search.grown((), first))
-    evidence = gather(trial, hypothesis, warnings, split)
+def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
+            split: bool) -> tuple[Trial, Hypothesis, Evidence]:
+    """The effects that bring the gap to the noise; where none do, those that explain most.
+
+    A gross gap is looked at for the latter first: if what they leave is clear, no set of effects
+    reaches the noise.
+    """
+    part: tuple[Trial, Hypothesis, Evidence] | None = None
+    if is_gross(first):
+        own = _in_windows(trial) if first.system.drifts else trial
+        bare = own.search.begin() if own is not trial else first
+        part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
+        if stays_open(part[2]):
+            return part
+        trial.search.begin_work(MOST_STEPS)
+    h = trial.run(*trial.search.grown((), first))
+    evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
-        evidence = with_joint_fit(trial, hypothesis, evidence)
+        evidence = with_joint_fit(trial, h, evidence)
     if needs_grading(evidence):
-        part, told_part = graded(trial, hypothesis, warnings, split)
-        if part.names:
-            return part, told_part
-    return hypothesis, evidence
+        if part is None or not part[1].names:
+            part = trial, *graded(trial, h, warnings, split)
+        if part[1].names:
+            return part
+        evidence = replace(evidence, witness=part[2].witness, judged=part[2].judged)
+    return trial, h, evidence
 
 
-def drifts(bare: Fit) -> bool:
-    """Whether a body without a spring misses so much force that its position says nothing."""
-    runs = bare.system.runs
-    change = max(float(np.std(velocity_like(run.output, run.order))) for run in runs)
-    left = rms([velocity_like(parts[0], runs[0].order) for parts in bare.residuals])
-    return bare.system.springless and left > GROSS_GAP * change and runs[0].order == 0
+def is_gross(bare: Fit) -> bool:
+    """Whether much of the motion is missed; of what drifts, of its change from sample to sample,
+    because whatever small force there is carries the position away."""
+    degree = 1 if bare.system.drifts else 0
+    motion = max(float(np.std(np.diff(run.output, degree))) for run in bare.system.runs)
+    return rms([np.diff(parts[0], degree) for parts in bare.residuals]) > GROSS_GAP * motion
 
 
 def _in_windows(trial: Trial) -> Trial:

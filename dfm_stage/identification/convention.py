@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -246,12 +246,20 @@ def reflected(values: Array) -> tuple[Array, Array]:
 @dataclass(frozen=True)
 class Timing:
     """What one filter says: the tau (samples) that leaves least and its block-jackknife standard
-    error, RMS left over that of the input, and the same if tau may not be below half a sample."""
+    error, RMS left over that of the input, the same if tau may not be below half a sample, and the
+    logarithm of what is left in each block, (TIMING_BLOCKS,)."""
 
     tau: float
     sigma: float
     left: float
     left_late: float
+    logs: Array
+
+    def beats(self, other: Timing) -> bool:
+        """Whether it leaves surely and clearly less than another kind of hold does."""
+        gain = other.logs - self.logs
+        sure = float(gain.mean()) - HELD_SIGMAS * float(np.std(gain)) / math.sqrt(gain.size)
+        return sure > 0.0 and HOLD_RATIO * self.left <= other.left
 
 
 def find_convention(input_: Array, output: Array, derivative: int = 0, *,
@@ -281,29 +289,28 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
                           late_sigma=sigma)
     if best.left_late < LATE_RATIO * best.left:
         return HELD
-    kind, tau = _kind(u, y, width, best, derivative)
+    kind, tau = _kind(u, y, [width, *(w for w, _ in seen if w < width)], best, derivative)
     early = tau - LATENESS[kind]
     if early > -max(EARLY_SHIFT, HELD_SIGMAS * sigma):
         return Convention(kind, 0.0, sigma, "estimated", early, sigma)
     return Convention(kind, early, sigma, "estimated", 0.0, sigma)
 
 
-def _kind(u: Array, y: Array, width: float, best: Timing, derivative: int) -> tuple[Hold, float]:
+def _kind(u: Array, y: Array, widths: Sequence[float], best: Timing,
+          derivative: int) -> tuple[Hold, float]:
     """The kind of interpolation of an input that is not simply held, and its tau.
 
-    Band-limited, unless the regression leaves much less with another one; where kinds leave the
-    same, an input that is a whole sample early is a held one of the sample before.
+    The first of some filters through which one kind leaves surely less than both others tells it;
+    the kinds differ at high frequencies, which the narrow ones let pass. Where none does, it is
+    band-limited, or held and a whole sample early where that is when it acts.
     """
-    found: dict[Hold, Timing] = {"band_limited": best}
-    for kind in ("zero", "first"):
-        other = timing(u, y, width, derivative, SINCS[kind])
-        if other is not None:
-            found[kind] = other
-    lowest = min(found, key=lambda k: found[k].left)
-    if lowest != "band_limited" and HOLD_RATIO * found[lowest].left <= best.left:
-        return lowest, found[lowest].tau
-    whole = abs(best.tau - LATENESS["zero"] - EARLIEST) < EARLY_SHIFT
-    if whole and "zero" in found and found["zero"].left < HOLD_RATIO * best.left:
+    for width in widths:
+        kinds = {kind: found for kind, power in SINCS.items()
+                 if (found := timing(u, y, width, derivative, power)) is not None}
+        lowest = min(kinds, key=lambda k: kinds[k].left)
+        if all(kinds[lowest].beats(other) for k, other in kinds.items() if k != lowest):
+            return lowest, best.tau
+    if abs(best.tau - LATENESS["zero"] - EARLIEST) < EARLY_SHIFT:
         return "zero", EARLIEST + LATENESS["zero"]
     return "band_limited", best.tau
 
@@ -338,8 +345,17 @@ def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0
     late = float(np.min(left[LATENESS["zero"] <= GRID]))
     at = _least(left)
     inside = GRID[0] < at < GRID[-1]
+    logs = _block_logs(gram, cross, power, int(np.argmin(left)))
     return Timing(at, spread if inside else math.inf, math.sqrt(float(left.min())),
-                  math.sqrt(late))
+                  math.sqrt(late), logs)
+
+
+def _block_logs(gram: Array, cross: Array, power: Array, at: int) -> Array:
+    """Logarithm of what one solution leaves in each block (B,), at one tau of the grid."""
+    whole = np.linalg.pinv(gram.sum(axis=0), rcond=RANK, hermitian=True) @ cross.sum(axis=0)[at]
+    rest = power[:, at] - 2.0 * cross[:, at] @ whole + np.einsum("i,bij,j->b", whole, gram, whole)
+    least = RANK * float(power[:, at].sum())
+    return np.asarray(0.5 * np.log(np.maximum(rest, least)))
 
 
 def _left(gram: Array, cross: Array, power: Array) -> Array | None:

@@ -156,8 +156,9 @@ LATE_RATIO = decision(
     "sample late or more, over what it leaves at best, above which it is not held: a second mode "
     "reaches 1.1.", set_on=TIMING_FORM)
 HOLD_RATIO = decision(
-    "HOLD_RATIO", 2.0, "1", meaning="What is left with a band-limited input over what is left "
-    "with another kind, from which it is that kind.", set_on=TIMING_FORM)
+    "HOLD_RATIO", 1.1, "1", meaning="What is left with other kinds of hold over what is left with "
+    "one, from which it is that one, where blocks are sure of it, too.",
+    set_on="Silverbox (3 and 6) and convention records of the measured-like corpus")
 UNEXPLAINED = decision(
     "UNEXPLAINED", 0.3, "1", meaning="Share of the input's RMS that the regression may leave and "
     "still tell its timing: a second mode in the middle of the band leaves 0.9.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,11 +12,12 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import Criterion
-from dfm_stage.identification.decisions import FORETOLD, IN_A_ROW, NEAR
+from dfm_stage.identification.decisions import FORETOLD, IN_A_ROW, NEAR, RANK_TOLERANCE
 from dfm_stage.identification.inference import assemble
 from dfm_stage.identification.least_squares import Solution, minimise
 from dfm_stage.identification.problem import Signals
 from dfm_stage.identification.quantity import Quantity
+from dfm_stage.identification.result import Estimate
 from dfm_stage.identification.system import System
 from dfm_stage.identification.weights import Weights
 from dfm_stage.model import Model
@@ -58,11 +59,34 @@ class Fit:
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Every free parameter of the model with its 95 % interval, as `identify` gives it."""
+        return self._physical(self._estimate)
+
+    def quantities_over(self, middle: Array, dof: float) -> dict[str, Quantity]:
+        """The same where the score's covariance is `middle` (n, n) with `dof` degrees of freedom;
+        no interval is narrower than in `quantities`."""
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        norms[norms == 0.0] = 1.0
+        scaled = self.jacobian / norms
+        inverse = np.linalg.pinv(scaled.T @ scaled, rcond=RANK_TOLERANCE**2) / np.outer(norms,
+                                                                                       norms)
+        wider = self._physical(replace(self._estimate, covariance=inverse @ middle @ inverse,
+                                       determined=None, dof=dof))
+        return {n: max(q, wider[n], key=_width) for n, q in self.quantities.items()}
+
+    @cached_property
+    def _estimate(self) -> Estimate:
         solution = Solution(self.x, self.white, self.jacobian, self.chi2, 0, self.converged,
                             np.zeros(self.x.size, bool), "")
-        found = to_physical(assemble(Criterion(self.system, self.weights), solution, {}, 0),
-                            self.system.groups, self.model)
+        return assemble(Criterion(self.system, self.weights), solution, {}, 0)
+
+    def _physical(self, estimate: Estimate) -> dict[str, Quantity]:
+        found = to_physical(estimate, self.system.groups, self.model)
         return {name: found.quantity(name) for name in self.system.free}
+
+
+def _width(quantity: Quantity) -> float:
+    """The width of an interval; infinite where there is none."""
+    return math.inf if quantity.ci95 is None else quantity.ci95[1] - quantity.ci95[0]
 
 
 def rms(parts: Sequence[Array]) -> float:

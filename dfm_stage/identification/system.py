@@ -72,6 +72,8 @@ class System(Problem):
                  pushed: bool = False) -> None:
         self.free, self.given, self.runs = tuple(free), model, tuple(runs)
         self.springless = model.base.get("stiffness", 0.0) == 0.0 and "stiffness" not in free
+        self.drifts = self.springless and all(run.order == 0 for run in runs)
+        """Whether the output integrates whatever small force is missed, without end."""
         self.trusted = "encoder_zero" in model.base or "encoder_zero" in free
         constant = next(e for e in EFFECTS.values() if e.adds_to == "constant_force")
         self.push = ""
@@ -88,10 +90,6 @@ class System(Problem):
         self.count = len(self.free)
         self.simulator = Simulator(self.model)
         self.nonlinear = [u.name for u in self.model.effects if is_nonlinear(u.name)]
-        light = self.model
-        for name in self.nonlinear:
-            light = light.without_effect(name)
-        self.light = Simulator(light) if self.nonlinear else self.simulator
         self.slow = any(EFFECTS[n].advance is not None for n in self.nonlinear)
         """Whether a simulation follows states with memory, and is worth being spared."""
         self._finer: dict[tuple[int, bool], Simulator] = {}
@@ -108,6 +106,14 @@ class System(Problem):
     def at(self) -> Conditions:
         """Sizes that occur in the runs."""
         return Conditions.of(self.model.base, self.model.drive, self.runs, self.noise)
+
+    @cached_property
+    def light(self) -> Simulator:
+        """The simulator without the nonlinear effects."""
+        light = self.model
+        for name in self.nonlinear:
+            light = light.without_effect(name)
+        return Simulator(light) if self.nonlinear else self.simulator
 
     # -- unknowns -------------------------------------------------------------------------------
 

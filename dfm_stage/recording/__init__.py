@@ -21,7 +21,7 @@ from dfm_stage.recording.errors import (
 )
 from dfm_stage.recording.mcap_scan import Loss
 from dfm_stage.recording.message_definitions import definition_text
-from dfm_stage.recording.parts import at_period, part, split, without_gaps
+from dfm_stage.recording.parts import at_period, filled, part, split, without_gaps
 from dfm_stage.recording.read_record import read_record
 from dfm_stage.recording.record import AxisRecord, Provenance, Record
 from dfm_stage.recording.rosbag2_metadata import QosProfile
@@ -49,6 +49,7 @@ __all__ = [
     "Topic",
     "at_period",
     "definition_text",
+    "filled",
     "numeric_fields",
     "part",
     "read_bag",

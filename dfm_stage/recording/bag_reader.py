@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mcap.records import Channel
+from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from dfm_stage.recording.bag import DROPPED_KEY, Bag, Topic, chosen_topics
@@ -25,7 +25,7 @@ from dfm_stage.recording.chunk_data import DamagedError, expand, survey_chunk
 from dfm_stage.recording.decode_plan import Plan, compile_plan
 from dfm_stage.recording.errors import BagReadError, DefinitionError
 from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
-from dfm_stage.recording.message_definitions import full_name, parse_schema
+from dfm_stage.recording.message_definitions import definition_text, full_name, parse_schema
 from dfm_stage.recording.rosbag2_metadata import STORAGES, BagFiles, find_files
 from dfm_stage.recording.sqlite_bag import read_sqlite
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from dfm_stage.recording.topic_arrays import TopicArrays
 
 CHANNEL_IDS = 1 << 16
+_ENCODINGS = ("ros2msg", "ros2idl", "")      # of definitions; of the latter two the installed
 _UNWANTED = -1            # the topic number of channels that are not read
 
 
@@ -251,14 +252,27 @@ def understood(scan: FileScan, channel: Channel) -> Wanted:
         raise DefinitionError("its message definition is missing")
     if channel.message_encoding != "cdr":
         raise DefinitionError(f"its messages are encoded as {channel.message_encoding}, not cdr")
-    if schema.encoding != "ros2msg":
+    if schema.encoding not in _ENCODINGS:
         raise DefinitionError(f"its definition is written in {schema.encoding}, not ros2msg")
     try:
         name = full_name(schema.name)
-        definitions = parse_schema(schema.data.decode("utf-8", "replace"), name)
+        definitions = parse_schema(_definition(schema, name), name)
     except DefinitionError as error:
         raise DefinitionError(f"its definition cannot be parsed: {error}") from error
     return channel.topic, name, compile_plan(definitions, name)
+
+
+def _definition(schema: Schema, name: str) -> str:
+    """Return the definition in the bag; where there is none, that of the installed message."""
+    text: str = schema.data.decode("utf-8", "replace")
+    if schema.encoding == "ros2msg" and text.strip():
+        return text
+    try:
+        return definition_text(name)
+    except DefinitionError:
+        if schema.encoding == "ros2msg":        # a message without fields
+            return text
+        raise
 
 
 def missing_messages(present: Mapping[str, int], topics: Iterable[Topic], files: BagFiles,

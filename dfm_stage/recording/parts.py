@@ -18,6 +18,8 @@ All times are then off by as much, which is less than interpolation would cost."
 NEAR_SHARE = 0.05
 """A period further from the wanted one is a choice, not an inaccuracy."""
 FEWEST_SAMPLES = 3
+FILLED = 2
+"""Samples in a row that are filled in: a cubic across three steps still follows the motion."""
 _HELD = ("input", "excitation", "command")
 
 
@@ -61,6 +63,57 @@ def without_gaps(record: Record) -> Record:
     first, last = int(known[begin]), int(known[end - 1]) + 1
     return replace(record.slice(first, last), warnings=[*record.warnings, (
         f"the longest stretch without a gap was kept: {last - first} of {len(record)} samples")])
+
+
+def filled(record: Record) -> Record:
+    """Return a record whose short gaps, of up to FILLED samples in a row, are filled in.
+
+    Outputs go through the cubic of the four nearest known samples; the error is judged by the
+    quintic of six. An input that stands between samples, or
+    of which that is not known, keeps its last value; its error is at most the step to the next.
+    """
+    axes, notes = {}, []
+    for name, axis in record.axes.items():
+        label = f"axis {name}: " if len(record.axes) > 1 else ""
+        held = axis.input_hold in (None, "zero")
+        found = {key: _without_short_gaps(values, held and key in _HELD)
+                 for key, values in axis.arrays().items()}
+        _, many, error = found["position"]
+        _, inputs, step = found["input"]
+        if many or inputs:
+            notes.append(f"{label}{max(many, inputs)} samples in gaps of up to {FILLED} were "
+                         f"filled in; estimated error of the output {error:.3g} "
+                         f"{axis.output_unit} rms, of the input {step:.3g} {axis.input_unit} rms "
+                         f"at most")
+        arrays = {key: values for key, (values, _, _) in found.items()}
+        extra = {key: arrays.pop(key) for key in axis.extra}
+        axes[name] = replace(axis, **arrays, extra=extra)  # type: ignore[arg-type]
+    return replace(record, axes=axes, warnings=[*record.warnings, *notes])
+
+
+def _without_short_gaps(values: FloatArray, stands: bool) -> tuple[FloatArray, int, float]:
+    """Return (the values with short gaps filled, how many were, RMS of the estimated error)."""
+    missing = ~np.isfinite(values)
+    known = np.flatnonzero(~missing)
+    if len(known) < 6 or not missing.any():
+        return values, 0, 0.0
+    places = np.flatnonzero(missing)
+    after = np.searchsorted(known, places)
+    inside = (after > 0) & (after < len(known))
+    places, after = places[inside], after[inside]
+    short = known[after] - known[after - 1] <= FILLED + 1
+    places, after = places[short], after[short]
+    if not len(places):
+        return values, 0, 0.0
+    result = values.copy()
+    if stands:
+        result[places] = values[known[after - 1]]
+        error = values[known[after]] - values[known[after - 1]]
+    else:
+        nodes = known.astype(np.float64)
+        result[places] = interpolate(nodes, values[known], places.astype(np.float64), 4)
+        error = result[places] - interpolate(nodes, values[known], places.astype(np.float64), 6)
+    return result, len(places), float(np.sqrt(np.mean(error**2)))
 
 
 def split(record: Record, share: float) -> tuple[Record, Record]:

@@ -16,12 +16,13 @@ from dfm_stage.recording.bag_reader import read_bag
 from dfm_stage.recording.bag_record import bag_record, topics_of
 from dfm_stage.recording.errors import RecordError, in_file
 from dfm_stage.recording.mcap_scan import MAGIC
+from dfm_stage.recording.parts import filled, without_gaps
 from dfm_stage.recording.record import AxisRecord, FloatArray, Record
 from dfm_stage.recording.rosbag2_metadata import STORAGES
 from dfm_stage.recording.table import Options, Table, table_record
 from dfm_stage.recording.table_files import CsvTable, load_mat, load_npz
 
-GAPS = ("longest", "mask")
+GAPS = ("longest", "mask", "fill")
 _TABLES: dict[str, Callable[[Path], Table]] = {
     "npz": load_npz, "mat": load_mat, "csv": CsvTable}
 WHOLE_BYTES = 1 << 23
@@ -58,7 +59,8 @@ def read_record(
         s; takes the place of the time column, or of the period that a bag's stamps show.
     gaps : str
         What becomes of a record with samples missing: `longest` keeps the longest stretch without
-        a gap, `mask` keeps all and puts NaN where nothing is known.
+        a gap, `mask` keeps all and puts NaN where nothing is known, `fill` fills in up to two
+        samples in a row and then keeps the longest stretch.
     input_hold : str, optional
         What the input does between its samples, one of `record.HOLDS`; by default it is to be
         estimated. Where samples are moved to even times, an input that stands keeps its integral;
@@ -79,29 +81,32 @@ def read_record(
     where = Path(path)
     if gaps not in GAPS:
         raise RecordError(f"gaps={gaps!r}: choose one of {', '.join(GAPS)}")
-    kind = _kind(where)
     options = Options(axis, time, input, output, time_unit, input_unit, output_unit,
-                      sample_period, gaps, input_hold, input_shift)
-    if kind == "bag":
-        if options.names_columns:
-            with in_file(where):
-                paths = [FieldPath.parse(each) for each in (input, output) if each is not None]
-            record = joined_record(read_bag(where, {path.topic for path in paths}), options)
-        else:
-            if options != Options(axis=axis, sample_period=sample_period, gaps=gaps,
-                                  input_hold=input_hold, input_shift=input_shift):
-                raise RecordError("is a bag: name the fields of input and output, as --input "
-                                  "/joint_states.effort[0], or give neither times nor units",
-                                  where)
-            record = bag_record(read_bag(where, topics_of(axis)), axis, sample_period, gaps)
-            record = _with_convention(record, input_hold, input_shift)
-        record.warnings.extend(doubts(record))
-        first = _first_file(where)
-        return replace(record, provenance=replace(record.provenance,
-                                                  fingerprint=fingerprint(first)))
-    record = table_record(_TABLES[kind](where), options, fingerprint(where))
+                      sample_period, "mask" if gaps == "fill" else gaps, input_hold, input_shift)
+    kind = _kind(where)
+    record = (_from_bag(where, options) if kind == "bag" else
+              table_record(_TABLES[kind](where), options, fingerprint(where)))
     record.warnings.extend(doubts(record))
-    return record
+    return without_gaps(filled(record)) if gaps == "fill" else record
+
+
+def _from_bag(path: Path, options: Options) -> Record:
+    if options.names_columns:
+        with in_file(path):
+            topics = {FieldPath.parse(each).topic for each in (options.input, options.output)
+                      if each is not None}
+        record = joined_record(read_bag(path, topics), options)
+    else:
+        if options != Options(axis=options.axis, sample_period=options.sample_period,
+                              gaps=options.gaps, input_hold=options.input_hold,
+                              input_shift=options.input_shift):
+            raise RecordError("is a bag: name the fields of input and output, as --input "
+                              "/joint_states.effort[0], or give neither times nor units", path)
+        record = bag_record(read_bag(path, topics_of(options.axis)), options.axis,
+                            options.sample_period, options.gaps)
+        record = _with_convention(record, options.input_hold, options.input_shift)
+    return replace(record, provenance=replace(record.provenance,
+                                              fingerprint=fingerprint(_first_file(path))))
 
 
 def _with_convention(record: Record, hold: str | None, shift: float | None) -> Record:

@@ -69,7 +69,7 @@ def find_time_base(time: FloatArray, rows: Ints, where: Where,
     """
     if len(time) < 3:
         raise RecordError(f"only {len(time)} usable rows; a record needs at least 3")
-    time, rows, notes = _without_repeats(time, rows, where)
+    time, rows, notes = without_repeats(time, rows, where)
     steps = np.diff(time)
     advance = _advance(time)
     after = np.flatnonzero(advance > 1)
@@ -88,13 +88,14 @@ def find_time_base(time: FloatArray, rows: Ints, where: Where,
         time, rows, advance = time[first:last], rows[first:last], advance[first:last - 1]
         if len(time) < 3:
             raise RecordError("no stretch without a gap has 3 samples or more")
-    return _fit(time, rows, np.concatenate(([0], np.cumsum(advance))), notes)
+    return fit_even(time, rows, np.concatenate(([0], np.cumsum(advance))), notes)
 
 
 def _advance(time: FloatArray) -> Ints:
     """Return how many samples each row is further than the one before it, (n - 1,).
 
-    Where steps are uneven, a running average of the phase tells a late sample from a lost one.
+    Where steps are uneven, a running average of the phase tells a late sample from a lost one:
+    after a late one the next are on time again, after a lost one all come later.
     """
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -105,6 +106,10 @@ def _advance(time: FloatArray) -> Ints:
     phase = float(np.median(time[:first] - period * np.arange(first)))
     for k, stamp in enumerate(time[1:].tolist()):
         ahead = max(round(min((stamp - phase) / period, _LONGEST_GAP)), 1)
+        if ahead > 1:
+            near = (time[k + 1:k + 1 + _PHASE_SAMPLES] - phase) / period
+            least = float((near - np.arange(len(near))).min())
+            ahead = max(round(min(least, _LONGEST_GAP)), 1)
         advance[k] = ahead
         phase += ahead * period
         phase += (stamp - phase) / _PHASE_SAMPLES
@@ -127,8 +132,15 @@ def kept_stretch(rows: Ints, after: Ints, where: Where, notes: list[str]) -> tup
     return first, last
 
 
-def _without_repeats(time: FloatArray, rows: Ints,
-                     where: Where) -> tuple[FloatArray, Ints, list[str]]:
+def without_repeats(time: FloatArray, rows: Ints,
+                    where: Where) -> tuple[FloatArray, Ints, list[str]]:
+    """Leave out rows that repeat a time; (times, rows, notes).
+
+    Raises
+    ------
+    RecordError
+        If time runs backwards, or stands still in many places.
+    """
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
     if len(back):
@@ -162,8 +174,8 @@ def _gap_note(time: FloatArray, steps: FloatArray, rows: Ints,
     return f"{missing} samples are missing before {', '.join(places)}{more}"
 
 
-def _fit(time: FloatArray, rows: Ints, index: Ints,
-         notes: list[str]) -> TimeBase:
+def fit_even(time: FloatArray, rows: Ints, index: Ints, notes: list[str]) -> TimeBase:
+    """Return the even time base of rows whose samples are numbered: `index` (n,) from 0."""
     slope, start = np.polyfit(index, time - time[0], 1)
     deviation = time - time[0] - (start + slope * index)
     worst = float(np.abs(deviation).max())

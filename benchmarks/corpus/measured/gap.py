@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from benchmarks.corpus.measured import plant
 from benchmarks.corpus.measured.plant import STEPS
-from benchmarks.corpus.measured.stage import Outcome, Run, Stage, anti_aliased
+from benchmarks.corpus.measured.stage import Outcome, Run, Stage
 
 FREE = ("damping", "stiffness", "force_constant", "amplifier_time_constant", "delay")
 REFITS = 10
@@ -34,15 +34,14 @@ def linear_response(base: dict[str, float], period: float, run: Run) -> Any:
     elif run.hold == plant.LINEAR:
         u = np.interp(place / STEPS, np.arange(len(run.command)), run.command, left=0.0)
     else:
-        u = run.fine[2 * np.clip(place, 0, fine)]
+        u = run.filtered[np.clip(place, 0, fine - 1)]  # it commutes with the stage
     denominator = [base["mass"], base["damping"], base.get("stiffness", 0.0)]
     if base.get("amplifier_time_constant", 0.0) > 0.0:
         denominator = list(np.polymul(denominator, [base["amplifier_time_constant"], 1.0]))
     rule = "zoh" if run.hold == plant.HELD else "foh"
     b, a, _ = cont2discrete(([base["force_constant"]], denominator), period / STEPS, rule)
     part = max(late - whole, 0.0)
-    wave = lfilter(np.convolve(b[0], [1.0 - part, part]), a, u)
-    return (anti_aliased(wave) if run.hold == plant.BAND_LIMITED else wave)[::STEPS]
+    return lfilter(np.convolve(b[0], [1.0 - part, part]), a, u)[::STEPS]
 
 
 def linear_refit(base: dict[str, float], stage: Stage, runs: Sequence[Run],

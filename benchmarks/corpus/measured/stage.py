@@ -21,6 +21,7 @@ NO_LOOP = np.zeros(4)
 PERIODS = (2e-4, 5e-4, 1e-3, 1e-3, 2e-3, 5e-3)
 FILTER_ORDER, FILTER_EDGE = 8, 0.4
 """Butterworth filter before both converters of a band-limited record; edge over sampling rate."""
+ANTI_ALIAS = butter(FILTER_ORDER, 2.0 * FILTER_EDGE / STEPS, output="sos")
 MOST_MOTION = 6.0
 """Peak motion over the one that was wanted, from which a draw is given up."""
 
@@ -101,6 +102,11 @@ class Run:
     def fine(self) -> Any:
         """The band-limited command at half steps."""
         return inputs.band_limited(self.command)
+
+    @cached_property
+    def filtered(self) -> Any:
+        """The same at the plant's steps, (STEPS N,), behind the filter of the record."""
+        return anti_aliased(self.fine[:-1:2])
 
     @property
     def closed(self) -> bool:
@@ -251,12 +257,12 @@ def perform(stage: Stage, run: Run, p: Physics, without: Physics, noise: Any,
         return Outcome(out[plant.INPUT], out[plant.SEEN], out[plant.READING], out)
     clean = anti_aliased(readings)[::STEPS]
     seen = _rounded(clean + noise, stage.sensor.resolution)
-    return Outcome(anti_aliased(fine[:-1:2])[::STEPS], seen, clean, out)
+    return Outcome(run.filtered[::STEPS], seen, clean, out)
 
 
 def anti_aliased(readings: Any) -> Any:
     """Signal (STEPS N,) at the plant's steps behind the filter of a band-limited record."""
-    return sosfilt(butter(FILTER_ORDER, 2.0 * FILTER_EDGE / STEPS, output="sos"), readings)
+    return sosfilt(ANTI_ALIAS, readings)
 
 
 def _rounded(values: Any, step: float) -> Any:

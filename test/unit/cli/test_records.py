@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,23 @@ def test_a_hole_elsewhere_does_not_move_a_part(tmp_path: Path, log: Path) -> Non
     assert record.axis().position.tolist() == whole[110:300].tolist()
 
 
+def test_what_a_logger_dropped_may_be_filled_in(tmp_path: Path, log: Path) -> None:
+    """0.1 % of the samples are missing; their stamps show it."""
+    lines = log.read_text().splitlines()
+    lost = {600, 1400, 2222, 3500}
+    path = tmp_path / "dropped.csv"
+    path.write_text("\n".join(line for k, line in enumerate(lines) if k - 1 not in lost) + "\n")
+    whole = read_record(log).axis()
+    longest = read_with(parsed(), str(path))
+    assert longest.axis().position.tolist() == whole.position[2223:3500].tolist()
+    assert any("4 samples are missing" in text for text in longest.warnings)
+    for words, part in ((("--gaps", "fill"), slice(None)),
+                        (("--gaps", "fill", "--rows", "500:1000"), slice(500, 1000))):
+        record = read_with(parsed(*words), str(path))
+        assert record.axis().position == pytest.approx(whole.position[part], abs=1e-6)
+        assert any("were filled in; estimated error" in text for text in record.warnings)
+
+
 def test_the_convention_reaches_the_record(log: Path) -> None:
     for words, hold, shift in (((), None, None), (("--input-shift", "-1"), None, -1.0),
                                (("--input-hold", "first", "--input-shift", "0.5"), "first", 0.5),
@@ -118,6 +136,29 @@ def test_identify_holds_out_what_a_split_leaves(log: Path, tmp_path: Path) -> No
     assert any("split at 0.75: samples 0 to 2849 of 3800" in text for text in found["warnings"])
     gain = found["parameters"]["stiffness"]["value"]
     assert gain == pytest.approx(650.0, rel=0.02)
+
+
+def test_logs_of_different_jittered_rates_are_fitted_together(
+        log: Path, tmp_path: Path) -> None:
+    """A second log of the same stage at 1.02 ms, jittered; its model steps by 1 ms."""
+    rng = np.random.default_rng(8)
+    model = load_model("paper_stage")
+    count, fine = 3000, 51          # 1.02 ms in steps of 20 us
+    drive = np.repeat(rng.choice([-0.3, 0.3], count // 20), 20).astype(float)
+    steps = Simulator(replace(model, sample_period=2e-5)).run(np.repeat(drive, fine)).measured(3)
+    late = rng.integers(0, 3, count)        # up to 4 % of a period
+    taken = np.minimum(fine * np.arange(count) + late, fine * count - 1)
+    other = tmp_path / "other.csv"
+    other.write_text("\n".join(["time_s,input_v,position_m", *(
+        f"{2e-5 * k:.9f},{u!r},{y!r}" for k, u, y in zip(
+            taken.tolist(), drive.tolist(), steps[taken].tolist(), strict=True))]) + "\n")
+    assert identify.main([str(log), str(other), "--model", "paper_stage", "--no-report",
+                          "--out", str(tmp_path / "out")]) == 0
+    found = json.loads((tmp_path / "out" / "identify.json").read_text())
+    assert any("resampled from every 0.00102" in text for text in found["warnings"])
+    assert found["parameters"]["stiffness"]["value"] == pytest.approx(650.0, rel=0.02)
+    fits = {each["source"]: each["fit_percent"] for each in found["fits"]}
+    assert fits["other.csv"] > 98.0
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from scipy.signal import lsim
 
 from benchmarks.corpus.linear import response
 from benchmarks.corpus.measured import convention_record, held_record
+from benchmarks.corpus.measured.gap import linear_response
 from benchmarks.corpus.measured.plant import BAND_LIMITED, HELD, LINEAR, STEPS
 from benchmarks.corpus.measured.stage import NO_LOOP, Run, Sensor, Stage, open_run, perform
 from benchmarks.corpus.measured.timing import HOLD_TOLD, Convention, hold_told
@@ -49,6 +50,17 @@ def test_held_record_is_the_exactly_discretised_stage(shift: float) -> None:
     column, position = clean(drawn("prbs", HELD, round(shift * STEPS)), stage())
     base = {**BASE, "delay": BASE["delay"] + shift * PERIOD}
     assert np.std(response(base, PERIOD, column) - position) < 3e-5 * np.std(position)
+
+
+@pytest.mark.parametrize("hold", [HELD, LINEAR, BAND_LIMITED])
+def test_the_refit_s_linear_stage_is_the_plant_s(hold: int) -> None:
+    # between steps of the plant, too: its delay is no whole number of them
+    run, of = drawn("noise", hold, -7), stage()
+    moved = {**BASE, "delay": BASE["delay"] + 0.3 * PERIOD / STEPS}
+    _, position = clean(run, of)
+    assert np.std(linear_response(BASE, PERIOD, run) - position) < 1e-4 * np.std(position)
+    expected = position - 0.3 * PERIOD / STEPS * np.gradient(position, PERIOD)
+    assert np.std(linear_response(moved, PERIOD, run) - expected) < 1e-4 * np.std(position)
 
 
 def test_early_input_is_the_column_moved() -> None:

@@ -13,6 +13,7 @@ from dfm_stage.diagnosis.evidence import (
     EffectEvidence,
     Errors,
     Evidence,
+    Judged,
     ModelEvidence,
     Motion,
     Noise,
@@ -36,7 +37,7 @@ from dfm_stage.model import Model
 MODEL = Model("stage", 1e-3, {"mass": 1.0, "stiffness": 650.0})
 GAP = ModelEvidence(Errors(2e-6, 5e4, 1000), Errors(2.1e-6, 5e4, 1000),
                     {"stiffness": Quantity(651.0, "N/m", (650.0, 652.0))})
-CLOSED = ModelEvidence(Errors(1e-7, 1e3, 1000), Errors(1.1e-7, 1e3, 1000),
+CLOSED = ModelEvidence(Errors(1e-7, 1e3, 1000), Errors(1.1e-7, 1e3, 1000, power=1.21e-14),
                        {"stiffness": Quantity(650.0, "N/m"),
                         "cubic_stiffness.k3": Quantity(3e6, "N/m^3")})
 SPRING = EffectEvidence(
@@ -60,11 +61,31 @@ def test_a_named_effect_in_a_sentence_with_what_speaks_for_it():
                          "quadratic_damping in its place costs 90 in chi-square"]
 
 
-def test_a_remainder_is_said_and_the_floor_told_is_that_of_the_periods():
+def test_a_remainder_is_said_and_where_it_was_judged():
+    held = replace(CLOSED.held_out, power=1.6e-13)
+    e = replace(NAMED, graded=True, retuned=replace(
+        GAP, held_out=replace(GAP.held_out, power=4.1e-12)),
+        extended=replace(CLOSED, held_out=held), judged=Judged("velocity", 0.5, 1e-13))
+    found = (Found("cubic_stiffness", ("cubic_stiffness",), 0.98, 5e4),)
+    words = wording.sentence(e, Verdict("named", Reason.GRADED, found, remainder=True))
+    assert words == ("The model lacks cubic stiffness: it explains 98% of what is predictable of "
+                     "the held-out gap (in velocity, windows of 0.5 s); a remainder of 2% stays.")
+    part = wording.sentence(e, Verdict("partial", Reason.GRADED, found, remainder=True))
+    assert part.startswith("A part of what is missing behaves like cubic stiffness: 98%")
+
+
+def test_the_floor_told_is_that_of_the_periods():
     e = replace(NAMED, noise=Noise(1e-7, "residuals", 5.5e-8))
-    words = wording.sentence(e, Verdict("named", Reason.GROSS_GAP, verdict(e).effects,
-                                        remainder=True, shown="extended"))
-    assert words.endswith("falls to 2.00 times the noise floor; a remainder stays.")
+    assert wording.sentence(e, verdict(e)).endswith("falls to 2.00 times the noise floor.")
+
+
+@pytest.mark.parametrize(("said", "kind", "told"), [
+    (["quadratic_damping"], "named", True), (["cubic_stiffness"], "named", False),
+    (["quadratic_damping", "cubic_stiffness"], "named", False), ([], "named", False)])
+def test_the_force_domain_is_heard_where_it_says_something_else(said, kind, told):
+    e = replace(NAMED, witness={"effects": said, "share": 0.6})
+    spoken = [w for w in wording.warnings(e, verdict(e)) if "force domain" in w]
+    assert bool(spoken) is told
 
 
 def test_a_class_is_told_as_one():
@@ -146,11 +167,14 @@ def test_an_experiment_says_what_is_expected_of_it(expected, said):
     assert spec["description"] == "A multisine."
 
 
-def test_a_diagnosis_is_put_together_as_schema_1():
+def test_a_diagnosis_is_put_together_as_schema_2():
     extended = MODEL.with_effect("cubic_stiffness", {"k3": 3e6})
     found = told(NAMED, verdict(NAMED), extended)
     data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert data["schema"] == 2
+    assert data["schema_note"].startswith("schema 2 keeps every key")
     assert data["verdict"] == "named"
+    assert data["complete"] is True
     assert data["effects"][0]["class"] == ["cubic_stiffness"]
     assert data["effects"][0]["gap_share"] == 1.0
     assert data["base"] == {"stiffness": {"value": 650.0, "unit": "N/m", "ci95": None}}

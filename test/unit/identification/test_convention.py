@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from dfm_stage.identification import Run
+from dfm_stage.identification import Run, Source, identify
 from dfm_stage.identification.convention import (
     HELD,
     Convention,
@@ -18,12 +20,15 @@ from dfm_stage.identification.convention import (
 )
 from dfm_stage.identification.system import System
 from dfm_stage.model import Model, Simulator
+from dfm_stage.recording import AxisRecord
 
 PERIOD = 1e-3
 LAG, DELAY = 0.3e-3, 0.25e-3
 BASE = {"mass": 0.8, "damping": 3.0, "stiffness": 0.8 * (2 * math.pi * 12.0) ** 2,
         "force_constant": 2.0}
 LATE = {**BASE, "amplifier_time_constant": LAG, "delay": DELAY}
+STIFF = {**LATE, "stiffness": 0.8 * (2 * math.pi * 120.0) ** 2, "damping": 60.0}
+"""Its resonance, too, is fast beside the sampling."""
 HIGHEST = 0.2
 """Of the sampling rate: up to here the input of these records reaches."""
 
@@ -62,9 +67,9 @@ def left_of(run: Run, base: dict[str, float], wanted: np.ndarray) -> float:
 @pytest.mark.parametrize("shift", [0.0, -0.4, -1.0])
 def test_a_band_limited_input_is_followed_between_its_samples(shift: float) -> None:
     column = multisine(2000)
-    run = Run("bl", column, steady(column, LATE, shift), PERIOD, start="periodic", period=2000)
-    assert left_of(run.by(Convention("band_limited", shift)), LATE, run.output) < 1e-4
-    assert left_of(run, LATE, run.output) > 0.02
+    run = Run("bl", column, steady(column, STIFF, shift), PERIOD, start="periodic", period=2000)
+    assert left_of(run.by(Convention("band_limited", shift)), STIFF, run.output) < 1e-4
+    assert left_of(run, STIFF, run.output) > 0.02
 
 
 def test_the_ends_of_a_band_limited_record_hardly_matter() -> None:
@@ -85,12 +90,12 @@ def test_the_ends_of_a_band_limited_record_hardly_matter() -> None:
 
 def test_a_straight_input_is_that_of_lsim() -> None:
     column = multisine(2000)
-    system = ([BASE["force_constant"]], np.polymul(
-        [BASE["mass"], BASE["damping"], BASE["stiffness"]], [LAG, 1.0]))
+    base = {**STIFF, "delay": 0.0}
+    system = ([base["force_constant"]], np.polymul(
+        [base["mass"], base["damping"], base["stiffness"]], [LAG, 1.0]))
     wanted = lsim(system, column, PERIOD * np.arange(2000))[1]
-    base = {**BASE, "amplifier_time_constant": LAG}
     run = Run("foh", column, wanted, PERIOD, start="rest").by(Convention("first"))
-    assert left_of(run, base, wanted) < 2e-4
+    assert left_of(run, base, wanted) < 5e-4
 
 
 @pytest.mark.parametrize(("shift", "late"), [(-1.0, 0.0), (-0.4, 0.6), (-1.25, 0.75)])
@@ -247,3 +252,38 @@ def test_what_is_given_by_hand_is_taken() -> None:
     assert find_convention(column, output, shift=-1.0).hold == "zero"
 
 
+
+
+def test_identify_follows_and_tells_the_convention_of_its_records() -> None:
+    little = {**BASE, "amplifier_time_constant": 1e-4}
+    column, output = recorded("band_limited", 6, little, noise=1e-5, count=4000)
+    model = Model("start", PERIOD, base={**little, "damping": 4.0, "stiffness": 4500.0})
+    found = identify([Source("run", AxisRecord(column, output), PERIOD)], model=model)
+    (told,) = found.to_dict()["conventions"]
+    assert (told["record"], told["input_hold"], told["estimated"]) == ("run", "band_limited", True)
+    assert told["input_shift_samples"]["value"] == 0.0
+    assert found.model.base["amplifier_time_constant"] == pytest.approx(1e-4, rel=0.02)
+    by_hand = Source("run", AxisRecord(column, output, input_hold="zero"), PERIOD)
+    assert by_hand.run().drive is None
+    assert identify([by_hand], model=model).model.base["amplifier_time_constant"] < 2e-5
+
+
+SHARED = Path(os.environ.get("DFM_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data"))
+
+
+@pytest.mark.skipif(not (SHARED / "silverbox").is_dir(),
+                    reason="the recorded data are not here (DFM_SHARED_DATA or ../shared/data)")
+@pytest.mark.parametrize("name", ["train", "holdout_multisine", "holdout_arrow_full"])
+def test_silverbox_was_sampled_at_the_same_instant(name: str) -> None:
+    data = np.load(SHARED / "silverbox" / f"{name}.npz")
+    found = find_convention(data["input_v"], data["position_v"])
+    assert (found.hold, found.shift, found.source) == ("band_limited", 0.0, "estimated")
+    assert "both columns were sampled at the same instant" in found.words
+
+
+@pytest.mark.skipif(not (SHARED / "emps").is_dir(),
+                    reason="the recorded data are not here (DFM_SHARED_DATA or ../shared/data)")
+@pytest.mark.parametrize("name", ["train", "holdout"])
+def test_a_servo_s_input_is_held(name: str) -> None:
+    data = np.load(SHARED / "emps" / f"{name}.npz")
+    assert find_convention(data["input_v"], data["position_m"]).held

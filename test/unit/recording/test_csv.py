@@ -231,7 +231,7 @@ def test_files_that_hold_no_record(tmp_path: Path) -> None:
     ragged = [f"{t:.6f},1,2" for t in np.cumsum(rng.exponential(1e-3, 60))]
     assert "there is no sample period" in said(save(tmp_path, [table()[0], *ragged]))
     with pytest.raises(RecordError, match="choose one of longest, mask"):
-        read_record(save(tmp_path, table()), gaps="fill")
+        read_record(save(tmp_path, table()), gaps="guess")
 
 
 def test_a_sample_period_takes_the_place_of_time(tmp_path: Path) -> None:

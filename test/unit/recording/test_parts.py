@@ -13,6 +13,7 @@ from dfm_stage.recording import (
     Record,
     RecordError,
     at_period,
+    filled,
     part,
     split,
     without_gaps,
@@ -57,6 +58,26 @@ def test_the_longest_stretch_without_a_gap() -> None:
     assert (len(found), found.time[0]) == (1399, given.time[601])
     with pytest.raises(RecordError, match="no stretch"):
         without_gaps(replace(given, axes={"x": replace(axis, position=position * np.nan)}))
+
+
+@pytest.mark.parametrize("hold", [None, "band_limited"])
+def test_short_gaps_are_filled_in_with_the_stated_error(hold: str | None) -> None:
+    given = record(hold=hold)
+    axis = given.axis()
+    lost = [100, 300, 301, 700, 1500, *range(1000, 1003)]
+    cut = {name: array.copy() for name, array in axis.arrays().items() if name != "excitation"}
+    for array in cut.values():
+        array[lost] = np.nan
+    found = filled(replace(given, axes={"x": replace(axis, **cut)}))
+    after = found.axis()
+    assert np.flatnonzero(np.isnan(after.position)).tolist() == [1000, 1001, 1002]
+    error = np.nan_to_num(after.position - axis.position)
+    assert np.abs(error).max() < 1e-6
+    assert np.abs(np.nan_to_num(after.input - axis.input))[:1000].max() == pytest.approx(
+        0.04 if hold is None else 0.0, abs=0.02 if hold is None else 1e-6)
+    assert "5 samples in gaps of up to 2 were filled in" in found.warnings[-1]
+    assert filled(given).warnings == []
+    assert len(without_gaps(found)) == 1000
 
 
 @pytest.mark.parametrize("hold", [None, "band_limited"])

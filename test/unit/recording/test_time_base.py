@@ -111,3 +111,14 @@ def test_resampling_exact_cubics_is_exact() -> None:
     values, error = resample(cubic(time), base)
     assert np.abs(values - cubic(base.time)).max() < 1e-11
     assert error < 1e-11
+
+
+def test_a_late_stamp_is_no_lost_sample() -> None:
+    """A logger that was held up stamps some rows late, and then goes on in time."""
+    rng = np.random.default_rng(6)
+    index = np.setdiff1d(np.arange(2000), [500, 1300, 1301])
+    time = 1e-3 * (index + 0.1 * rng.exponential(size=len(index)))
+    time[[100, 700, 1600]] += 0.8e-3
+    base = find_time_base(time, np.arange(len(time)), str, "mask")
+    assert base.index.tolist() == index.tolist()
+    assert any("3 samples are missing before 500 " in note for note in base.notes)
