@@ -134,8 +134,9 @@ def _simulated(page: Page, found: Diagnosis) -> None:
 
 def _evidence(page: Page, found: Diagnosis) -> None:
     for run, before, after in _compared(found, False)[:1]:
-        page.section("Where it is", "The gap in frequency, over the output and over its rate, before "
-                     "and after. Flat curves at the noise are what a complete model leaves.")
+        page.section("Where it is", "The gap in frequency, over the output and over its rate, "
+                     "before and after. Flat curves at the noise are what a complete model "
+                     "leaves.")
         page.figure(_localised(run, before, after, found.gap.unit),
                     f"The gap of {run.name}, localised")
         page.table(("record", "finding", "value", "limit", "", "meaning"), [
