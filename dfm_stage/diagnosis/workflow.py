@@ -119,7 +119,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
     """
     part: tuple[Trial, Hypothesis, Evidence] | None = None
     if is_gross(first):
-        own = _in_windows(trial) if first.system.drifts else trial
+        own = _in_windows(trial) if first.system.springless else trial
         bare = own.search.begin() if own is not trial else first
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
         if stays_open(part[2]):
