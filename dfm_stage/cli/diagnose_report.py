@@ -123,19 +123,20 @@ def _simulated(page: Page, found: Diagnosis) -> None:
                      "adapted on held-out records.")
     for run, before, after in shown:
         page.figure(time_figure(run.time, [
-            ("position", found.gap.unit, {
+            (run.measures, found.gap.unit, {
                 "measured": run.measured, "before": run.measured - before,
                 "after": run.measured - after}),
             ("left before", found.gap.unit, {"before": before}),
             ("left after", found.gap.unit, {"after": after})]),
-            f"{run.name} ({'held out' if run.held_out else 'fitted'}): position, and what is left "
-            "over before and after")
+            f"{run.name} ({'held out' if run.held_out else 'fitted'}): {run.measures}, and what "
+            "is left over before and after")
 
 
 def _evidence(page: Page, found: Diagnosis) -> None:
     for run, before, after in _compared(found, False)[:1]:
-        page.section("Where it is", "The gap in frequency, over position and over speed, before "
-                     "and after. Flat curves at the noise are what a complete model leaves.")
+        page.section("Where it is", "The gap in frequency, over the output and over its rate, "
+                     "before and after. Flat curves at the noise are what a complete model "
+                     "leaves.")
         page.figure(_localised(run, before, after, found.gap.unit),
                     f"The gap of {run.name}, localised")
         page.table(("record", "finding", "value", "limit", "", "meaning"), [
@@ -145,10 +146,15 @@ def _evidence(page: Page, found: Diagnosis) -> None:
 
 
 def _localised(run: Comparison, before: Array, after: Array, unit: str) -> Drawing:
-    speed = np.gradient(run.measured, run.sample_period)
+    change = np.gradient(run.measured, run.sample_period)
+    names, rate = {
+        "position": (("position", "speed"), "/s"),
+        "velocity": (("velocity", "acceleration"), "/s^2"),
+        "acceleration": (("acceleration", "jerk"), "/s^3")}[run.measures]
+    per_time = unit.partition("/")[0] + rate
     factor, shown = display_unit((float(np.max(np.abs(before))),), unit)
     abscissae = [(signal, *display_unit((float(np.max(np.abs(signal))),), its)) for signal, its in
-                 ((run.measured, unit), (speed, f"{unit}/s"))]
+                 ((run.measured, unit), (change, per_time))]
     figure, axes = new_figure(3, 5.6, squeeze=False)
     rows: list[list[Cell]] = []
     with page_style():
@@ -165,7 +171,7 @@ def _localised(run: Comparison, before: Array, after: Array, unit: str) -> Drawi
         axes[0, 0].set(xlabel="frequency (Hz)", ylabel=f"gap ({shown}/√Hz)")
         axes[0, 0].legend(loc="best")
         log_labels(axes[0, 0].xaxis, axes[0, 0].yaxis)
-        for row, name in ((1, "position"), (2, "speed")):
+        for row, name in enumerate(names, 1):
             axes[row, 0].set(xlabel=f"{name} ({abscissae[row - 1][2]})",
                              ylabel=f"mean gap ({shown})")
     return Drawing(figure, Table(("", "RMS", "strongest at (Hz)"), rows))

@@ -187,7 +187,7 @@ def _print(found: Identification, out: Path, report: bool) -> None:
     for name, value in found.estimate.held.items():
         print(f"  {name:<{wide}}  {format_quantity(value, found.model.parameter(name).unit)} "
               "(held)")
-    unit = found.sources[0].axis.position_unit
+    unit = found.sources[0].axis.output_unit
     for evaluation in (*found.evaluations, *found.held_out):
         what = "held out" if evaluation in found.held_out else "fit"
         percent = evaluation.fit_percent

@@ -62,7 +62,7 @@ def write_report(found: Identification, path: Path, records: Sequence[str]) -> N
 
 def _lead(page: Page, found: Identification) -> None:
     first = found.evaluations[0]
-    unit = found.sources[0].axis.position_unit
+    unit = found.sources[0].axis.output_unit
     ratio = first.fit.rms / first.floor.rms if first.floor.rms > 0.0 else math.inf
     if math.isfinite(found.natural_frequency_hz.value):
         said = (f"The stage resonates at {found.natural_frequency_hz} with a damping ratio of "
@@ -130,7 +130,7 @@ def _bode(page: Page, found: Identification) -> None:
     page.figure(bode_figure(drawn, unit=first.unit), "Magnitude and phase, measured and modelled")
     if first.distortion is not None:
         page.table(("lines not excited", "level", "noise alone", "over excited lines (dB)",
-                    "distortion"), _distortion_rows(first.distortion, first.output_unit))
+                    "distortion"), _distortion_rows(first.distortion, first.distortion_unit))
 
 
 def _distortion_rows(found: Distortion, unit: str) -> list[list[Cell]]:
@@ -153,15 +153,15 @@ def _near_resonance(found: Identification, low: float, high: float) -> Array:
 
 def _time(page: Page, found: Identification) -> None:
     source, fit = found.sources[0], found.fit.fits[0]
-    unit = source.axis.position_unit
+    unit = source.axis.output_unit
     time = np.asarray(np.arange(fit.measured.size) * fit.sample_period, dtype=np.float64)
     page.section("In time", f"The model simulated from the measured input of {source.name}, "
                  "nothing but the start and the offset adapted to the output.")
     page.figure(time_figure(time, [
         ("input", source.axis.input_unit, {"input": source.axis.input[fit.skip:]}),
-        ("position", unit, {"measured": fit.measured, "simulated": fit.simulated}),
+        (source.axis.measures, unit, {"measured": fit.measured, "simulated": fit.simulated}),
         ("difference", unit, {"difference": fit.residual})]),
-        "Measured and simulated position, and what is left over")
+        f"Measured and simulated {source.axis.measures}, and what is left over")
     rows = [[e.source, "held out" if e in found.held_out else "fitted",
              e.fit_percent, Quantity(e.fit.rms, unit), Quantity(e.floor.rms, unit),
              e.floor.known_from] for e in (*found.evaluations, *found.held_out)]

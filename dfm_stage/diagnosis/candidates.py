@@ -18,6 +18,8 @@ def excluded(name: str, model: Model, at: Conditions) -> str | None:
         return "the model has it already: its parameters are re-estimated"
     if effect.wrong_number_of and model.base.get(effect.wrong_number_of, 0.0) > 0.0:
         return f"base has {effect.wrong_number_of}: a wrong value of it is retuned"
+    if any(run.order for run in at.runs) and (effect.sense or effect.encode):
+        return "it changes the reading of a position, and the output is none"
     if effect.per_run and any(run.window for run in at.runs):
         return "its phase is lost where the state starts anew in every window"
     return effect.hidden_because(at)

@@ -73,7 +73,7 @@ class Fits:
         motion = [max(float(np.std(r.output)), 1e-300) for r in self.runs]
         rough = tuple(tuple(
             Weight(np.ones(1), ROUGH_NOISE * size, "") for size in
-            (m, *(float(np.std(c)) for c in (r.current,) if c is not None)))
+            (m, *(float(np.std(s)) for s in list(r.compared.values())[1:])))
             for r, m in zip(self.runs, motion, strict=True))
         self.weights = rough
         self.noise = rough[0][0].rms
@@ -285,8 +285,9 @@ class Fits:
 
 
 def first_weights(found: Fit) -> Weights:
-    """White noise, in the position or, for a stage without a spring, in the velocity."""
-    weights = velocity_weights if found.system.springless else white_weights
+    """White noise, in the output or, of the position of a stage without a spring, in the
+    velocity."""
+    weights = velocity_weights if found.system.drifts else white_weights
     return weights(found.residuals)
 
 

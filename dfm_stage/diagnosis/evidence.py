@@ -16,6 +16,7 @@ from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.margins import Constancy, Signal
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.identification.quantity import Quantity
+from dfm_stage.recording.record import Measured
 
 Which = Literal["given", "retuned", "extended"]
 
@@ -154,18 +155,20 @@ class Noise:
 @dataclass(frozen=True)
 class Judged:
     """Where held-out power is compared: in which signal, in windows of how many seconds, the power
-    of its noise, and the RMS that a black box would leave, where one was tried."""
+    of its noise, and the RMS that a black box would leave, where one was tried. With `change` the
+    signal is the output's change from sample to sample."""
 
     signal: Signal = "position"
     window_s: float | None = None
     noise_power: float = 0.0
     predictable: float | None = None
+    change: bool = False
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One record for the report: time (s) and reading (N,), and what each model leaves of it
-    (N,), those that can be simulated."""
+    """One record for the report: time (s) and output (N,), which `measures` names, and
+    what each model leaves of it (N,), of those that can be simulated."""
 
     name: str
     held_out: bool
@@ -173,6 +176,7 @@ class Comparison:
     time: Array
     measured: Array
     left: Mapping[Which, Array]
+    measures: Measured = "position"
 
 
 @dataclass(frozen=True)

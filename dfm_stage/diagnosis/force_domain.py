@@ -110,7 +110,8 @@ class RunForces:
     def __init__(self, run: Observation, width: float) -> None:
         self.run, self.width = run, width
         self.grid = Grid(run.output.size, run.sample_period)
-        self.x_spectrum = self.grid.spectrum(run.output)
+        self.y_spectrum = self.grid.spectrum(run.output)
+        self.x_spectrum = self.y_spectrum if run.order == 0 else self.grid.spectrum(run.position)
         self.u_spectrum = self.grid.spectrum(run.input)
         self.noise = noise_density(run.output)
 
@@ -123,7 +124,7 @@ class RunForces:
         """The same run behind another filter."""
         other = object.__new__(RunForces)
         other.__dict__.update({k: v for k, v in self.__dict__.items()
-                               if k in ("run", "grid", "x_spectrum", "u_spectrum", "noise")})
+                               if k in _OF_RUN})
         other.width = width
         return other
 
@@ -131,7 +132,9 @@ class RunForces:
         """The derivative (N,) of the position of this order, behind a filter."""
         grid = self.grid
         gauss = self.gauss if width is None else grid.gauss(width)
-        return grid.signal(self.x_spectrum * gauss * (1j * grid.omega) ** order)
+        measured = self.run.order if order >= self.run.order else 0
+        spectrum = self.y_spectrum if measured else self.x_spectrum
+        return grid.signal(spectrum * gauss * (1j * grid.omega) ** (order - measured))
 
     def filtered(self, signal: Array) -> Array:
         """`signal` (N,) behind the filter."""
@@ -151,8 +154,12 @@ class RunForces:
         return self.grid.signal(self.x_spectrum * operator * self.gauss)
 
     def noise_rms(self, stiffness: Complex | Array, width: float) -> float:
-        """RMS that the noise of the position leaves of an operator (F,) on it."""
-        power = np.abs(stiffness) ** 2 * self.grid.gauss(width) ** 2
+        """RMS that the noise of the output leaves of an operator (F,) on the position."""
+        power = np.abs(stiffness) ** 2
+        if self.run.order:
+            power[1:] /= self.grid.omega[1:] ** (2 * self.run.order)
+            power[0] = 0.0
+        power *= self.grid.gauss(width) ** 2
         return math.sqrt(self.noise * float(np.mean(power)))
 
     @cached_property
@@ -205,6 +212,10 @@ def noise_density(output: Array) -> float:
 
 TOP = 0.375
 """Cycles per sample above which a position is taken to be noise."""
+
+
+_OF_RUN = ("run", "grid", "x_spectrum", "y_spectrum", "u_spectrum", "noise")
+"""What does not depend on the filter."""
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ EARLIEST, LATEST = -2.0, 4.0
 """Samples around the model's delay where the input's timing is looked for."""
 TIMED = 4
 """Steps of the search for the timing; it is nearly linear."""
+DRIFT_DEGREE = 6
+"""Degree up to which polynomials over a record are taken for drift of an integrated position."""
 NO_FORCE = 1e-6
 """Share of the force of inertia below which the input does nothing."""
 
@@ -47,7 +49,8 @@ class Setting:
     """Filtered `runs` with their `timing`; the base columns (n, k) and their `names`, the target
     (n,), and the linear part that they give.
 
-    With `offset` every record has an offset of its own: all columns are taken off their means.
+    With `offset` every record has an offset of its own: all columns are taken off their means, or
+    off their slow drift where the position is integrated.
     """
 
     runs: Sequence[RunForces]
@@ -71,15 +74,25 @@ class Setting:
 def _stacked(runs: Sequence[RunForces], offset: bool, of: Callable[[RunForces], Array]) -> Array:
     parts = [of(run)[..., run.kept] for run in runs]
     if offset:
-        parts = [part - part.mean(axis=-1, keepdims=True) for part in parts]
+        parts = [_without_drift(run, part) for run, part in zip(runs, parts, strict=True)]
     return np.asarray(np.concatenate(parts, axis=-1).T)
+
+
+def _without_drift(run: RunForces, part: Array) -> Array:
+    """Take `part` (..., n) off its mean; where the position is integrated off its slow drift, too,
+    because that of the noise is in the position."""
+    if run.run.order == 0:
+        return np.asarray(part - part.mean(axis=-1, keepdims=True))
+    along = np.linspace(-1.0, 1.0, run.grid.size)[run.kept]
+    slow = np.linalg.qr(np.polynomial.legendre.legvander(along, DRIFT_DEGREE))[0]
+    return np.asarray(part - part @ slow @ slow.T)
 
 
 def setting(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
     """Compute base columns and target, and fit the linear part."""
     gain = model.base.get("force_constant", 1.0)
     spring = model.base.get("stiffness", 0.0) > 0.0
-    offset = spring and "encoder_zero" not in model.base
+    offset = spring and ("encoder_zero" not in model.base or runs[0].run.order > 0)
     orders = {"mass": 2, "damping": 1, **({"stiffness": 0} if spring else {})}
     columns = _stacked(runs, offset, lambda run: np.array([
         *(run.derivative(order) for order in orders.values()), gain * run.drive(timing, 1)]))

@@ -82,14 +82,16 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
 
 
 def judged_in(h: Hypothesis) -> Judged:
-    """The signal in which held-out powers are compared: a body without a spring drifts by
-    whatever small force there is, and is judged in velocity."""
+    """The signal in which held-out powers are compared: the output, but a body without a spring
+    drifts by whatever small force there is, and its position is judged in velocity."""
     system = h.fit.system if h.fit.ok else h.bare.system
-    signal: Signal = "velocity" if system.springless else "position"
+    measures = system.runs[0].measures
+    change = system.drifts
+    signal: Signal = "velocity" if change else measures
     left = h.fit.residuals if h.fit.ok else []
     noise = white_weights(left)[0][0].rms if left else 0.0
     window = max(run.window for run in system.runs) * system.runs[0].sample_period
-    return Judged(signal, window or None, noise**2 * (2.0 if signal == "velocity" else 1.0))
+    return Judged(signal, window or None, noise**2 * (2.0 if change else 1.0), change=change)
 
 
 def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
@@ -134,7 +136,7 @@ def with_next_experiment(trial: Trial, h: Hypothesis, evidence: Evidence,
 
 def _errors(seen: Prediction, judged: Judged) -> Errors:
     return Errors(seen.rms, seen.chi2, seen.count, _change_rms(seen.residuals),
-                  power(seen.residuals, judged.signal))
+                  power(seen.residuals, judged.change))
 
 
 def _change_rms(residuals: Sequence[Sequence[Array]]) -> float:
@@ -151,7 +153,7 @@ def _motion(runs: Sequence[Observation], bare: Fit) -> Motion:
 def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,
               judged: Judged, by_blocks: bool = False) -> ModelEvidence:
     fitted = Errors(found.rms, found.chi2, found.white.size, _change_rms(found.residuals),
-                    power(found.residuals, judged.signal))
+                    power(found.residuals, judged.change))
     if not found.ok:
         return ModelEvidence(fitted, _errors(seen, judged))
     evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found, by_blocks),
@@ -181,16 +183,16 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
     rest = tuple(n for n in h.names if n != name)
     without = search.fitted(rest, fit) if rest else h.bare
     missed = trial.predicted(without.model)
-    own = powers([*fit.residuals, *seen.residuals], judged.signal)
+    own = powers([*fit.residuals, *seen.residuals], judged.change)
     rivals = (_rival(trial, h, name, r, own, judged) for r in h.rivals.get(name, ()))
     size = EFFECTS[name].sizes[0]
     return EffectEvidence(
         name, _own(trial, h, name, values),
         ModelEvidence(Errors(without.rms, without.chi2, without.white.size,
-                             power=power(without.residuals, judged.signal)),
+                             power=power(without.residuals, judged.change)),
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
-        margin(powers([*without.residuals, *missed.residuals], judged.signal), own),
+        margin(powers([*without.residuals, *missed.residuals], judged.change), own),
         constancy(fit, f"{name}.{size}"))
 
 
@@ -232,7 +234,7 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Array,
     seen = trial.predicted(rival.fit.model)
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
-                         margin(powers([*rival.fit.residuals, *seen.residuals], judged.signal),
+                         margin(powers([*rival.fit.residuals, *seen.residuals], judged.change),
                                 own), shares_class(rival.name, name),
                          len(rival.fit.system.free) > len(h.fit.system.free))
 
@@ -241,7 +243,8 @@ def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:
     """The mean of the runs' offsets, where on a linear spring it may be a force."""
     system = bare.system
     names = [n for n in library if EFFECTS[n].adds_to == "constant_force"]
-    if not bare.ok or system.trusted or system.springless or not names:
+    if not bare.ok or system.trusted or system.springless or not names \
+            or system.runs[0].order:
         return None
     places = [k for k, u in enumerate(system.unknowns) if u.name == "offset"]
     gram = bare.jacobian.T @ bare.jacobian
@@ -282,4 +285,4 @@ def _comparisons(trial: Trial, h: Hypothesis, fitted: Prediction,
         for i, run in enumerate(runs):
             left = {w: each[i][0] for w, each in zip(which, residuals, strict=True) if each}
             yield Comparison(run.name, is_held, run.sample_period, run.time[run.skip:],
-                             run.output[run.skip:], left)
+                             run.output[run.skip:], left, run.measures)

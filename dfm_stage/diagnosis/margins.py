@@ -19,12 +19,13 @@ from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import BLOCKS, SHORTEST_BLOCK, SIZE_GROUPS
 from dfm_stage.diagnosis.fit import Fit
 
-Signal = Literal["position", "velocity", "force"]
+Signal = Literal["position", "velocity", "acceleration", "force"]
 
 
-def judged_signal(residual: Array, judged: Signal) -> Array:
-    """The residual (N,) of one run in the signal that is judged; velocity as its change."""
-    return np.asarray(np.diff(residual)) if judged == "velocity" else residual
+def judged_signal(residual: Array, change: bool) -> Array:
+    """The residual (N,) of one run as it is judged: itself, or its change where the velocity of
+    a position is."""
+    return np.asarray(np.diff(residual)) if change else residual
 
 
 def cuts(sizes: Sequence[int]) -> list[list[slice]]:
@@ -38,20 +39,20 @@ def cuts(sizes: Sequence[int]) -> list[list[slice]]:
     return found
 
 
-def powers(residuals: Sequence[Sequence[Array]], judged: Signal = "position") -> Array:
+def powers(residuals: Sequence[Sequence[Array]], change: bool = False) -> Array:
     """Mean square (B,) of the output's residual in each block; infinite without residuals."""
     if not residuals:
         return np.full(1, math.inf)
-    signals = [judged_signal(parts[0], judged) for parts in residuals]
+    signals = [judged_signal(parts[0], change) for parts in residuals]
     return np.array([float(np.mean(s[part] ** 2)) for s, parts in
                      zip(signals, cuts([s.size for s in signals]), strict=True) for part in parts])
 
 
-def power(residuals: Sequence[Sequence[Array]], judged: Signal = "position") -> float:
+def power(residuals: Sequence[Sequence[Array]], change: bool = False) -> float:
     """Mean square of the output's residual over all runs; infinite without residuals."""
     if not residuals:
         return math.inf
-    signals = [judged_signal(parts[0], judged) for parts in residuals]
+    signals = [judged_signal(parts[0], change) for parts in residuals]
     return float(sum(s @ s for s in signals)) / max(sum(s.size for s in signals), 1)
 
 

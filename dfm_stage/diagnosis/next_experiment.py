@@ -47,7 +47,7 @@ def propose(parts: Sequence[str], best: Model, rivals: Sequence[Fit],
     specs = list(_experiments(best, _volts(best, runs)))
     if rivals and not any(n in EFFECTS and EFFECTS[n].couples for n in parts):
         travel = max(float(np.ptp(r.output)) for r in runs)
-        ranked = _ranked(specs, best, rivals, free, travel, weight, noise, runs[0].unit)
+        ranked = _ranked(specs, best, rivals, free, travel, weight, noise, runs[0])
         if ranked:
             gain, spec = ranked[0]
             duration = _duration(gain)
@@ -111,13 +111,13 @@ def _as_experiment(why: str, excitation: dict[str, Any]) -> dict[str, Any]:
 
 def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
             free: Sequence[Sequence[str]], travel: float, weight: Weight, noise: float,
-            unit: str) -> list[tuple[float, dict[str, Any]]]:
+            like: Observation) -> list[tuple[float, dict[str, Any]]]:
     """Experiments with the chi-square that they bring in `DURATION_S` between `best` and the
     rival that is hardest to tell from it, best first."""
     weights: Weights = ((weight,),)
     trials = []
     for spec in specs:
-        run = _tried(spec, best, unit)
+        run = _tried(spec, best, like)
         moved = _response(best, run, noise)
         if moved is None or np.ptp(moved) > TRAVEL * travel:
             continue
@@ -130,18 +130,18 @@ def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
     found = []
     for _, spec, run, moved in trials[:FINALISTS]:
         seen = Observation(run.name, run.input, np.concatenate((np.zeros(run.skip), moved)),
-                           run.sample_period, unit=unit)
+                           run.sample_period, unit=run.unit, measures=run.measures)
         gain = min(_apart(rival.model, names, seen, weights, noise)
                    for rival, names in zip(rivals, free, strict=True))
         found.append((gain * DURATION_S / TRIED_S, spec))
     return sorted(found, key=lambda f: -f[0])
 
 
-def _tried(spec: dict[str, Any], model: Model, unit: str) -> Observation:
+def _tried(spec: dict[str, Any], model: Model, like: Observation) -> Observation:
     asked = load_experiment({**spec, "duration_s": TRIED_S})
     voltage = asked.excitation("x", model.sample_period).voltage
     return Observation("next", voltage, np.zeros(voltage.size), model.sample_period,
-                       unit=unit)
+                       unit=like.unit, measures=like.measures)
 
 
 def _response(model: Model, run: Observation, noise: float) -> Array | None:

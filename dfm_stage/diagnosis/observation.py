@@ -22,6 +22,7 @@ from dfm_stage.diagnosis.spectra import denoised
 from dfm_stage.identification.convention import find_convention
 from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.input_unit import input_mismatch
+from dfm_stage.identification.motion import ORDER
 from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.model import Model
@@ -42,6 +43,11 @@ class Observation(Run):
     periodicity: Periodicity | None = None
     skip: int = LEAD_IN
     start_s: float = 0.0
+
+    def simulated_position(self, residual: Array) -> Array:
+        """The position (N - skip,) that a simulation gave which left `residual` of the output; the
+        one made from the output where that is none."""
+        return self.position[self.skip:] - (residual if self.order == 0 else 0.0)
 
     @property
     def time(self) -> Array:
@@ -83,9 +89,6 @@ def observe(record: Record, model: Model, axis: str | None = None,
     if len(record) < SHORTEST:
         raise DiagnosisError(f"{called}: {len(record)} samples are too few for a diagnosis; "
                              f"record at least {SHORTEST}")
-    if data.measures != "position":
-        raise DiagnosisError(f"{called}: the output is a measured {data.measures}, which a "
-                             "diagnosis cannot use yet; record the position")
     unit = data.position_unit
     if unit != model.position_unit:
         raise DiagnosisError(f"{called}: the output is in {unit}, the model in "
@@ -99,16 +102,37 @@ def observe(record: Record, model: Model, axis: str | None = None,
         if bad.size:
             raise DiagnosisError(f"{called}: the {what} is not a number at "
                                  f"{record.time[bad[0]]:g} s; cut or repair the record")
-    others = [n for n in record.axes if n != chosen]
-    other = _usable(record.axes[others[0]].position if len(others) == 1 else None)
+    others = [a for n, a in record.axes.items() if n != chosen]
+    other = _usable(others[0].position if len(others) == 1 and others[0].measures == "position"
+                    else None)
     quiet = None if other is None else denoised(other)
-    found = find_convention(data.input, data.position, hold=data.input_hold,
-                            shift=data.input_shift)
+    found = find_convention(data.input, data.position, ORDER[data.measures],
+                            hold=data.input_hold, shift=data.input_shift)
     return Observation(called, np.asarray(data.input, float), np.asarray(data.position, float),
-                       record.sample_period, unit=unit, current=_usable(data.current),
-                       other=quiet, reference=_usable(data.reference),
-                       periodicity=_periodicity(data.extra.get("excitation"), data.input)
+                       record.sample_period, unit=data.output_unit,
+                       current=_usable(data.current), other=quiet,
+                       reference=_usable(data.reference),
+                       periodicity=_periodicity(data.extra.get("excitation"), data.input),
+                       measures=data.measures,
+                       velocity=_usable(data.velocity) if data.measures == "position" else None
                        ).by(found)
+
+
+def alike(runs: Sequence[Observation]) -> list[Observation]:
+    """The runs with a measured velocity beside the position only where all of them have one.
+
+    Raises
+    ------
+    DiagnosisError
+        If one measures a position and another a velocity or an acceleration.
+    """
+    for run in runs:
+        if run.measures != runs[0].measures:
+            raise DiagnosisError(f"{run.name}: the output is a {run.measures}, that of "
+                                 f"{runs[0].name} a {runs[0].measures}; use records of one kind")
+    if all(run.velocity is not None for run in runs):
+        return list(runs)
+    return [replace(run, velocity=None) for run in runs]
 
 
 def _axis_name(record: Record, axis: str | None) -> str:

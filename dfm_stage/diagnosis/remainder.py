@@ -105,9 +105,9 @@ def _line(residual: Array) -> Finding:
 
 
 def _pattern(run: Observation, residual: Array, white: Array) -> Finding:
-    position = run.output[run.skip:] - residual
+    position = run.simulated_position(residual)
     best = 0.0
-    if float(np.ptp(position)) < PATTERN_TRAVEL * float(np.std(residual)):
+    if run.order or float(np.ptp(position)) < PATTERN_TRAVEL * float(np.std(residual)):
         return Finding("pattern", best, PATTERN, "too little motion to see errors of a scale")
     for period in position_peaks([position[-white.size:]], [white], 3):
         turn = np.exp(2j * np.pi * position[-white.size:] / period)
@@ -149,7 +149,7 @@ def describe(runs: Sequence[Observation], residuals: Sequence[Sequence[Array]]) 
     """Describe what is left of all runs."""
     first = max(range(len(runs)), key=lambda i: float(np.std(residuals[i][0])))
     run, left = runs[first], residuals[first][0]
-    position = run.output[run.skip:] - left
+    position = run.simulated_position(left)
     return Description(_parity(position, left), _memory(run, position, left),
                        _exponent(runs, residuals), _strongest_hz(left, run.sample_period),
                        _side(residuals[first]))

@@ -133,10 +133,11 @@ class Screen:
                  for (a, _), run, ws in zip(self.edges, self.runs, self.weights, strict=True)]
         lines = frequency_peaks(first, at.sample_period, lowest_hz=2.0 / at.duration)
         residuals = [parts[0] for parts in self.base.residuals]
-        positions = [run.output[run.skip:] - r for run, r in zip(self.runs, residuals,
+        positions = [run.simulated_position(r) for run, r in zip(self.runs, residuals,
                                                                  strict=True)]
         at = replace(at, frequencies=tuple(lines))
-        if max(float(np.ptp(p)) for p in positions) < LEAST_TRAVEL * at.noise:
+        travel = max(float(np.ptp(p)) for p in positions)
+        if self.runs[0].order or travel < LEAST_TRAVEL * at.noise:
             return at
         periods = position_peaks(positions, residuals)
         return replace(at, periods=tuple(periods), steps=tuple(self._steps(

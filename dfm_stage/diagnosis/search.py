@@ -85,7 +85,8 @@ class Search(Fits):
         step = rounding_step(model)
         if step is not None:
             return step
-        if not any(EFFECTS[n].rounds and n not in self.barred for n in self.library):
+        if self.runs[0].order or not any(EFFECTS[n].rounds and n not in self.barred
+                                         for n in self.library):
             return None
         return read_off(self.runs[0].output, model.base.get("encoder_resolution", 0.0))
 

@@ -45,10 +45,12 @@ def predict(model: Model, runs: Sequence[Observation], weights: Weights,
 def weights_like(runs: Sequence[Observation], known: Weights) -> Weights:
     """Weights of other runs with the same sensors: those of the first fitted run."""
     first = known[0]
-    spare = next((ws[1] for ws in known if len(ws) > 1), None)
-    return tuple((first[0],) if run.current is None else
-                 (first[0], spare or Weight(np.ones(1), float(np.std(run.current)), "spread"))
-                 for run in runs)
+    beside = 1 if runs and runs[0].velocity is not None else 0
+    spare = next((ws[1] for ws in known if len(ws) > 1 + beside), None)
+    velocity = first[-1:] if beside else ()
+    return tuple((first[0], *velocity) if run.current is None else
+                 (first[0], spare or Weight(np.ones(1), float(np.std(run.current)), "spread"),
+                  *velocity) for run in runs)
 
 
 LINES_BESIDE = (-2, -1, 1, 2)

@@ -18,6 +18,7 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.blocks import jackknife, margin
+from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_candidates import Candidates, Fits, Fitted
 from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces
 from dfm_stage.diagnosis.force_setting import settled
@@ -128,10 +129,13 @@ def witness(runs: Sequence[Observation], model: Model, library: Sequence[str], *
     Raises
     ------
     DiagnosisError
-        If the records are too short behind the filter that their noise asks for, or the input
-        does nothing.
+        If the records are too short behind the filter that their noise asks for, the input does
+        nothing, or an acceleration was measured.
     """
     begun = time.monotonic()
+    if any(run.order > 1 for run in (*runs, *held)):
+        raise DiagnosisError("a look at forces needs a measured position or velocity: an "
+                             "acceleration integrated twice drifts by its noise")
     found, noise, late = settled([RunForces(run, WIDTHS[0]) for run in (*runs, *held)], model)
     fits = Fits(Candidates(found, model, len(runs), library))
     sets = _Sets.of(fits)

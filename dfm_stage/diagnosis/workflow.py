@@ -15,7 +15,13 @@ from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import gather, with_joint_fit, with_next_experiment
 from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.observation import Observation, in_windows, observe, split_by_time
+from dfm_stage.diagnosis.observation import (
+    Observation,
+    alike,
+    in_windows,
+    observe,
+    split_by_time,
+)
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import (
@@ -73,6 +79,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     held = [observe(r, one, chosen if chosen in r.axes else axis, n or None)
             for r, n in zip(holdout, labels[len(records):], strict=True)]
     warnings = [f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings]
+    both = alike([*runs, *held])
+    runs, held = both[:len(runs)], both[len(runs):]
     if not held:
         runs, held = split_by_time(runs)
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
@@ -136,9 +144,9 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
 
 
 def is_gross(bare: Fit) -> bool:
-    """Whether much of the motion is missed; without a spring, of its change from sample to
-    sample, because whatever small force there is carries the position away."""
-    degree = 1 if bare.system.springless else 0
+    """Whether much of the motion is missed; of what drifts, of its change from sample to sample,
+    because whatever small force there is carries the position away."""
+    degree = 1 if bare.system.drifts else 0
     motion = max(float(np.std(np.diff(run.output, degree))) for run in bare.system.runs)
     return rms([np.diff(parts[0], degree) for parts in bare.residuals]) > GROSS_GAP * motion
 

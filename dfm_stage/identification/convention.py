@@ -150,12 +150,14 @@ class Drive:
                      self.delay)
 
 
-def drive_of(values: Array, convention: Convention, motion: Array,
-             periodic: bool = False) -> Drive | None:
+def drive_of(values: Array, convention: Convention, motion: Array, periodic: bool = False,
+             derivative: int = 0) -> Drive | None:
     """Return the input `values` (N,) as a simulator takes it; None where it is held as it stands.
 
     A held input that is early is exact. Others become up to FINER steps a sample, so large that
-    the motion is that of the input between its samples: `motion` (N,) says how many it takes.
+    the motion is that of the input between its samples: `motion` (N,) says how many it takes, and
+    is the position's time derivative of order `derivative`. An acceleration follows each step at
+    once: for it they lie about the sample instants, not between them.
     """
     if convention.held or values.size < 2:
         return None
@@ -164,25 +166,29 @@ def drive_of(values: Array, convention: Convention, motion: Array,
         at = np.arange(values.size) + ahead
         at = at % values.size if periodic else np.clip(at, 0, values.size - 1)
         return Drive(values[at], delay=ahead + convention.shift)
-    if convention.hold == "first":
-        return Drive(_straight(values, convention.shift, FINER, periodic), FINER)
-    factor = next((k for k in range(2, FINER) if image_share(motion, k) < FOLLOWED), FINER)
-    return Drive(interpolated(values, factor, 0.5 / factor - convention.shift, periodic,
-                              steps=True), factor)
+    factor = FINER if convention.hold == "first" else next(
+        (k for k in range(2, FINER) if image_share(motion, k, derivative) < FOLLOWED), FINER)
+    half = 0.5 / factor if derivative > 1 else 0.0
+    shift = convention.shift - half
+    found = _straight(values, shift, factor, periodic) if convention.hold == "first" else \
+        interpolated(values, factor, 0.5 / factor - shift, periodic, steps=True)
+    return Drive(found, factor, half)
 
 
-def image_share(motion: Array, factor: int) -> float:
+def image_share(motion: Array, factor: int, derivative: int = 0) -> float:
     """RMS of what the images of `factor` steps a sample add to a motion (N,), over its own.
 
     The image of f (in sampling rates) is f / (factor - f) as strong, and moves a mass by
     (f / (factor - f))^2 of what f does; below the resonance, taken at the RMS frequency of the
-    motion, by that of the resonance.
+    motion, by that of the resonance. In a derivative an image is stronger by its frequency.
     """
-    power = np.abs(np.fft.rfft(_reflected(motion)[1])) ** 2
+    power = np.abs(np.fft.rfft(reflected(motion)[1])) ** 2
     f = np.linspace(0.0, 0.5, power.size)
     total = max(float(power.sum()), 1e-300)
     resonance = math.sqrt(float(f**2 @ power) / total)
     image = f * np.maximum(f, resonance) ** 2 / (factor - f) ** 3
+    if derivative:
+        image[1:] *= ((factor - f[1:]) / f[1:]) ** derivative
     return math.sqrt(float(image**2 @ power) / total)
 
 
@@ -196,7 +202,7 @@ def interpolated(values: Array, factor: int, offset: float = 0.0, periodic: bool
     rate are left.
     """
     count = values.size
-    line, wave = (np.zeros(2), values) if periodic else _reflected(values)
+    line, wave = (np.zeros(2), values) if periodic else reflected(values)
     spectrum = np.fft.rfft(wave)
     if wave.size % 2 == 0:
         spectrum[-1] = 0.5 * spectrum[-1]
@@ -226,7 +232,7 @@ def _straight(values: Array, shift: float, factor: int, periodic: bool) -> Array
     return np.asarray(means[1:-1] - np.diff(means, 2) / 12.0)
 
 
-def _reflected(values: Array) -> tuple[Array, Array]:
+def reflected(values: Array) -> tuple[Array, Array]:
     """The line through first and last value, as value and slope, and what is left with its
     reflection in the end points, (2 N - 2,): periodic, without a jump."""
     slope = float(values[-1] - values[0]) / (values.size - 1)
@@ -379,7 +385,7 @@ def _least(left: Array) -> float:
 
 def _delayed(u: Array, width: float, sincs: int) -> Array:
     """The filtered input at every lag, (L, N)."""
-    line, wave = _reflected(u)
+    line, wave = reflected(u)
     omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
     spectrum = np.fft.rfft(wave) * np.exp(-0.5 * (omega * width) ** 2)
     spectrum *= np.sinc(omega / (2.0 * np.pi)) ** sincs
@@ -390,7 +396,7 @@ def _delayed(u: Array, width: float, sincs: int) -> Array:
 
 def _features(y: Array, width: float, derivative: int) -> Array:
     """Filtered motion and usual nonlinear functions of it, (F, N)."""
-    line, wave = _reflected(y)
+    line, wave = reflected(y)
     omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
     spectrum = np.fft.rfft(wave)
     filter_ = np.exp(-0.5 * (omega * width) ** 2)
@@ -408,7 +414,7 @@ def _features(y: Array, width: float, derivative: int) -> Array:
         return np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size] + straight
 
     def filtered(values: Array) -> Array:
-        ends, folded = _reflected(values)
+        ends, folded = reflected(values)
         return np.asarray(np.fft.irfft(np.fft.rfft(folded) * filter_, wave.size)[:y.size]
                           + ends[0] + ends[1] * time)
 

@@ -22,27 +22,28 @@ class Criterion:
     """Residuals over the unknowns x (n,) of a problem, white and in standard deviations.
 
     `weights` are those of each run and signal. With `joint` the coefficients of each run's noise
-    are unknowns as well, behind the others: z = (x, a of run 0, a of run 1, ...). Then runs
-    compare their output alone. `slopes(run, x, exact)` gives the derivatives of a run's signals.
+    are unknowns as well, behind the others: z = (x, a of run 0, a of run 1, ...), each run's
+    signal by signal. `slopes(run, x, exact)` gives the derivatives of a run's signals.
     """
 
     def __init__(self, problem: Problem, weights: Weights, joint: bool = False,
                  slopes: Callable[[int, Array, bool], Signals] | None = None) -> None:
         self.problem, self.weights, self.joint = problem, weights, joint
         self.slopes = slopes or problem.sensitivities
-        ends = np.cumsum([problem.start.size,
-                          *(ws[0].polynomial.size - 1 if joint else 0 for ws in weights)])
-        self.noise = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        ends = iter(pairwise(np.cumsum([problem.start.size, *(
+            w.polynomial.size - 1 if joint else 0 for ws in weights for w in ws)])))
+        self.noise = [[slice(*map(int, next(ends))) for _ in ws] for ws in weights]
 
     def start(self, x: Array) -> Array:
         """All unknowns: `x` (n,) and, where they are free, the weights' own coefficients."""
-        coefficients = [ws[0].polynomial[1:] for ws in self.weights] if self.joint else []
+        coefficients = [w.polynomial[1:] for ws in self.weights for w in ws] \
+            if self.joint else []
         return np.concatenate([x[:self.problem.start.size], *coefficients])
 
     def polynomial(self, run: int, signal: int, z: Array) -> Array:
         """The whitening polynomial of a signal: part of `z`, or that of its weight."""
         if self.joint:
-            return np.concatenate(([1.0], z[self.noise[run]]))
+            return np.concatenate(([1.0], z[self.noise[run][signal]]))
         return self.weights[run][signal].polynomial
 
     def parts(self, z: Array, residuals: list[Signals] | None = None) -> list[Array]:
@@ -70,8 +71,8 @@ class Criterion:
                 block[active] = -whiten(columns[active], polynomial)
                 if gaps is not None and polynomial.size > 1:
                     order = polynomial.size - 1
-                    lagged = np.lib.stride_tricks.sliding_window_view(gaps[i][0][:-1], order)
-                    block[self.noise[i]] = lagged[:, ::-1].T
+                    lagged = np.lib.stride_tricks.sliding_window_view(gaps[i][s][:-1], order)
+                    block[self.noise[i][s]] = lagged[:, ::-1].T
                 blocks.append(block.T / weights[s].sigma)
         return np.vstack(blocks)
 

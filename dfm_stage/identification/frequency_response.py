@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,6 +95,21 @@ class FrequencyResponse:
     method: str
     distortion: Distortion | None = None
     warnings: tuple[str, ...] = field(default=())
+    measured_unit: str = ""
+
+    @property
+    def distortion_unit(self) -> str:
+        """Unit of the levels in `distortion`: that of the signal that was measured."""
+        return self.measured_unit or self.output_unit
+
+    def integrated(self, times: int, output_unit: str) -> FrequencyResponse:
+        """The response of the position, in `output_unit`, where this is that of its derivative of
+        order `times`: exact for what is slow beside the sampling."""
+        if times == 0:
+            return self
+        return replace(self, response=self.response / (1j * self.omega) ** times,
+                       variance=self.variance / self.omega ** (2 * times),
+                       output_unit=output_unit, measured_unit=self.output_unit)
 
     @property
     def frequency_hz(self) -> Array:
@@ -123,7 +138,7 @@ class FrequencyResponse:
             "std": [math.sqrt(v) if math.isfinite(v) else None for v in self.variance],
             "lines": self.lines.tolist(),
             "distortion": None if self.distortion is None else {
-                **vars(self.distortion), "unit": self.output_unit}}
+                **vars(self.distortion), "unit": self.distortion_unit}}
 
     def to_control(self) -> control.FrequencyResponseData:
         """Return the response as `control.FRD`."""

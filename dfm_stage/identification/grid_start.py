@@ -36,7 +36,7 @@ def grid_start(source: Source) -> LinearPlant:
     for first in range(0, len(rows), ROWS_AT_ONCE):
         part = rows[first:first + ROWS_AT_ONCE]
         outputs = simulator.run_many(source.axis.input[:SAMPLES], ("damping", "stiffness"),
-                                     np.array(part))
+                                     np.array(part), signal=source.axis.measures)
         outputs -= outputs.mean(axis=1, keepdims=True)
         power = np.maximum(np.einsum("ij,ij->i", outputs, outputs), 1e-300)
         product = outputs @ measured

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -52,9 +53,9 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
         If a record is too short for the number of unknowns or holds values that are not finite.
     """
     _check(problem, noise)
-    white = tuple(tuple(Weight(np.ones(1), 1.0, "") for _ in r.measured) for r in problem.runs)
+    white = tuple(_unweighted(r.measured) for r in problem.runs)
     criterion = Criterion(problem, white)
-    alone = noise == "white" and len(problem.runs) == 1
+    alone = noise == "white" and sum(len(r.compared) for r in problem.runs) == 1
     solution = _best_start(criterion, starts, max_iterations, tolerance if alone else ROUGH)
     rounds = [solution]
     if not math.isfinite(solution.cost):
@@ -78,30 +79,43 @@ def estimate(problem: Problem, *, noise: str = "auto", starts: Sequence[Array] =
 
 
 
+def _unweighted(measured: Sequence[Array]) -> tuple[Weight, ...]:
+    """Weights before anything is known: several signals are brought to one size."""
+    sizes = [1.0] if len(measured) == 1 else [float(np.std(m)) or 1.0 for m in measured]
+    return tuple(Weight(np.ones(1), size, "") for size in sizes)
+
+
 def _spreads(problem: Problem, x: Array) -> Weights:
-    """White weights, as strong as what is left of each record."""
-    least = FAINTEST * _spread(problem)
-    return tuple((Weight(np.ones(1), max(float(np.sqrt(np.mean(parts[0]**2))), least), ""),)
+    """White weights, as strong as what is left of each signal."""
+    return tuple(tuple(Weight(np.ones(1), max(float(np.sqrt(np.mean(r**2))), least), "")
+                       for r, least in zip(parts, _faintest(problem), strict=False))
                  for parts in problem.residuals(x))
 
 
-def _spread(problem: Problem) -> float:
-    return max(float(np.std(r.measured[0])) for r in problem.runs) or 1.0
+def _faintest(problem: Problem) -> list[float]:
+    """The least noise of each signal that is believed."""
+    signals = zip_longest(*(r.measured for r in problem.runs), fillvalue=np.zeros(1))
+    return [FAINTEST * (max(float(np.std(s)) for s in each) or 1.0) for each in signals]
 
 
 def _noise_weights(problem: Problem, x: Array, max_order: int | None) -> Weights:
-    """Weights by an autoregression of what is left of each record."""
-    least = FAINTEST * _spread(problem)
-    models = [fit_noise(parts[0], max_order) for parts in problem.residuals(x)]
-    return tuple((Weight(m.polynomial, max(m.sigma, least), ""),) for m in models)
+    """Weights by an autoregression of what is left of each signal."""
+    found = []
+    for parts in problem.residuals(x):
+        models = [fit_noise(r, max_order) for r in parts]
+        found.append(tuple(Weight(m.polynomial, max(m.sigma, least), "") for m, least in
+                           zip(models, _faintest(problem), strict=False)))
+    return tuple(found)
 
 
 def _outdated(old: Weights, new: Weights) -> bool:
     """Whether new weights call for another joint search: where an order has become too small or
     far too large, or where records weigh each other by noise that has changed."""
-    return any(b[0].order > a[0].order or 2 * b[0].order + ORDER_ROOM < a[0].order
-               or (len(old) > 1 and abs(b[0].sigma / a[0].sigma - 1.0) > LIKE)
-               for a, b in zip(old, new, strict=True))
+    several = sum(map(len, old)) > 1
+    return any(b.order > a.order or 2 * b.order + ORDER_ROOM < a.order
+               or (several and abs(b.sigma / a.sigma - 1.0) > LIKE)
+               for before, after in zip(old, new, strict=True)
+               for a, b in zip(before, after, strict=True))
 
 
 def _with_noise(criterion: Criterion, solution: Solution, max_iterations: int,
@@ -110,7 +124,7 @@ def _with_noise(criterion: Criterion, solution: Solution, max_iterations: int,
     problem, rounds, count = criterion.problem, [solution], criterion.problem.start.size
     for _ in range(2):
         weights = _noise_weights(problem, rounds[-1].x[:count], max_order)
-        if len(weights) == 1 and not weights[0][0].order:
+        if sum(map(len, weights)) == 1 and not weights[0][0].order:
             break
         rounds.append(Criterion(problem, weights).minimise(rounds[-1].x[:count], max_iterations,
                                                            max(ROUGH, tolerance)))

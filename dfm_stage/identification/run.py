@@ -10,6 +10,8 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import HELD, Convention, Drive, drive_of
+from dfm_stage.identification.motion import ORDER, differentiated
+from dfm_stage.recording.record import Measured
 
 Start = Literal["free", "rest", "periodic"]
 AnyRun = TypeVar("AnyRun", bound="Run")
@@ -19,6 +21,9 @@ AnyRun = TypeVar("AnyRun", bound="Run")
 @dataclass(frozen=True)
 class Run:
     """One axis of one record: `input` (N,) and `output` (N,), which is sampled before it acts.
+
+    The output is what `measures` says; beside a position a measured `velocity` (N,) is compared as
+    well.
 
     The first `skip` samples are simulated but not compared. `start` says how the state at sample
     0 is found: "free" estimates position and velocity, "rest" takes zero, "periodic" takes the
@@ -46,17 +51,20 @@ class Run:
     window: int = 0
     convention: Convention = HELD
     drive: Drive | None = None
+    measures: Measured = "position"
+    velocity: Array | None = None
 
     def by(self: AnyRun, convention: Convention) -> AnyRun:  # noqa: PYI019
         """Return the same run by another convention of its input."""
         return replace(self, convention=convention, drive=drive_of(
-            self.input, convention, self.output, self.start == "periodic"))
+            self.input, convention, self.output, self.start == "periodic", self.order))
 
     def sliced(self: AnyRun, part: slice) -> AnyRun:  # noqa: PYI019
         """Return some of the samples; what is known of all of them is left as it is."""
         return replace(self, input=self.input[part], output=self.output[part],
                        current=None if self.current is None else self.current[part],
                        other=None if self.other is None else self.other[part],
+                       velocity=None if self.velocity is None else self.velocity[part],
                        drive=None if self.drive is None else self.drive.sliced(part))
 
     @property
@@ -69,10 +77,37 @@ class Run:
         return [slice(a, b) for a, b in zip(starts, ends, strict=True)]
 
     @property
+    def order(self) -> int:
+        """Of which order in the position's time derivatives the output is."""
+        return ORDER[self.measures]
+
+    @property
+    def compared(self) -> dict[str, Array]:
+        """The simulator's signals (N,) that were measured: first the output, then the current and
+        the velocity beside it, if recorded."""
+        first = "output" if self.measures == "position" else self.measures
+        beside = {"current": self.current, "velocity": self.velocity}
+        return {first: self.output, **{name: signal for name, signal in beside.items()
+                                       if signal is not None and name != first}}
+
+    @property
     def measured(self) -> tuple[Array, ...]:
-        """The signals (N - skip,) that are compared: the output, and the current if recorded."""
-        found = (self.output,) if self.current is None else (self.output, self.current)
-        return tuple(s[self.skip:] for s in found)
+        """The signals (N - skip,) of `compared`, without the first `skip` samples."""
+        return tuple(s[self.skip:] for s in self.compared.values())
+
+    def motion(self, order: int) -> Array:
+        """The position's time derivative (N,) of some order: the output, or made from it."""
+        return differentiated(self.output, order - self.order, self.sample_period)
+
+    @cached_property
+    def position(self) -> Array:
+        """The position (N,): the output, or its integral without offset and drift."""
+        return self.motion(0)
+
+    @cached_property
+    def travelled(self) -> float:
+        """RMS of the position about its mean; initial positions are scaled by it."""
+        return float(np.std(self.position))
 
     @cached_property
     def spread(self) -> float:
@@ -81,5 +116,7 @@ class Run:
 
     @cached_property
     def speed(self) -> float:
-        """RMS of the output's differences, per second, about their mean."""
+        """RMS velocity about its mean; of a position that of its differences."""
+        if self.order:
+            return float(np.std(self.motion(1)))
         return float(np.std(np.diff(self.output))) / self.sample_period

@@ -9,6 +9,7 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import Convention, find_convention
+from dfm_stage.identification.motion import ORDER
 from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.recording import AxisRecord
@@ -33,14 +34,18 @@ class Source:
 
     def run(self) -> Run:
         """Return what output-error estimation takes."""
-        return Run(self.name, self.axis.input, self.axis.position, self.sample_period
+        axis = self.axis
+        beside = axis.velocity if axis.measures == "position" else None
+        usable = beside is not None and np.all(np.isfinite(beside)) and np.ptp(beside) > 0.0
+        return Run(self.name, axis.input, axis.position, self.sample_period,
+                   measures=axis.measures, velocity=beside if usable else None
                    ).by(self.convention)
 
     @cached_property
     def convention(self) -> Convention:
         """What the input does between its samples: given with the record, or found in it."""
-        return find_convention(self.axis.input, self.axis.position, hold=self.axis.input_hold,
-                               shift=self.axis.input_shift)
+        return find_convention(self.axis.input, self.axis.position, ORDER[self.axis.measures],
+                               hold=self.axis.input_hold, shift=self.axis.input_shift)
 
     @property
     def period(self) -> int | None:

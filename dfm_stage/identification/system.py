@@ -25,6 +25,7 @@ from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import reads
 from dfm_stage.model.scales import NEGLIGIBLE, typical_size
 
 BASE_STEP, EFFECT_STEP, CURVED_STEP = 1e-5, 1e-4, 1e-3
@@ -62,7 +63,7 @@ class System(Problem):
 
     `states` are the initial states that are estimated, those of every mode by default. With
     `pushed` a body without a spring feels an unknown constant force in each run. `noise` is the
-    RMS of the output's noise (m): a rounded reading is averaged over it, and distances far below
+    RMS of the output's noise: a rounded reading is averaged over it, and distances far below
     it are not searched.
     """
 
@@ -71,11 +72,13 @@ class System(Problem):
                  pushed: bool = False) -> None:
         self.free, self.given, self.runs = tuple(free), model, tuple(runs)
         self.springless = model.base.get("stiffness", 0.0) == 0.0 and "stiffness" not in free
+        self.drifts = self.springless and all(run.order == 0 for run in runs)
+        """Whether the output integrates whatever small force is missed, without end."""
         self.trusted = "encoder_zero" in model.base or "encoder_zero" in free
         constant = next(e for e in EFFECTS.values() if e.adds_to == "constant_force")
         self.push = ""
         if pushed and self.springless and model.effect(constant.name) is None \
-                and not any(run.window for run in runs):
+                and not any(run.window or run.order > 1 for run in runs):
             self.push = f"{constant.name}.{constant.parameters[0].name}"
             model = model.with_effect(constant.name, constant.defaults)
         self.model = _ready(model, self.free)
@@ -140,23 +143,19 @@ class System(Problem):
                               limits.unit, step=step)
 
     def _own_unknowns(self, run: Run, index: int) -> Iterable[Unknown]:
-        spread = run.spread or 1e-9
         unit = self.model.position_unit
         for part in run.windows if run.start == "free" else ():
-            known = {"position": float(run.output[part][0]),
-                     "velocity": first_slope(run.output[part]) / run.sample_period}
+            known = self._known_start(run, part)
             for state in self.states:
+                if state == "position" and not self._sees_position(run):
+                    continue
                 moving = state.endswith("velocity")
                 first = known.get(state, 0.0) if self.springless and (
-                    run.window or state == "position") else 0.0
+                    run.window or state == run.measures) else 0.0
                 yield Unknown(_at_window(f"initial.{state}", run, part), first,
-                              (run.speed or 1e-9) if moving else spread,
+                              (run.speed or 1e-9) if moving else run.travelled or 1e-9,
                               unit=f"{unit}/s" if moving else unit, run=index)
-        usual = -1 if self.springless or self.trusted else 0
-        if self.rounded and run.trend is None and usual == 0:
-            yield Unknown("offset", 0.0, spread, unit=unit, run=index)
-        else:
-            yield from trend(run, index, usual, unit)
+        yield from self._offset(run, index)
         if self.push:
             yield Unknown(self.push, 0.0, 1e-3 * self._force(run), unit="N", run=index)
         if index > 0 or not self.free:
@@ -165,6 +164,36 @@ class System(Problem):
             yield Unknown("current.gain", 1.0, 1.0, run=index)
             yield Unknown("current.offset", 0.0, float(np.std(run.current)) or 1.0, unit="A",
                           run=index)
+        if run.velocity is not None:
+            yield Unknown("velocity.offset", 0.0, float(np.std(run.velocity)) or 1e-9,
+                          unit=f"{unit}/s", run=index)
+
+    @staticmethod
+    def _known_start(run: Run, part: slice) -> dict[str, float]:
+        """What the output says by itself of the state at the beginning of a window."""
+        output = run.output[part]
+        if run.order == 0:
+            return {"position": float(output[0]),
+                    "velocity": first_slope(output) / run.sample_period}
+        return {"velocity": float(output[0])} if run.order == 1 else {}
+
+    def _sees_position(self, run: Run) -> bool:
+        """Whether the output depends on where the point is when it begins to move: a velocity of
+        a body without a spring does not, unless a force does."""
+        return run.order == 0 or not self.springless or any(
+            reads(EFFECTS[use.name].force, 0) for use in self.model.effects)
+
+    def _offset(self, run: Run, index: int) -> Iterable[Unknown]:
+        """Offset and drift of the output, as far as the run's trend goes; usually of a position
+        without trusted zero. A velocity has one where a spring brings its mean to zero: else it
+        is what a constant force does. An acceleration has one always."""
+        unit = self.model.position_unit + ("", "/s", "/s^2")[run.order]
+        usual = -1 if run.order < 2 and (self.springless or (
+            self.trusted and run.order == 0)) else 0
+        if self.rounded and run.order == 0 and run.trend is None and usual == 0:
+            yield Unknown("offset", 0.0, run.spread or 1e-9, unit=unit, run=index)
+        else:
+            yield from trend(run, index, usual, unit)
 
     def _per_run_unknowns(self, index: int) -> Iterable[Unknown]:
         """Coordinates of effects that do not carry over from one run to the next."""
@@ -244,11 +273,13 @@ class System(Problem):
             kept = [k for k, n in enumerate(names) if n.partition(".")[0] not in self.nonlinear]
             names, table = [names[k] for k in kept], table[:, kept]
         if np.any(allowed):
-            for channel, signal in zip(out, ("output", "current"), strict=False):
+            for channel, signal in zip(out, run.compared, strict=True):
                 channel[allowed] = self._run(run, names, table[allowed], signal, light)
         for k, unknown in enumerate(self.unknowns):
             if unknown.run == index and unknown.name == "current.gain":
                 out[1] = out[1] * rows[:, k, None] + rows[:, k + 1, None]
+            elif unknown.run == index and unknown.name == "velocity.offset":
+                out[-1] = out[-1] + rows[:, k, None]
         return out
 
     def _run(self, run: Run, names: Sequence[str], table: Array, signal: str,
@@ -330,7 +361,7 @@ class System(Problem):
                 fitted[:, self.fitted.index(unknown.name)] = rows[:, k]
             elif unknown.name == "offset":
                 extra["encoder_zero"] = rows[:, k]
-            elif not unknown.name.startswith("current."):
+            elif not unknown.name.startswith(("current.", "velocity.")):
                 extra[unknown.name] = rows[:, k]
         for use in self.model.effects:
             change = EFFECTS[use.name].coordinates

@@ -24,6 +24,7 @@ from dfm_stage.identification.model_fit import (
     fit_model,
     linear_plant,
 )
+from dfm_stage.identification.motion import ORDER
 from dfm_stage.identification.paper import PaperRow, compare_with_paper
 from dfm_stage.identification.plant import LinearPlant
 from dfm_stage.identification.quantity import Quantity
@@ -83,7 +84,7 @@ class Identification:
 
     def to_dict(self) -> dict[str, Any]:
         """As identify.json keeps it."""
-        unit = self.sources[0].axis.position_unit
+        unit = self.sources[0].axis.output_unit
         estimate = self.estimate.to_dict()
         parameters = dict(estimate.pop("parameters"))
         for name, value in estimate.pop("held").items():
@@ -134,8 +135,10 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
         raise IdentificationError(f"{sources[0].name}: {mismatch}")
     for source in sources:
         if np.ptp(source.axis.position) == 0.0:
-            raise IdentificationError(f"{source.name}: the position never changes: check the "
-                                      "encoder, or leave the record out")
+            what = source.axis.measures
+            sensor = "encoder" if what == "position" else "sensor"
+            raise IdentificationError(f"{source.name}: the {what} never changes: check the "
+                                      f"{sensor}, or leave the record out")
     if model is None and all(np.ptp(source.axis.input) == 0.0 for source in sources):
         raise IdentificationError(f"{', '.join(source.name for source in sources)}: the input is "
                                   "constant: excite the stage, or give the model whose free "
@@ -210,16 +213,11 @@ def plant_quantity(fit: ModelFit, function: Callable[[LinearPlant], float],
 def _check_alike(sources: Sequence[Source]) -> None:
     first = sources[0]
     for source in sources:
-        if source.axis.measures != "position":
-            raise IdentificationError(f"{source.name}: the output is a measured "
-                                      f"{source.axis.measures}, which cannot be fitted yet: "
-                                      "record the position")
-    for source in sources[1:]:
-        units = (source.axis.input_unit, source.axis.position_unit)
-        if units != (first.axis.input_unit, first.axis.position_unit):
+        units = (source.axis.input_unit, source.axis.output_unit)
+        if units != (first.axis.input_unit, first.axis.output_unit):
             raise IdentificationError(f"{source.name} is in {' and '.join(units)}, {first.name} "
                                       f"in {first.axis.input_unit} and "
-                                      f"{first.axis.position_unit}: use records in the same units")
+                                      f"{first.axis.output_unit}: use records in the same units")
         if abs(source.sample_period / first.sample_period - 1.0) > SAME_PERIOD:
             raise IdentificationError(f"{source.name} is sampled every {source.sample_period:g} "
                                       f"s, {first.name} every {first.sample_period:g} s: resample "
@@ -277,7 +275,8 @@ def measure_response(source: Source, shape: Mapping[str, Any]
         measured = frequency_response(
             source.axis.input, source.axis.position, source.sample_period,
             reference=source.driver, poles=poles, input_unit=source.axis.input_unit,
-            output_unit=source.axis.position_unit)
+            output_unit=source.axis.output_unit)
+        measured = measured.integrated(ORDER[source.axis.measures], source.axis.position_unit)
         try:
             fitted = fit_transfer_function(measured, **shape)
         except IdentificationError:

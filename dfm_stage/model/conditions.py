@@ -26,7 +26,19 @@ class Recorded(Protocol):
 
     @property
     def output(self) -> Array:
-        """m, (N,)"""
+        """m, or m/s or m/s^2 where `order` says so, (N,)"""
+
+    @property
+    def order(self) -> int:
+        """Of which order in the position's time derivatives the output is"""
+
+    @property
+    def position(self) -> Array:
+        """m, (N,): the output, or made from it"""
+
+    @property
+    def speed(self) -> float:
+        """RMS velocity, m/s"""
 
     @property
     def other(self) -> Array | None:
@@ -79,16 +91,19 @@ class Conditions:
     @classmethod
     def of(cls, base: Mapping[str, float], drive_kind: str, runs: Sequence[Recorded],
            noise: float) -> Conditions:
-        """Measure them on the run that moves most."""
+        """Measure them on the run that moves most; `noise` is the RMS of its output's."""
         run = max(runs, key=lambda r: float(np.std(r.output)))
-        motion = max(float(np.std(run.output)), noise)
+        noise *= float(np.std(run.position)) / max(float(np.std(run.output)), 1e-300) \
+            if run.order else 1.0
+        motion = max(float(np.std(run.position)), noise)
         smooth = np.convolve(run.output, np.ones(SMOOTHED) / SMOOTHED, "valid")
-        speed = max(float(np.std(np.diff(smooth))) / run.sample_period, SLOWEST * motion)
+        speed = max(run.speed if run.order else float(np.std(np.diff(smooth)))
+                    / run.sample_period, SLOWEST * motion)
         drive = float(np.std(run.input))
         gain = abs(base.get("force_constant", 1.0))
         natural = math.sqrt(base["mass"] * base.get("stiffness", 0.0))
         stiffness = max(base.get("stiffness", 0.0), base["mass"] * (speed / motion) ** 2)
         force = max(gain * drive, SLOWEST * stiffness * motion, SLOWEST * natural * speed)
-        return cls(motion, speed, float(np.ptp(run.output)), drive, force,
+        return cls(motion, speed, float(np.ptp(run.position)), drive, force,
                    max(r.input.size * r.sample_period for r in runs), stiffness, noise,
                    run.sample_period, base, drive_kind, tuple(runs))

@@ -137,7 +137,7 @@ class Plant:
         return self._out[:, 0]
 
     def _look(self) -> Sample:
-        position, velocity, current, force, reading, _ = self._peek().tolist()
+        position, velocity, current, force, reading, *_ = self._peek().tolist()
         if not abs(position) < DIVERGED:
             raise SimulationError("the motion of the plant has escaped to infinity: the loop is "
                                   "unstable, or the model's forces do not hold the stage or are "

@@ -125,6 +125,7 @@ class Simulator:
         if dither is not None:
             theta[slots.NOISE] = dither
         rows = np.arange(len(slots.SIGNALS))
+        rows[slots.ACCELERATION] = -1
         effects = [EFFECTS[use.name] for use in self.model.effects]
         encoded = any(effect.encode for effect in effects)
         if not encoded:
@@ -174,6 +175,7 @@ class Simulator:
                  steps: Layout | None = None) -> Array:
         """One signal for each row of `parameter_matrix` (P, n); returns (P, N).
 
+        `signal` is one of those of a result, or the `acceleration` of the driven point, m/s^2.
         `parameter_names` (n) are addresses such as `mass`, `cubic_stiffness.k3` or, for the state
         at t_0, `initial.position`; `encoder_zero` is the output offset. Rows are spread over
         `threads` threads, by default one per available core. Values are not checked against the

@@ -18,8 +18,9 @@ class ForceOffset(Effect):
 
     def hidden_because(self, at: Conditions) -> str | None:
         """An unknown zero of the encoder does the same, but not where a body without a spring
-        starts anew in every window."""
-        return None if "encoder_zero" in at.base or at.windowed else \
+        starts anew in every window, nor where no position was measured."""
+        no_zero = at.base.get("stiffness", 0.0) and any(run.order for run in at.runs)
+        return None if "encoder_zero" in at.base or at.windowed or no_zero else \
             "without a trusted encoder_zero it is an offset of the encoder"
 
 

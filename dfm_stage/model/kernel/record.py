@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
+from dfm_stage.model.kernel.algebra import outside, row_value
 from dfm_stage.model.kernel.compiled import at, compiled, entry, lean
+from dfm_stage.model.kernel.events import bristle_force
 from dfm_stage.model.kernel.hooks import encode_means, other_stiffness, point_force, sense_errors
 from dfm_stage.model.kernel.linear import steps
 from dfm_stage.model.kernel.motion import advance_piece
 from dfm_stage.model.kernel.setup import block
 from dfm_stage.model.kernel.slots import (
+    ACCELERATION,
     ACTUATOR_FORCES,
+    AT_A,
     AT_DISCRETE,
     AT_HEAD,
     AT_HISTORY,
     AT_ROWS,
     AT_STATE,
+    CONSTANT_FORCE,
     CURRENT,
     CURVED,
+    DIRECTED,
+    DRY_FRICTION,
     ENCODES,
     FORCE,
     FORCE_CONSTANT,
+    FORCES,
     FRACTION,
     LIMIT,
+    MODE,
     NOISE,
     ORDER,
     OUTPUT,
@@ -31,6 +40,8 @@ from dfm_stage.model.kernel.slots import (
     READING,
     RESISTANCE,
     ROW_DRIVE,
+    ROW_FORCE_IN,
+    ROW_HOLD,
     ROW_POSITION,
     ROW_VELOCITY,
     ROWS,
@@ -73,12 +84,16 @@ def run(layout: Layout, theta: Array, work: Array, inputs: Array, force: Array,
     a, old, new = discrete[:, :n], discrete[:, n].copy(), discrete[:, n + 1].copy()
     constant, ext = discrete[:, n + 2].copy(), discrete[:, n + 3:]
     states = np.empty((n, min(BLOCK, samples)))
+    felt = out[rows_out[ACCELERATION]] if rows_out[ACCELERATION] >= 0 else out[0, :0]
     for first in range(0, samples, BLOCK):
         count = min(BLOCK, samples - first)
         if layout[CURVED] == 1:
-            _curved_steps(layout, theta, work, applied, pushed, first, count, states)
+            _curved_steps(layout, theta, work, applied, pushed, first, count, states, felt)
         else:
             steps(a, old, new, constant, ext, state, applied, pushed, first, count, states)
+            if felt.shape[0] > 0:
+                _linear_acceleration(layout, theta, work, states, applied, pushed, first, count,
+                                     felt)
         _signals(layout, rows, theta, states, applied, first, count, rows_out, out)
     _readings(layout, theta, head[PERIOD], head[SAMPLE], other, rows_out, out)
     head[SAMPLE] += samples
@@ -88,7 +103,7 @@ def run(layout: Layout, theta: Array, work: Array, inputs: Array, force: Array,
 
 @entry
 def peek(layout: Layout, theta: Array, work: Array, other: Array, out: Array) -> None:
-    """All signals at the present sample, shape (6, 1); nothing is advanced."""
+    """All signals but the acceleration at the present sample, (7, 1); nothing is advanced."""
     n = layout[ORDER]
     head = work[layout[AT_HEAD]:]
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
@@ -134,8 +149,9 @@ def _outside_force(layout: Layout, theta: Array, force: Array, other: Array) -> 
 
 @lean
 def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
-                  force: Array, first: int, count: int, out: Array) -> None:
-    """As `linear.steps`, with nonlinear forces; `force` may be empty."""
+                  force: Array, first: int, count: int, out: Array, felt: Array) -> None:
+    """As `linear.steps`, with nonlinear forces; `force` may be empty. The acceleration goes to
+    `felt`, which may be empty."""
     n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
     steps = layout[AT_HEAD] + STEPS
     period = work[layout[AT_HEAD] + PERIOD]
@@ -149,9 +165,13 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
                 work[state + i] = np.nan
                 for later in range(k, count):
                     out[i, later] = np.nan
+            for later in range(first + k, min(first + count, felt.shape[0])):
+                felt[later] = np.nan
             return
         if force.shape[0] > 0:
             push = force[first + k]
+        if felt.shape[0] > 0:
+            felt[first + k] = _acceleration(layout, theta, work, applied[first + k], push)
         before = at(work, tried)
         for which in range(2):
             begin = 0.0 if which == 0 else fraction
@@ -161,6 +181,54 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
                               begin, span, span * period)
         work[steps] += at(work, tried) - before
         work[tried] = max(at(work, tried) - USUAL, 0.0)
+
+
+@lean
+def _acceleration(layout: Layout, theta: Array, work: Array, u: float, force: Array) -> float:
+    """x'' of the driven point now, m/s^2: what its forces, friction included, leave beyond those
+    that would keep it from accelerating. `u` is the input that has acted until now."""
+    n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
+    x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
+    v = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
+    drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
+    push = (theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, v)
+            + point_force(layout, theta, FORCES, x, v, drive)
+            - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u)) + outside(force, 0.0)
+    if layout[DIRECTED] == 1:
+        mode, dry = at(work, layout[AT_HEAD] + MODE), theta[DRY_FRICTION]
+        push -= mode * dry if mode != 0.0 else min(max(push, -dry), dry)
+    return float(push * _mobility(block(work, layout, AT_ROWS, ROWS, n + 1), n))
+
+
+@lean
+def _mobility(rows: Array, n: int) -> float:
+    """x'' of the driven point per newton on it, 1/kg."""
+    total = 0.0
+    for i in range(n):
+        total += rows[ROW_VELOCITY, i] * rows[ROW_FORCE_IN, i]
+    return total
+
+
+@lean
+def _linear_acceleration(layout: Layout, theta: Array, work: Array, states: Array, applied: Array,
+                         force: Array, first: int, count: int, out: Array) -> None:
+    """x'' of the driven point of a linear model, as `_signals` gives the others."""
+    n = layout[ORDER]
+    a = block(work, layout, AT_A, n, n + 1)
+    rows = block(work, layout, AT_ROWS, ROWS, n + 1)
+    mobility = _mobility(rows, n)
+    for k in range(first, first + count):
+        out[k] = mobility * theta[CONSTANT_FORCE]
+        if force.shape[0] > 0:
+            out[k] += mobility * force[k, 0]
+    for j in range(n + 1):
+        gain = 0.0
+        for i in range(n):
+            gain += rows[ROW_VELOCITY, i] * a[i, j]
+        if gain != 0.0:
+            column = states[j] if j < n else applied[first:first + count]
+            for k in range(count):
+                out[first + k] += gain * column[k]
 
 
 @lean

@@ -45,5 +45,6 @@ ROW_POSITION, ROW_VELOCITY, ROW_DRIVE, ROW_FORCE_IN, ROW_HOLD = range(5)
 ROWS = 5
 
 # signals of a result
-POSITION, VELOCITY, CURRENT, FORCE, READING, OUTPUT = range(6)
-SIGNALS: tuple[str, ...] = ("position", "velocity", "current", "force", "reading", "output")
+POSITION, VELOCITY, CURRENT, FORCE, READING, OUTPUT, ACCELERATION = range(7)
+SIGNALS: tuple[str, ...] = ("position", "velocity", "current", "force", "reading", "output",
+                            "acceleration")

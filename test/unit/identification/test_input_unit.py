@@ -56,13 +56,3 @@ def test_diagnosis_and_identification_refuse_in_one_line() -> None:
         observe(record, PER_VOLT)
     with pytest.raises(IdentificationError, match=words):
         identify([Source("log.csv", axis("A"), 1e-3)], model=PER_VOLT)
-
-
-@pytest.mark.parametrize("what", ["velocity", "acceleration"])
-def test_what_is_not_a_position_is_refused(what: Any) -> None:
-    measured = AxisRecord(axis("V").input, axis("V").position, measures=what)
-    record = Record(1e-3 * np.arange(2000), 1e-3, {"x": measured}, Provenance("log.csv", "csv"))
-    with pytest.raises(DiagnosisError, match=f"measured {what}"):
-        observe(record, PER_VOLT)
-    with pytest.raises(IdentificationError, match=f"measured {what}"):
-        identify([Source("log.csv", measured, 1e-3)])
