@@ -100,8 +100,8 @@ def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parame
         if each.names and allowed and frozenset(each.names) not in told \
                 and each.share > RIVAL_GAIN * seen.best.share:
             told.add(frozenset(each.names))
-            yield {n: {p: each.parameters[f"{n}.{p}"] for p in EFFECTS[n].defaults}
-                   for n in each.names}
+            yield {n: {p: each.parameters.get(f"{n}.{p}", value)
+                       for p, value in EFFECTS[n].defaults.items()} for n in each.names}
 
 
 def _found_before(search: Search, h: Hypothesis) -> Iterator[dict[str, Parameters]]:
