@@ -25,6 +25,7 @@ DropReason = Enum("DropReason", [
     "NOT_EXERCISED",  # found in a second look, and the held-out records do not exercise it
     "NOT_HELD_OUT",   # free in each run, and held-out records do not show it
     "SURROGATES",     # does no better on held-out records than its surrogates
+    "REFITTED",       # the others alone, refitted, predict held-out records better
     "LINE_OF_INPUT",  # a vibration at a line of the input, beside a remainder
     "AT_BOUND",       # a parameter is at its bound, and without an interval
     # where a remainder stays:

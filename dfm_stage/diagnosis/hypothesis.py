@@ -66,7 +66,8 @@ class Trial:
             search.step("predicting held-out records")
             h = self.exchange_rival(h)
             h = replace(h, fit=search.polished(h.names, h.fit))
-            for test in (self.surrogate_tests, self.line_of_input, self.at_bound):
+            for test in (self.surrogate_tests, self.without_each, self.line_of_input,
+                         self.at_bound):
                 h = test(h)
             second = self.second_look(h)
             if second is None:
@@ -125,6 +126,18 @@ class Trial:
                     if EFFECTS[name].per_run else DropReason.SURROGATES)
                 return self.surrogate_tests(h.without(name, self.search))
         return replace(h, not_exercised=tuple(not_exercised))
+
+    def without_each(self, h: Hypothesis) -> Hypothesis:
+        """Drop the effect beside others without which the refitted model predicts best, where
+        that is better than with it: the others may do what it did."""
+        own = self.predicted(h.fit.model)
+        rest = [(self.predicted(h.without(n, self.search).fit.model).rms, n) for n in h.names
+                if len(h.names) > 1 and n not in h.not_exercised]
+        rms, name = min(rest, default=(math.inf, ""))
+        if rms >= own.rms:
+            return h
+        self.dropped[name] = DropReason.REFITTED
+        return self.without_each(h.without(name, self.search))
 
     def line_of_input(self, h: Hypothesis) -> Hypothesis:
         """Drop a vibration at a line of the input where the model leaves more than noise: it may

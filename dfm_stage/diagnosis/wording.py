@@ -36,6 +36,7 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.NOT_EXERCISED: "found second, and the held-out records do not exercise it",
     DropReason.NOT_HELD_OUT: "is not in the held-out data",
     DropReason.SURROGATES: "lowers the held-out error no more than when shifted",
+    DropReason.REFITTED: "refitted without it, the others predict held-out records better",
     DropReason.LINE_OF_INPUT: "stands at a line of the input, as the model's own error does",
     DropReason.AT_BOUND: "its parameters run to the edge of their range",
     DropReason.BLOCKS: "held-out blocks are not clearly worse without it",

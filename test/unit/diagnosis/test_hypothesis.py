@@ -125,3 +125,24 @@ def test_a_second_look_is_taken_only_after_a_drop():
     assert trial.second_look(h) == (("back_emf", "creep"), h.fit)
     assert search.barred == {"hysteresis"}
     assert trial.second_look(h) is None
+
+
+@pytest.mark.parametrize(("rms_alone", "kept"), [
+    (2.06e-7, ("presliding_friction",)), (2.20e-7, ("presliding_friction", "creep"))])
+def test_an_effect_is_dropped_where_the_others_refitted_predict_better(monkeypatch, rms_alone,
+                                                                       kept):
+    class Refits(OneFit):
+        def fitted(self, names, _):
+            return SimpleNamespace(model=names, names=names, quantities={})
+
+    rms = {("presliding_friction", "creep"): 2.15e-7, ("presliding_friction",): rms_alone,
+           ("creep",): 9e-7}
+    monkeypatch.setattr(hypothesis, "predict",
+                        lambda model, *_: SimpleNamespace(rms=rms[model]))
+    search = Refits()
+    h = Hypothesis(("presliding_friction", "creep"),
+                   search.fitted(("presliding_friction", "creep"), None), SimpleNamespace())
+    trial = Trial(search, [])
+    left = trial.without_each(h)
+    assert left.names == left.fit.names == kept
+    assert trial.dropped == ({"creep": DropReason.REFITTED} if len(kept) == 1 else {})
