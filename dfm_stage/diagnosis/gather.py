@@ -160,7 +160,7 @@ def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,
 def _findings(runs: Sequence[Observation], found: Fit) -> dict[str, tuple[Finding, ...]]:
     rounded = rounding_step(found.model) is not None
     noise = None if rounded else found.model.base.get("noise")
-    return {run.name: tuple(findings(run, parts[0], noise))
+    return {run.name: tuple(findings(run, parts[0], noise, found.model))
             for run, parts in zip(runs, found.residuals, strict=True)}
 
 

@@ -313,9 +313,12 @@ def _found(e: Evidence, effect: EffectEvidence, members: tuple[str, ...]) -> Fou
 
 
 def _offset(e: Evidence) -> Found | None:
-    """A constant that is clear and that the model does not have."""
+    """A constant that is clear and that the model does not have; a reading that wanders has
+    none."""
     o = e.offset
-    if o is None or abs(o.value) < OFFSET_SIGMAS * o.sigma or (
+    wanders = any(f.name == "drift" and f.coloured for each in e.retuned.findings.values()
+                  for f in each)
+    if o is None or wanders or abs(o.value) < OFFSET_SIGMAS * o.sigma or (
             abs(o.value) < OFFSET_NOISE * e.noise.rms):
         return None
     return Found(o.effect, (o.effect, "encoder_zero"), 1.0, (o.value / o.sigma) ** 2)

@@ -24,6 +24,8 @@ SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHAR
          "record are held out; a record of another kind would be a harder test")
 CUT_SHORT = ("not compared to the end for want of work: {names}; diagnose shorter records or "
              "fewer effects (--without)")
+COLOURED = ("{name}: what is left is stronger than its high frequencies, but neither input nor "
+            "motion foretells it: noise with a colour, or a disturbance from outside, no gap")
 DOUBTS = {
     Reason.NOT_EXERCISED: "the held-out records do not exercise {names}: what is said of it "
     "rests on the fitted records",
@@ -88,7 +90,10 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
 def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
     """What a reader must know beside the verdict."""
     short = [CUT_SHORT.format(names=", ".join(e.not_compared))] if e.not_compared else []
-    return (*e.warnings, *([SPLIT] if e.split else []), *short,
+    shown = e.extended if v.shown == "extended" else e.retuned
+    coloured = [COLOURED.format(name=name) for name, each in shown.findings.items()
+                if not v.remainder and any(f.coloured for f in each)]
+    return (*e.warnings, *([SPLIT] if e.split else []), *short, *coloured,
             *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
               for d in v.doubts))
 

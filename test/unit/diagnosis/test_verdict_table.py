@@ -38,6 +38,9 @@ COUNT, NOISE = 10_000, 1e-7
 LEFT = {"run": (Finding("line", 100.0, 32.0, "a line stands out"),)}
 QUIET = {"run": (Finding("line", 9.0, 32.0, "no line stands out"),)}
 
+COLOURED = {"run": (Finding("excess", 5.0, 2.0, "slow", coloured=True),
+                    Finding("drift", 90.0, 25.0, "it wanders", coloured=True))}
+
 
 def left(gap: float = 0.0, *, held: float | None = None, above: float | None = None,
          held_above: float | None = None, remainder: bool = False) -> ModelEvidence:
@@ -94,6 +97,10 @@ MOVING_AT_NOISE = Motion(8.0 * NOISE, NOISE)
 ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "nothing is missing": (case(), "none", (), Reason.NOISE),
     "the mass ratio was wrong": (case(left(1e-6)), "retune", (), Reason.RETUNED),
+    "noise with a colour": (
+        case(retuned=replace(NO_GAP, findings=COLOURED)), "none", (), Reason.NOISE),
+    "a constant in a reading that wanders": (
+        case(retuned=replace(NO_GAP, findings=COLOURED), offset=PUSH), "none", (), Reason.NOISE),
     "a stiffness off by what chi-square hardly shows": (
         case(left(1e-8, above=59.0)), "none", (), Reason.NOISE),
     "a stiffness off by what it just shows": (

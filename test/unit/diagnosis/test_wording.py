@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.evidence import (
     Proposal,
     RivalEvidence,
 )
+from dfm_stage.diagnosis.remainder import Finding
 from dfm_stage.diagnosis.result import told
 from dfm_stage.diagnosis.verdict import (
     Doubt,
@@ -98,6 +99,13 @@ def test_a_doubt_becomes_a_warning(reason, said):
     v = Verdict("named", Reason.AT_FLOOR, doubts=(Doubt(reason, ("creep", "hysteresis"), 1.26),))
     (words,) = wording.warnings(NAMED, v)
     assert said in words
+
+
+def test_noise_with_a_colour_is_told():
+    loud = {"run": (Finding("excess", 5.0, 2.0, "slow", coloured=True),)}
+    e = replace(NONE, retuned=replace(NONE.retuned, findings=loud))
+    (words,) = wording.warnings(e, Verdict("none", Reason.NOISE))
+    assert words.startswith("run: what is left is stronger than its high frequencies")
 
 
 def test_warnings_stand_in_the_order_in_which_they_arose():
