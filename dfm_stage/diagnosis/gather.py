@@ -49,12 +49,13 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
 
     `warnings` are those of the records; `split` says that parts of these are held out.
     """
-    search, held = trial.search, (trial.held, trial.held_weights)
+    search = trial.search
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
     judged = judged_in(h)
-    given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
-    seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
+    given = trial.predicted(search.model)
+    fitted_given = predict(search.model, runs, search.weights, search.noise)
+    seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
     retuned = _of_model(runs, h.bare, seen[1], judged)
     extended = _of_model(runs, h.fit, seen[2], judged) if h.fit is not h.bare else \
         replace(retuned, held_out=_errors(seen[2], judged))

@@ -82,7 +82,7 @@ def _columns(run: Observation, residual: Array, model: Model) -> Array:
     response = _response(model, 2.0 * math.pi * turns / run.sample_period)
     for each in _functions(run.output[run.skip:] - residual):
         found += [each, through(each - each.mean(), response)]
-    return np.asarray(found).T
+    return np.asarray(np.array(found).T)
 
 
 def _bands(size: int) -> list[tuple[float, float]]:
