@@ -61,8 +61,8 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
     while True:
-        h = Hypothesis(names, found, bare,
-                       {n: list(_rivals(search, n, names, found)) for n in names})
+        h = trial.no_worse(Hypothesis(names, found, bare, {
+            n: list(_rivals(search, n, names, found)) for n in names}))
         judged = with_witness(replace(gather(trial, h, warnings, split), graded=True), seen)
         weakest = fallen(judged)
         if weakest is None:

@@ -105,7 +105,7 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
 def _judged_to_noise(trial: Trial, first: Fit, warnings: Sequence[str],
                      split: bool) -> tuple[Hypothesis, Evidence]:
     """The effects that bring the gap to the noise; where none do, those that explain most."""
-    hypothesis = trial.run(*trial.search.grown((), first))
+    hypothesis = trial.no_worse(trial.run(*trial.search.grown((), first)))
     evidence = gather(trial, hypothesis, warnings, split)
     if needs_joint_fit(evidence):
         evidence = with_joint_fit(trial, hypothesis, evidence)

@@ -146,3 +146,25 @@ def test_an_effect_is_dropped_where_the_others_refitted_predict_better(monkeypat
     left = trial.without_each(h)
     assert left.names == left.fit.names == kept
     assert trial.dropped == ({"creep": DropReason.REFITTED} if len(kept) == 1 else {})
+
+
+@pytest.mark.parametrize(("fitted", "held", "kept"), [
+    ((2.0, 1.0), (2.0, 1.0), "retuned"),   # before and after, on either kind of record
+    ((2.0, 1.0), (1.0, 12.0), "given"),
+    ((199.5, 203.5), (2.0, 1.0), "given"),
+    ((1.0, 1.0005), (1.0, 1.0005), "retuned")])  # as noise makes it
+def test_the_model_as_given_stays_where_its_re_estimation_is_worse(monkeypatch, fitted, held,
+                                                                   kept):
+    def left(rms, model):
+        return SimpleNamespace(ok=True, residuals=[[rms * np.array([1.0, -1.0])]], locals={},
+                               model=model, system=SimpleNamespace(springless=False))
+
+    monkeypatch.setattr(hypothesis, "nearest_to", lambda *_: left(fitted[0], "given"))
+    monkeypatch.setattr(hypothesis, "fit", lambda model, *_, **__: left(fitted[0], model))
+    monkeypatch.setattr(hypothesis, "predict", lambda model, *_: left(
+        held[0] if model == "given" else held[1], model))
+    search = OneFit()
+    search.model, search.weights = "given", ()
+    bare = left(fitted[1], "retuned")
+    h = Trial(search, []).no_worse(Hypothesis((), bare, bare))
+    assert h.bare.model == h.fit.model == kept
