@@ -65,7 +65,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (),
     return Evidence(
         tuple(r.name for r in runs), runs[0].unit,
         Noise(weight.rms, weight.source, noise_floor_from_periods(
-            h.fit.residuals[0][0], repeats.period) if repeats is not None else None),
+            h.fit.residuals[0][0], repeats.period) if repeats is not None else None,
+            white_weights(h.fit.residuals)[0][0].rms if extended.remainder else None),
         _motion(runs, h.bare),
         ModelEvidence(_errors(fitted_given, judged), _errors(given, judged)),
         retuned, extended, tuple(effect_evidence(trial, h, name, extended.parameters, seen[2],
@@ -257,7 +258,8 @@ def _library(trial: Trial) -> Iterator[Candidate]:
     for name in trial.search.library:
         hit = trial.search.hits.get(name)
         yield Candidate(name, excluded(name, trial.search.model, at),
-                        None if hit is None else hit.gain, trial.dropped.get(name))
+                        None if hit is None else hit.gain, trial.dropped.get(name),
+                        trial.search.above)
 
 
 def _limits(search: Search) -> dict[str, dict[str, Quantity]]:

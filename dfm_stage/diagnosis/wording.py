@@ -50,6 +50,8 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     Rejected.EXCLUDED: "{about}",
     Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
     Rejected.NO_RESPONSE: "no response that the data show",
+    Rejected.COLOUR: "chi-square falls by {value:.0f} where noise is taken as white, which it is "
+    "not",
     Rejected.SHARE: "could take {value:.0%} of the gap at best",
     Rejected.BELOW_LIMIT: f"chi-square falls by {{value:.0f}}, below the limit {FIRST:g}"}
 
