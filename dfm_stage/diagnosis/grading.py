@@ -62,8 +62,8 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     dropped: dict[str, DropReason] = {}
     while True:
         found = search.settled(names, found) if names else found
-        h = Hypothesis(names, found, bare,
-                       {n: list(_rivals(search, seen, n, names, found)) for n in names})
+        h = trial.no_worse(Hypothesis(names, found, bare, {
+            n: list(_rivals(search, seen, n, names, found)) for n in names}))
         judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
         weakest = fallen(judged)
         if weakest is None:

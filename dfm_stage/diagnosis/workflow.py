@@ -130,7 +130,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
         if own is trial and part[1].names:
             names = part[1].names
             first = trial.search.fitted(names, part[1].fit)
-    h = trial.run(*trial.search.grown(names, first))
+    h = trial.no_worse(trial.run(*trial.search.grown(names, first)))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
         evidence = with_joint_fit(trial, h, evidence)
