@@ -107,8 +107,8 @@ class EffectEvidence:
 class Candidate:
     """An effect of the library: why it is no candidate here, the fall in chi-square that the
     screen promised, the share of the missing force that it explains by itself, and why it was
-    dropped after it had been fitted. `above` is chi-square above the noise where the screen looked,
-    under the weights of that time."""
+    dropped after it had been fitted. `above` is chi-square above the noise where the screen
+    looked, under the weights of that time."""
 
     name: str
     excluded: str | None = None

@@ -15,7 +15,7 @@ from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason
 from dfm_stage.diagnosis.fit import Fit, fit
-from dfm_stage.diagnosis.margins import Signal, power
+from dfm_stage.diagnosis.margins import power
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.search import Rival, Search
@@ -116,10 +116,10 @@ class Trial:
             return h
         given = fit(search.model, search.runs, (), search.weights, earlier=near.locals,
                     noise=noise, iterations=0)
-        signal: Signal = "velocity" if given.system.springless else "position"
-        left = [(power(given.residuals, signal), power(h.bare.residuals, signal)),
-                (power(self.predicted(search.model).residuals, signal),
-                 power(self.predicted(h.bare.model).residuals, signal))]
+        change = given.system.drifts
+        left = [(power(given.residuals, change), power(h.bare.residuals, change)),
+                (power(self.predicted(search.model).residuals, change),
+                 power(self.predicted(h.bare.model).residuals, change))]
         if all(after <= RETUNE_RATIO**2 * before for before, after in left):
             return h
         return replace(h, bare=given, fit=h.fit if h.names else given)
