@@ -95,6 +95,7 @@ class System(Problem):
         self._finer: dict[tuple[int, bool], Simulator] = {}
         self.work = 0.0
         """Integration steps that simulations with nonlinear forces have taken."""
+        self._apart: dict[int, list[tuple[slice, Run, float]]] = {}
         self.noise = noise
         self.states = [s for s in self.simulator.states if _is_mechanical(s)] \
             if states is None else list(states)
@@ -334,19 +335,31 @@ class System(Problem):
         table[:, list(names).index("delay")] += longer
         return names, table
 
+    def _windows_of(self, run: Run) -> list[tuple[slice, Run, float]]:
+        """The windows of a run as runs of their own, with the input that acted before each."""
+        if id(run) not in self._apart:
+            drive = Drive(run.input) if run.drive is None else run.drive
+            self._apart[id(run)] = [
+                (part, replace(run.sliced(part), window=0),
+                 float(drive.values[max(drive.factor * part.start - 1, 0)]))
+                for part in run.windows]
+        return self._apart[id(run)]
+
     def _by_window(self, run: Run, names: Sequence[str], table: Array, signal: str,
                    light: bool) -> Array:
         """The same, window by window: one that a row does not move is simulated once for all."""
         out = np.empty((len(table), run.input.size))
-        for part in run.windows:
-            own = {_at_window(f"initial.{state}", run, part): f"initial.{state}"
-                   for state in self.states}
-            used = [k for k, n in enumerate(names) if n in own or WINDOW not in n]
-            rows, which = np.unique(table[:, used], axis=0, return_inverse=True)
-            alone = replace(run.sliced(part), window=0)
-            found = self._run(alone, [own.get(names[k], names[k]) for k in used], rows, signal,
-                              light, float(run.input[max(part.start - 1, 0)]))
-            out[:, part] = found[which.ravel()]
+        place = {n: k for k, n in enumerate(names)}
+        shared = [k for n, k in place.items() if WINDOW not in n]
+        for part, alone, before in self._windows_of(run):
+            own = {place[n]: f"initial.{s}" for s in self.states
+                   if (n := _at_window(f"initial.{s}", run, part)) in place}
+            rows = table[:, [*shared, *own]]
+            moved = np.any(rows != rows[0], axis=1)
+            moved[0] = True
+            found = self._run(alone, [*(names[k] for k in shared), *own.values()], rows[moved],
+                              signal, light, before)
+            out[:, part] = found[np.where(moved, np.cumsum(moved) - 1, 0)]
         return out
 
     def _table(self, index: int, rows: Array) -> tuple[list[str], Array, NDArray[np.bool_]]:
