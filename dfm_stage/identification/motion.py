@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -29,11 +28,13 @@ def differentiated(signal: Array, order: int, period: float) -> Array:
         signal = np.asarray(np.gradient(signal, period))
     if order >= 0:
         return signal
-    wave = np.concatenate((signal, signal[::-1])) - np.mean(signal)     # goes on without a jump
+    signal = signal - np.mean(signal)
+    # what rings strongly leaks into all lines but those of a windowed signal
+    power = local_mean(np.abs(np.fft.rfft(signal * np.hanning(signal.size))) ** 2, NEIGHBOURS)
+    noise = float(np.median(power[-max(power.size // 4, 1):]))
+    wave = np.concatenate((signal, signal[::-1]))       # goes on without a jump
     spectrum = np.fft.rfft(wave)
-    power = np.abs(spectrum) ** 2
-    noise = float(np.median(power[-max(power.size // 4, 1):])) / math.log(2.0)
-    spectrum[local_mean(power, NEIGHBOURS) < MOTION_ABOVE_NOISE * noise] = 0.0
+    spectrum[np.repeat(power, 2)[:spectrum.size] < MOTION_ABOVE_NOISE * noise] = 0.0
     spectrum[0] = 0.0
     omega = 2.0 * np.pi * np.arange(spectrum.size) / (wave.size * period)
     spectrum[1:] *= (1j * omega[1:]) ** order

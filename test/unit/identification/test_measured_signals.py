@@ -98,7 +98,7 @@ def test_an_integral_is_the_motion_and_not_the_drift_of_the_noise(order):
     noise = noisy(made[("velocity", "acceleration")[order - 1]], 7, 0.01)
     position = made["position"] - np.mean(made["position"])
     error = differentiated(noise + 0.3, -order, PERIOD) - position
-    assert np.std(error) < 0.1 * np.std(position)
+    assert np.std(error) < {1: 0.1, 2: 0.2}[order] * np.std(position)
 
 
 def test_the_acceleration_of_a_band_limited_input_follows_at_once():
