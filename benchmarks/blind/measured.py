@@ -95,7 +95,8 @@ def diagnosed_files(case: MeasuredCase) -> dict[str, Any]:
         runs = [read_record(path) for path in sorted(folder.glob("run_*.csv"))]
         held = [read_record(path) for path in sorted(folder.glob("holdout_*.csv"))]
         result = diagnose(runs, load_model(folder / "model.yaml"), holdout=held)
-    answer: dict[str, Any] = json.loads(json.dumps(result.to_dict()))
+        text = json.dumps(result.to_dict()).replace(f"{folder}/", "")
+    answer: dict[str, Any] = json.loads(text)
     return answer
 
 

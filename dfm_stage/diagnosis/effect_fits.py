@@ -18,6 +18,7 @@ from dfm_stage.diagnosis.decisions import (
     NOISE_SHARES,
     PER_PARAMETER,
     POLISHED,
+    POLISHED_PART,
     PROMISED,
     ROUGH_NOISE,
     ROUNDED_GAIN,
@@ -144,6 +145,12 @@ class Fits:
         free = tuple(n for n in self.parameters(model) if n not in later)
         return self.keep(names, self._fit(model, free, start, iterations=GRADED_ITERATIONS,
                                           tolerance=GRADED_FALL * start.white.size))
+
+    def settled(self, names: Sequence[str], found: Fit) -> Fit:
+        """A fit made `once` at its minimum, for the values that are told."""
+        again = self._fit(found.model, found.system.free, found, tolerance=POLISHED_PART
+                          * found.white.size)
+        return self.keep(names, again) if again.chi2 < found.chi2 else found
 
     def in_place_of(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two

@@ -26,6 +26,7 @@ DropReason = Enum("DropReason", [
     "NOT_EXERCISED",  # found in a second look, and the held-out records do not exercise it
     "NOT_HELD_OUT",   # free in each run, and held-out records do not show it
     "SURROGATES",     # does no better on held-out records than its surrogates
+    "REFITTED",       # the others alone, refitted, predict held-out records better
     "LINE_OF_INPUT",  # a vibration at a line of the input, beside a remainder
     "AT_BOUND",       # a parameter is at its bound, and without an interval
     # where a remainder stays:
@@ -105,12 +106,16 @@ class EffectEvidence:
 @dataclass(frozen=True)
 class Candidate:
     """An effect of the library: why it is no candidate here, the fall in chi-square that the
-    screen promised, and why it was dropped after it had been fitted."""
+    screen promised, the share of the missing force that it explains by itself, and why it was
+    dropped after it had been fitted. `above` is chi-square above the noise where the screen
+    looked, under the weights of that time."""
 
     name: str
     excluded: str | None = None
     gain: float | None = None
     dropped: DropReason | None = None
+    share: float | None = None
+    above: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -138,16 +143,20 @@ class Offset:
 @dataclass(frozen=True)
 class Noise:
     """RMS of the noise by what the best model leaves, by which it is judged and which holds a
-    remainder, too; and by what does not repeat with a periodic input, which does not."""
+    remainder, too; and by what does not hold one: what does not repeat with a periodic input, and,
+    where a remainder stays, high frequencies."""
 
     rms: float
     source: str
     by_periods: float | None = None
+    by_high_frequencies: float | None = None
 
     @property
     def floor(self) -> tuple[float, str]:
         """The noise floor that is told, and what it is known from."""
-        return (self.rms, self.source) if self.by_periods is None else (self.by_periods, "periods")
+        known = ((self.by_periods, "periods"), (self.by_high_frequencies, "high frequencies"))
+        return next(((rms, source) for rms, source in known if rms is not None),
+                    (self.rms, self.source))
 
 
 @dataclass(frozen=True)

@@ -50,12 +50,13 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     `warnings` are those of the records; `split` says that parts of these are held out, `graded`
     that the effects leave a remainder: then blocks set the intervals.
     """
-    search, held = trial.search, (trial.held, trial.held_weights)
+    search = trial.search
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
     judged = judged_in(h)
-    given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
-    seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
+    given = trial.predicted(search.model)
+    fitted_given = predict(search.model, runs, search.weights, search.noise)
+    seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
     retuned = _of_model(runs, h.bare, seen[1], judged)
     extended = _of_model(runs, h.fit, seen[2], judged, graded) if h.fit is not h.bare else \
         replace(retuned, held_out=_errors(seen[2], judged))
@@ -65,7 +66,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     return Evidence(
         tuple(r.name for r in runs), runs[0].unit,
         Noise(weight.rms, weight.source, noise_floor_from_periods(
-            h.fit.residuals[0][0], repeats.period) if repeats is not None else None),
+            h.fit.residuals[0][0], repeats.period) if repeats is not None else None,
+            white_weights(h.fit.residuals)[0][0].rms if extended.remainder else None),
         _motion(runs, h.bare),
         ModelEvidence(_errors(fitted_given, judged), _errors(given, judged)),
         retuned, extended, tuple(effect_evidence(trial, h, name, extended.parameters, seen[2],
@@ -105,8 +107,10 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     effects = tuple(replace(x, rivals=tuple(
         replace(r, margin=max(r.margin, seen.margins.get(r.name, 0.0)))
         for r in x.rivals)) if x.name in seen.best.names else x for x in evidence.effects)
+    alone = {e.names[0]: e.share for e in seen.singles}
+    library = tuple(replace(c, share=alone.get(c.name)) for c in evidence.library)
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
-    return replace(evidence, effects=effects, witness={
+    return replace(evidence, effects=effects, library=library, witness={
         "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
         "predictable": 1.0 - seen.predictable**2, "margins": dict(seen.margins)},
         judged=replace(evidence.judged, predictable=predictable))
@@ -163,7 +167,7 @@ def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,
 def _findings(runs: Sequence[Observation], found: Fit) -> dict[str, tuple[Finding, ...]]:
     rounded = rounding_step(found.model) is not None
     noise = None if rounded else found.model.base.get("noise")
-    return {run.name: tuple(findings(run, parts[0], noise))
+    return {run.name: tuple(findings(run, parts[0], noise, found.model))
             for run, parts in zip(runs, found.residuals, strict=True)}
 
 
@@ -260,7 +264,8 @@ def _library(trial: Trial) -> Iterator[Candidate]:
     for name in trial.search.library:
         hit = trial.search.hits.get(name)
         yield Candidate(name, excluded(name, trial.search.model, at),
-                        None if hit is None else hit.gain, trial.dropped.get(name))
+                        None if hit is None else hit.gain, trial.dropped.get(name),
+                        trial.search.above)
 
 
 def _limits(search: Search) -> dict[str, dict[str, Quantity]]:

@@ -16,6 +16,7 @@ from dfm_stage.diagnosis.decisions import (
     FURTHER_PART,
     GRADED_RIVALS,
     GRADING_STEPS,
+    LEAST_STEPS,
     MOST_GRADED,
     NEAR_RIVAL,
     PARAMETER_PART,
@@ -49,7 +50,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     nothing stands, the hypothesis is empty.
     """
     search = trial.search
-    search.begin_work(GRADING_STEPS)
+    search.begin_work(min(GRADING_STEPS, max(search.most_steps - search.steps, LEAST_STEPS)))
     seen = trial.witness
     bare = h.bare
     search.weigh_at_first(bare)
@@ -60,8 +61,9 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
     while True:
-        h = Hypothesis(names, found, bare,
-                       {n: list(_rivals(search, seen, n, names, found)) for n in names})
+        found = search.settled(names, found) if names else found
+        h = trial.no_worse(Hypothesis(names, found, bare, {
+            n: list(_rivals(search, seen, n, names, found)) for n in names}))
         judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
         weakest = fallen(judged)
         if weakest is None:

@@ -10,15 +10,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from dfm_stage.diagnosis.decisions import MARGIN
+from dfm_stage.diagnosis.decisions import MARGIN, RETUNE_RATIO
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason
-from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.fit import Fit, fit
+from dfm_stage.diagnosis.margins import power
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import findings
 from dfm_stage.diagnosis.search import Rival, Search
-from dfm_stage.diagnosis.verification import Prediction, predict, surrogate_test, weights_like
+from dfm_stage.diagnosis.verification import (
+    Prediction,
+    nearest_to,
+    predict,
+    surrogate_test,
+    weights_like,
+)
 from dfm_stage.diagnosis.witness import Witness, witness
 from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.weights import Weights
@@ -79,7 +86,8 @@ class Trial:
             search.step("predicting held-out records")
             h = self.exchange_rival(h)
             h = replace(h, fit=search.polished(h.names, h.fit))
-            for test in (self.surrogate_tests, self.line_of_input, self.at_bound):
+            for test in (self.surrogate_tests, self.without_each, self.line_of_input,
+                         self.at_bound):
                 h = test(h)
             second = self.second_look(h)
             if second is None:
@@ -98,6 +106,23 @@ class Trial:
     def predicted(self, model: Model) -> Prediction:
         """What a model with effects leaves of the held-out records."""
         return predict(model, self.held, self.held_weights, self.search.noise)
+
+    def no_worse(self, h: Hypothesis) -> Hypothesis:
+        """The same with the model as given in the place of its re-estimation, where that is
+        further from the fitted or from the held-out records than noise explains."""
+        search, noise = self.search, self.search.noise
+        near = nearest_to(search.model, search.runs, search.weights, noise)
+        if not (near.ok and h.bare.ok):
+            return h
+        given = fit(search.model, search.runs, (), search.weights, earlier=near.locals,
+                    noise=noise, iterations=0)
+        change = given.system.drifts
+        left = [(power(given.residuals, change), power(h.bare.residuals, change)),
+                (power(self.predicted(search.model).residuals, change),
+                 power(self.predicted(h.bare.model).residuals, change))]
+        if all(after <= RETUNE_RATIO**2 * before for before, after in left):
+            return h
+        return replace(h, bare=given, fit=h.fit if h.names else given)
 
     def exchange_rival(self, h: Hypothesis) -> Hypothesis:
         """Put a rival in the place of an effect that fits as well, where the held-out records part
@@ -138,6 +163,18 @@ class Trial:
                     if EFFECTS[name].per_run else DropReason.SURROGATES)
                 return self.surrogate_tests(h.without(name, self.search))
         return replace(h, not_exercised=tuple(not_exercised))
+
+    def without_each(self, h: Hypothesis) -> Hypothesis:
+        """Drop the effect beside others without which the refitted model predicts best, where
+        that is better than with it: the others may do what it did."""
+        own = self.predicted(h.fit.model)
+        rest = [(self.predicted(h.without(n, self.search).fit.model).rms, n) for n in h.names
+                if len(h.names) > 1 and n not in h.not_exercised]
+        rms, name = min(rest, default=(math.inf, ""))
+        if rms >= own.rms:
+            return h
+        self.dropped[name] = DropReason.REFITTED
+        return self.without_each(h.without(name, self.search))
 
     def line_of_input(self, h: Hypothesis) -> Hypothesis:
         """Drop a vibration at a line of the input where the model leaves more than noise: it may

@@ -1,17 +1,20 @@
 """Whether what a model leaves is noise, and what it looks like where it is not.
 
 Coloured noise must pass and broadband errors of the scale must not, so no single test decides:
-what repeats with the input, what is strong at low frequencies, lines, patterns over position, and
-the shape of the distribution are looked at together.
+what repeats with the input, what is strong at low frequencies and foretold by input and motion,
+smooth drifts, lines, patterns over position, and the shape of the distribution are looked at
+together.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.fft import dct, idct
 from scipy.ndimage import median_filter
 from scipy.signal import lfilter
 
@@ -20,7 +23,9 @@ from dfm_stage.diagnosis.decisions import (
     DRIFT,
     DRIFT_LINES,
     EXCESS,
+    FEWEST_OF_OCTAVE,
     FLATNESS,
+    FORETOLD_SHARE,
     LINE,
     MEMORYLESS,
     ONE_PARITY,
@@ -30,38 +35,48 @@ from dfm_stage.diagnosis.decisions import (
     REPEATING_NOISE,
     REPEATING_SPREAD,
     SIZES_APART,
+    SLOW_LINES,
+    SMOOTH,
 )
 from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.predictable import foretold
 from dfm_stage.diagnosis.spectra import position_peaks
 from dfm_stage.identification.noise import fit_noise
 from dfm_stage.identification.periods import local_mean
 from dfm_stage.identification.weights import high_band_rms
+from dfm_stage.model import Model
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One number about a residual, its limit for noise, and what it means in words."""
+    """One number about a residual, its limit for white noise, and what it means in words; noise
+    may be `coloured`, and exceed it."""
 
     name: str
     value: float
     limit: float
     text: str
+    coloured: bool = False
 
     @property
     def real(self) -> bool:
         """Whether noise does not explain it."""
-        return self.value > self.limit
+        return self.value > self.limit and not self.coloured
 
 
-def findings(run: Observation, residual: Array, known_noise: float | None) -> list[Finding]:
-    """Look at what is left of one run's output (N - skip,)."""
-    floor = high_band_rms(residual)
+def findings(run: Observation, residual: Array, known_noise: float | None,
+             model: Model | None = None) -> list[Finding]:
+    """Look at what is left of one run's output (N - skip,) by a model with a linear part; without
+    one, all noise is taken to be white."""
     spread = float(np.std(residual))
-    found = [Finding("excess", spread / floor, EXCESS,
+    found = [Finding("excess", spread / high_band_rms(residual), EXCESS,
                      "RMS over that of high frequencies: slow or resonant motion is left")]
     if known_noise:
         found.append(Finding("known_noise", spread / known_noise, EXCESS,
                              "RMS over the noise that the model gives"))
+    if model is not None and any(f.real for f in found) \
+            and foretold(run, residual, model) < FORETOLD_SHARE:
+        found = [replace(f, coloured=f.real) for f in found]
     white = _white(residual)
     found += [*_repeating(run, residual), _drift(residual), _line(residual),
               _pattern(run, residual, white), _shape(white)]
@@ -89,19 +104,43 @@ def _drift(residual: Array) -> Finding:
     power = np.abs(np.fft.rfft(residual * np.hanning(residual.size))) ** 2
     near = power[6:60] if power.size > DRIFT_LINES else power[3:]
     slow = float(np.mean(power[:3]) / max(float(np.median(near)) / math.log(2.0), 1e-300))
-    return Finding("drift", slow, DRIFT, "power at the lowest frequencies over that above them")
+    return Finding("drift", slow, DRIFT, "power at the lowest frequencies over that above them",
+                   coloured=slow > DRIFT and not _smooth(residual))
+
+
+def _smooth(residual: Array) -> bool:
+    """Whether a curve of third degree takes all of a slow motion: noise that wanders has no such
+    shape."""
+    slow = dct(residual - residual.mean(), norm="ortho")
+    slow[SLOW_LINES:] = 0.0
+    wave = idct(slow, norm="ortho")
+    time = np.linspace(-1.0, 1.0, wave.size)
+    left = wave - np.polynomial.legendre.legval(time, np.polynomial.legendre.legfit(time, wave, 3))
+    return float(left @ left) < (1.0 - SMOOTH) * float(wave @ wave)
 
 
 def _line(residual: Array) -> Finding:
     power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
     width = power.size * 2 - 2
     power = power[3:]
-    floor = median_filter(power, size=101, mode="mirror") / math.log(2.0)
+    floor = np.maximum(median_filter(power, size=101, mode="mirror"), _sloping(power)) \
+        / math.log(2.0)
     ratio = power / np.maximum(floor, 1e-300)
     at = int(np.argmax(ratio))
     return Finding("line", float(ratio[at]), LINE,
                    "highest line over its neighbourhood, at "
                    f"{(at + 3) / width:.4g} of the sample rate")
+
+
+def _sloping(power: Array) -> Array:
+    """The floor (F,) of a spectrum without its first three lines, from the median of each octave:
+    1/f noise rises within the width of a running median."""
+    line = np.log(np.arange(3, power.size + 3))
+    edges = [*(3 * 2**k - 3 for k in range(int(math.log2((power.size + 3) / 3)) + 1)), power.size]
+    octaves = [slice(a, b) for a, b in pairwise(edges) if b - a >= FEWEST_OF_OCTAVE]
+    middle = [float(np.mean(line[part])) for part in octaves]
+    level = [math.log(max(float(np.median(power[part])), 1e-300)) for part in octaves]
+    return np.asarray(np.exp(np.interp(line, middle, level)))
 
 
 def _pattern(run: Observation, residual: Array, white: Array) -> Finding:

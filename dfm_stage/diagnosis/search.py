@@ -61,6 +61,8 @@ class Search(Fits):
     screens: dict[frozenset[str], list[Hit]] = field(default_factory=dict)
     smallest: dict[str, dict[str, float]] = field(default_factory=dict)
     """Size of each effect that would have been seen beyond the model as it is."""
+    above: float = math.inf
+    """Chi-square of the model as it is above the noise, where `hits` were screened."""
     barred: set[str] = field(default_factory=set)
     """Effects that were found and not borne out: not looked for again."""
 
@@ -68,6 +70,8 @@ class Search(Fits):
         """Hits of every effect that is allowed and not in `current` yet, best first."""
         alike = self.fitted((), current).model if names else None
         screen = Screen(current, self.runs, self.weights, self.noise, alike)
+        if not names and not self.hits:
+            self.above = current.chi2 - current.white.size
         found: list[Hit] = []
         step = self._step_of(current.model)
         at = self.conditions(self.model)

@@ -79,9 +79,11 @@ Rejected = Enum("Rejected", [
     "RIVAL",          # another one in its place fits better
     "EXCLUDED",       # it is no candidate here
     "NOT_HELD_OUT",   # it is in the hypothesis, which did not pass
+    "FORCE_SHARE",    # it explains but a share of the missing force
     "NO_RESPONSE",    # the data show none of it
     "SHARE",          # it could take but a share of the gap
     "BELOW_LIMIT",    # chi-square falls by less than the limit
+    "COLOUR",         # what it would take is noise with a colour
 ])
 
 
@@ -322,9 +324,12 @@ def _found(e: Evidence, effect: EffectEvidence, members: tuple[str, ...]) -> Fou
 
 
 def _offset(e: Evidence) -> Found | None:
-    """A constant that is clear and that the model does not have."""
+    """A constant that is clear and that the model does not have; a reading that wanders has
+    none."""
     o = e.offset
-    if o is None or abs(o.value) < OFFSET_SIGMAS * o.sigma or (
+    wanders = any(f.name == "drift" and f.coloured for each in e.retuned.findings.values()
+                  for f in each)
+    if o is None or wanders or abs(o.value) < OFFSET_SIGMAS * o.sigma or (
             abs(o.value) < OFFSET_NOISE * e.noise.rms):
         return None
     return Found(o.effect, (o.effect, "encoder_zero"), 1.0, (o.value / o.sigma) ** 2)
@@ -349,23 +354,29 @@ def _rejected(e: Evidence, named: set[str]) -> Iterator[Rejection]:
                 told.add(rival.name)
                 yield Rejection(rival.name, Rejected.RIVAL, rival.cost, effect.name,
                                 rival.held_out.rms)
-    above = max(e.retuned.fitted.chi2 - e.retuned.fitted.count, 1.0)
+    above = e.retuned.fitted.chi2 - e.retuned.fitted.count
+    gap = e.retuned.remainder or above > FIRST
     fitted = {x.name for x in e.effects}
     for candidate in e.library:
         if candidate.name not in told:
-            yield _not_named(candidate, candidate.name in fitted, above)
+            yield _not_named(candidate, candidate.name in fitted, gap)
 
 
-def _not_named(c: Candidate, fitted: bool, above: float) -> Rejection:
-    """Why a candidate is not named where chi-square is `above` the noise by so much."""
+def _not_named(c: Candidate, fitted: bool, gap: bool) -> Rejection:
+    """Why a candidate is not named; `gap` says whether there is one to take a share of. By the
+    weights of the end there may be none: they take coloured noise for what it is."""
     if c.excluded is not None:
         return Rejection(c.name, Rejected.EXCLUDED, about=c.excluded)
     if c.dropped is not None:
         return Rejection(c.name, c.dropped)
     if fitted:
         return Rejection(c.name, Rejected.NOT_HELD_OUT)
+    if c.share is not None and (c.gain is None or c.gain <= 0.0):
+        return Rejection(c.name, Rejected.FORCE_SHARE, max(c.share, 0.0))
     if c.gain is None or c.gain <= 0.0:
         return Rejection(c.name, Rejected.NO_RESPONSE)
-    if above > FIRST and c.gain > FIRST:
-        return Rejection(c.name, Rejected.SHARE, min(c.gain / above, 1.0))
-    return Rejection(c.name, Rejected.BELOW_LIMIT, c.gain)
+    if c.gain <= FIRST:
+        return Rejection(c.name, Rejected.BELOW_LIMIT, c.gain)
+    if not gap:
+        return Rejection(c.name, Rejected.COLOUR, c.gain)
+    return Rejection(c.name, Rejected.SHARE, min(c.gain / max(c.above, c.gain), 1.0))

@@ -31,6 +31,8 @@ SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHAR
          "record are held out; a record of another kind would be a harder test")
 CUT_SHORT = ("not compared to the end for want of work: {names}; diagnose shorter records or "
              "fewer effects (--without)")
+COLOURED = ("{name}: what is left is stronger than its high frequencies, but neither input nor "
+            "motion foretells it: noise with a colour, or a disturbance from outside, no gap")
 DOUBTS = {
     Reason.NOT_EXERCISED: "the held-out records do not exercise {names}: what is said of it "
     "rests on the fitted records",
@@ -43,6 +45,7 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.NOT_EXERCISED: "found second, and the held-out records do not exercise it",
     DropReason.NOT_HELD_OUT: "is not in the held-out data",
     DropReason.SURROGATES: "lowers the held-out error no more than when shifted",
+    DropReason.REFITTED: "refitted without it, the others predict held-out records better",
     DropReason.LINE_OF_INPUT: "stands at a line of the input, as the model's own error does",
     DropReason.AT_BOUND: "its parameters run to the edge of their range",
     DropReason.BLOCKS: "held-out blocks are not clearly worse without it",
@@ -53,7 +56,10 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
     Rejected.EXCLUDED: "{about}",
     Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
+    Rejected.FORCE_SHARE: "explains {value:.0%} of the missing force by itself",
     Rejected.NO_RESPONSE: "no response that the data show",
+    Rejected.COLOUR: "chi-square falls by {value:.0f} where noise is taken as white, which it is "
+    "not",
     Rejected.SHARE: "could take {value:.0%} of the gap at best",
     Rejected.BELOW_LIMIT: f"chi-square falls by {{value:.0f}}, below the limit {FIRST:g}"}
 
@@ -112,7 +118,10 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
 def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
     """What a reader must know beside the verdict."""
     short = [CUT_SHORT.format(names=", ".join(e.not_compared))] if e.not_compared else []
-    return (*e.warnings, *([SPLIT] if e.split else []), *short,
+    shown = e.extended if v.shown == "extended" else e.retuned
+    coloured = [COLOURED.format(name=name) for name, each in shown.findings.items()
+                if not v.remainder and any(f.coloured for f in each)]
+    return (*e.warnings, *([SPLIT] if e.split else []), *short, *coloured,
             *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
               for d in v.doubts), *_disagreement(e, v))
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.decisions import GROSS_GAP, MOST_STEPS
+from dfm_stage.diagnosis.decisions import GROSS_GAP, LEAST_STEPS, MOST_STEPS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
@@ -114,18 +114,23 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
             split: bool) -> tuple[Trial, Hypothesis, Evidence]:
     """The effects that bring the gap to the noise; where none do, those that explain most.
 
-    A gross gap is looked at for the latter first: if what they leave is clear, no set of effects
-    reaches the noise.
+    A gross gap is looked at for the latter first, and the search to the noise goes on from there.
+    Without a spring that one judges positions, which say nothing while a clear force is missed.
     """
     part: tuple[Trial, Hypothesis, Evidence] | None = None
+    names: tuple[str, ...] = ()
     if is_gross(first):
         own = _in_windows(trial) if first.system.springless else trial
         bare = own.search.begin() if own is not trial else first
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
-        if stays_open(part[2]):
+        if own is not trial and stays_open(part[2]):
             return part
-        trial.search.begin_work(MOST_STEPS)
-    h = trial.run(*trial.search.grown((), first))
+        trial.search.begin_work(max(MOST_STEPS - own.search.steps, LEAST_STEPS))
+        trial.search.weigh_at_first(first)
+        if own is trial and part[1].names:
+            names = part[1].names
+            first = trial.search.fitted(names, part[1].fit)
+    h = trial.no_worse(trial.run(*trial.search.grown(names, first)))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
         evidence = with_joint_fit(trial, h, evidence)

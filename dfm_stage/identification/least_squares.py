@@ -14,10 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import ACCEPTED, CREEP, CREPT, NEARLY, RANK_TOLERANCE, SEEN
 
+SPARSE = 0.2
+"""Share of entries that are not zero, up to which a product by entries is quicker."""
 STUCK = "no step lowers the cost"
 
 
@@ -110,6 +113,15 @@ def column_norms(jacobian: Array, scale: Array) -> Array:
     return np.where(norms * scale > SEEN * strongest, norms, math.inf)
 
 
+def gram_of(jacobian: Array) -> Array:
+    """J^T J (n, n); of a Jacobian that is mostly zero, as windows with states of their own make
+    it, by its entries alone."""
+    if np.count_nonzero(jacobian) > SPARSE * jacobian.size:
+        return np.asarray(jacobian.T @ jacobian)
+    entries = csr_array(jacobian)
+    return np.asarray((entries.T @ entries).todense())
+
+
 def spectral(gram: Array) -> tuple[Array, Array]:
     """Return singular values (n,), falling, and right vectors (n, n) as rows of J.
 
@@ -128,7 +140,7 @@ class _Quadratic:
         norms = column_norms(jacobian, scale)
         self.norms = np.where(np.isfinite(norms), norms, 1.0)
         seen = np.isfinite(norms)
-        self.gram = (jacobian.T @ jacobian) / np.outer(self.norms, self.norms)
+        self.gram = gram_of(jacobian) / np.outer(self.norms, self.norms)
         self.gradient = (jacobian.T @ residual) / self.norms
         self.gradient[~seen] = 0.0
         self.low, self.high = low * self.norms, high * self.norms

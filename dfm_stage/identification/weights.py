@@ -30,6 +30,14 @@ class Weight:
         """Return `signals` (..., N) white and in standard deviations; the first n are dropped."""
         return whiten(signals, self.polynomial) / self.sigma
 
+    def colourless(self) -> Weight:
+        """White noise of the same RMS."""
+        return self if not self.order else Weight(np.ones(1), self.rms, self.source)
+
+    def of_change(self) -> Weight:
+        """The same of the change from sample to sample."""
+        return Weight(np.array([1.0, -LEAK]), math.hypot(1.0, LEAK) * self.sigma, self.source)
+
     @property
     def rms(self) -> float:
         """RMS of the noise itself: the gain of 1/A times sigma."""
@@ -56,9 +64,7 @@ def white_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
 def velocity_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
     """As `white_weights` for a stage without a spring, whose position integrates whatever small
     force there is: the output's drift counts no more than its velocity."""
-    return tuple((Weight(np.array([1.0, -LEAK]),
-                         math.hypot(1.0, LEAK) * high_band_rms(parts[0]), "high frequencies"),
-                  *white_weights([parts[1:]])[0]) for parts in residuals)
+    return tuple((ws[0].of_change(), *ws[1:]) for ws in white_weights(residuals))
 
 
 def weights_of(residuals: Sequence[Sequence[Array]]) -> Weights:

@@ -415,7 +415,9 @@ def _expected(spec: MeasuredSpec,
         return ["unknown", "partial"], frozenset(), kind.relatives | extra, kind.reason
     if spec.group == "nuisance":
         found = NUISANCES[spec.kind]
-        return list(found.verdicts), frozenset(), found.allowed | extra, found.reason
+        # a model with a delay or lag of its own takes a mount's into it
+        verdicts = sorted({*found.verdicts, "retune"}) if extra else list(found.verdicts)
+        return verdicts, frozenset(), found.allowed | extra, found.reason
     names = [name for field, name in EFFECT_OF.items() if field in setup.effect]
     late = LATE if setup.train[0].shift > 0 else frozenset()
     right = class_of(names[0]) if names else frozenset()

@@ -25,7 +25,7 @@ def test_the_corpus_imports_only_itself_and_public_libraries(path: Path) -> None
     known = ("benchmarks.corpus", "numpy", "numba", "scipy")
     for name in imported(source):
         assert name.startswith(known) or name in (
-            "__future__", "collections.abc", "dataclasses", "json", "math", "os", "pathlib",
-            "typing"), name
+            "__future__", "collections.abc", "dataclasses", "functools", "json", "math", "os",
+            "pathlib", "typing"), name
     assert "dfm_stage" not in source
     assert "import_module" not in source

@@ -167,7 +167,7 @@ def test_the_next_experiment_parts_what_was_ambiguous():
 
 def test_json_has_the_agreed_shape(cubic):
     data = json.loads(json.dumps(cubic.to_dict(), allow_nan=False))
-    assert data["schema"] == 1
+    assert data["schema"] == 2
     assert {"verdict", "effects", "base", "rejected", "gap", "description", "next_experiment",
             "warnings"} <= set(data)
     assert set(data["gap"]) == {"unit", "noise_floor", "noise_floor_from", "fit", "held_out"}

@@ -320,4 +320,4 @@ def test_friction_without_a_stribeck_term_has_no_parameters_of_it_to_lose_an_int
     assert search.parameters(found.model) == found.system.free
     assert effect.told(own) == ("force", "stiffness", "damping")
     assert effect.told({**own, "breakaway_ratio": 1.2}) == tuple(p.name for p in effect.parameters)
-    assert all(np.all(np.isfinite(q.ci95)) for q in found.quantities().values())
+    assert all(np.all(np.isfinite(q.ci95)) for q in found.quantities.values())

@@ -20,7 +20,8 @@ from dfm_stage.diagnosis.verification import (
     surrogate_test,
     weights_like,
 )
-from dfm_stage.identification.weights import Weight
+from dfm_stage.identification.weights import Weight, weights_of
+from dfm_stage.model import Model
 from dfm_stage.trajectory import load_experiment
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -113,3 +114,17 @@ def test_an_experiment_that_parts_two_models_is_as_long_as_it_must_be(runs):
     assert found.parts == ("cubic_stiffness", "none")
     assert found.expected > 4.0 * 16.0
     assert found.experiment["duration_s"] == 24.0  # clear within the shortest
+
+
+def test_states_are_found_by_what_is_left_and_not_by_the_colour_of_a_gap():
+    # a free body with friction that its model lacks: an autoregression of the gap hardly sees
+    # slow motion, and let the body drift away by several times its motion
+    feed = truth.scan()
+    x = truth.move(feed, lambda _, v: -0.3 * math.tanh(v / 1e-3), stiffness=0.0)
+    model = Model("free", truth.PERIOD, {"mass": truth.MASS, "damping": truth.DAMPING,
+                                         "force_constant": truth.GAIN})
+    observed = observe(truth.record(feed, x, 3), model)
+    white = ((Weight(np.ones(1), truth.NOISE, ""),),)
+    gap = weights_of(predict(model, [observed], white).residuals)
+    assert gap[0][0].order > 1
+    assert predict(model, [observed], gap).rms < 1.05 * predict(model, [observed], white).rms

@@ -125,3 +125,46 @@ def test_a_second_look_is_taken_only_after_a_drop():
     assert trial.second_look(h) == (("back_emf", "creep"), h.fit)
     assert search.barred == {"hysteresis"}
     assert trial.second_look(h) is None
+
+
+@pytest.mark.parametrize(("rms_alone", "kept"), [
+    (2.06e-7, ("presliding_friction",)), (2.20e-7, ("presliding_friction", "creep"))])
+def test_an_effect_is_dropped_where_the_others_refitted_predict_better(monkeypatch, rms_alone,
+                                                                       kept):
+    class Refits(OneFit):
+        def fitted(self, names, _):
+            return SimpleNamespace(model=names, names=names, quantities={})
+
+    rms = {("presliding_friction", "creep"): 2.15e-7, ("presliding_friction",): rms_alone,
+           ("creep",): 9e-7}
+    monkeypatch.setattr(hypothesis, "predict",
+                        lambda model, *_: SimpleNamespace(rms=rms[model]))
+    search = Refits()
+    h = Hypothesis(("presliding_friction", "creep"),
+                   search.fitted(("presliding_friction", "creep"), None), SimpleNamespace())
+    trial = Trial(search, [])
+    left = trial.without_each(h)
+    assert left.names == left.fit.names == kept
+    assert trial.dropped == ({"creep": DropReason.REFITTED} if len(kept) == 1 else {})
+
+
+@pytest.mark.parametrize(("fitted", "held", "kept"), [
+    ((2.0, 1.0), (2.0, 1.0), "retuned"),   # before and after, on either kind of record
+    ((2.0, 1.0), (1.0, 12.0), "given"),
+    ((199.5, 203.5), (2.0, 1.0), "given"),
+    ((1.0, 1.0005), (1.0, 1.0005), "retuned")])  # as noise makes it
+def test_the_model_as_given_stays_where_its_re_estimation_is_worse(monkeypatch, fitted, held,
+                                                                   kept):
+    def left(rms, model):
+        return SimpleNamespace(ok=True, residuals=[[rms * np.array([1.0, -1.0])]], locals={},
+                               model=model, system=SimpleNamespace(springless=False))
+
+    monkeypatch.setattr(hypothesis, "nearest_to", lambda *_: left(fitted[0], "given"))
+    monkeypatch.setattr(hypothesis, "fit", lambda model, *_, **__: left(fitted[0], model))
+    monkeypatch.setattr(hypothesis, "predict", lambda model, *_: left(
+        held[0] if model == "given" else held[1], model))
+    search = OneFit()
+    search.model, search.weights = "given", ()
+    bare = left(fitted[1], "retuned")
+    h = Trial(search, []).no_worse(Hypothesis((), bare, bare))
+    assert h.bare.model == h.fit.model == kept

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter, ss2tf
 
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import describe, findings
@@ -24,9 +24,10 @@ from dfm_stage.identification.weights import (
     weights_of,
     white_weights,
 )
+from dfm_stage.model import Model
 
-SIZE = 8000
-TIME = 1e-3 * np.arange(SIZE)
+SIZE, DT = 8000, 1e-3
+TIME = DT * np.arange(SIZE)
 
 
 def noise(seed: int = 0, size: int = SIZE) -> np.ndarray:
@@ -116,6 +117,47 @@ def test_white_and_coloured_noise_are_noise(seed):
     (np.resize(0.7 * lfilter([1.0], [1.0, -0.9], noise(9, 2000)), SIZE), "repeating")])
 def test_what_is_more_than_noise_has_its_name(extra, name):
     assert name in real(noise() + extra, period=2000)
+
+
+STAGE = Model("stage", DT, {"mass": 1.0, "damping": 6.0, "stiffness": 4000.0,
+                            "force_constant": 1.0})
+
+
+def shaped(colour, seed):
+    """Noise of unit RMS (SIZE,): 1/f, low-passed, or a random walk."""
+    white = np.random.default_rng(seed).standard_normal(SIZE)
+    if colour == "walk":
+        made = np.cumsum(white)
+    elif colour == "slow":
+        made = lfilter([1.0], [1.0, -0.9], white)
+    else:
+        line = np.maximum(np.arange(SIZE // 2 + 1), 1)
+        made = np.fft.irfft(np.fft.rfft(white) / np.sqrt(line))
+    return (made - made.mean()) / np.std(made)
+
+
+def driven(left):
+    """What is real of `left` (SIZE,), beside the response of STAGE to a random input."""
+    feed = lfilter([1.0], [1.0, -0.8], noise(8))
+    a, b = np.array([[0.0, 1.0], [-4000.0, -6.0]]), np.array([[0.0], [1.0]])
+    held = cont2discrete((a, b, np.array([[1.0, 0.0]]), np.zeros((1, 1))), DT)
+    above, below = ss2tf(*held[:4])
+    x = lfilter(above[0], below, feed)
+    observed = Observation("made", feed, x + left(x), DT, skip=0)
+    return {f.name for f in findings(observed, left(x), None, STAGE) if f.real}
+
+
+@pytest.mark.parametrize("colour", ["flicker", "slow", "walk"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_colour_of_noise_is_no_gap(colour, seed):
+    assert driven(lambda x: noise(seed) + 5.0 * shaped(colour, 20 + seed)) == set()
+
+
+@pytest.mark.parametrize("gap", [
+    lambda x: (x / np.std(x)) ** 3, lambda x: np.abs(x / np.std(x)),
+    lambda x: np.roll(x, 30) / np.std(x)])
+def test_what_input_and_motion_foretell_is_a_gap_even_under_noise_with_a_colour(gap):
+    assert "excess" in driven(lambda x: noise(3) + 3.0 * shaped("flicker", 5) + 3.0 * gap(x))
 
 
 def test_noise_above_what_the_model_gives_is_told():

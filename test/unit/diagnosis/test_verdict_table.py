@@ -42,6 +42,9 @@ COUNT, NOISE = 10_000, 1e-7
 LEFT = {"run": (Finding("line", 100.0, 32.0, "a line stands out"),)}
 QUIET = {"run": (Finding("line", 9.0, 32.0, "no line stands out"),)}
 
+COLOURED = {"run": (Finding("excess", 5.0, 2.0, "slow", coloured=True),
+                    Finding("drift", 90.0, 25.0, "it wanders", coloured=True))}
+
 
 def left(gap: float = 0.0, *, held: float | None = None, above: float | None = None,
          held_above: float | None = None, remainder: bool = False) -> ModelEvidence:
@@ -120,6 +123,10 @@ MOVING_AT_NOISE = Motion(8.0 * NOISE, NOISE)
 ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "nothing is missing": (case(), "none", (), Reason.NOISE),
     "the mass ratio was wrong": (case(left(1e-6)), "retune", (), Reason.RETUNED),
+    "noise with a colour": (
+        case(retuned=replace(NO_GAP, findings=COLOURED)), "none", (), Reason.NOISE),
+    "a constant in a reading that wanders": (
+        case(retuned=replace(NO_GAP, findings=COLOURED), offset=PUSH), "none", (), Reason.NOISE),
     "a stiffness off by what chi-square hardly shows": (
         case(left(1e-8, above=59.0)), "none", (), Reason.NOISE),
     "a stiffness off by what it just shows": (
@@ -340,12 +347,28 @@ def test_an_effect_takes_its_share_of_the_gap_above_the_noise():
     (Candidate("creep"), Rejected.NO_RESPONSE, math.nan),
     (Candidate("creep", gain=-3.0), Rejected.NO_RESPONSE, math.nan),
     (Candidate("creep", gain=39.0), Rejected.BELOW_LIMIT, 39.0),
-    (Candidate("creep", gain=250_000.0), Rejected.SHARE, 0.25),
-    (Candidate("creep", gain=2e6), Rejected.SHARE, 1.0)])
+    (Candidate("creep", gain=250_000.0, above=1e6), Rejected.SHARE, 0.25),
+    (Candidate("creep", gain=2e6, above=1e6), Rejected.SHARE, 1.0)])
 def test_an_effect_of_the_library_is_rejected_with_its_reason(candidate, kind, value):
     (only,) = verdict(case(CLEAR, CLEAR, library=(candidate,))).rejected
     assert (only.name, only.reason) == ("creep", kind)
     assert only.value == pytest.approx(value, nan_ok=True)
+
+
+def test_what_white_noise_would_show_is_no_gap_where_noise_has_a_colour():
+    quiet = case(library=(Candidate("creep", gain=77_786_211.0, above=8e7),))
+    (only,) = verdict(quiet).rejected
+    assert (only.reason, only.value) == (Rejected.COLOUR, 77_786_211.0)
+    # an autoregression may take a gap for the colour of noise: it is one all the same
+    swallowed = replace(quiet, retuned=left(remainder=True))
+    (only,) = verdict(swallowed).rejected
+    assert (only.reason, only.value) == (Rejected.SHARE, pytest.approx(0.97, abs=0.01))
+
+
+def test_what_is_left_is_no_noise_floor_where_it_holds_a_remainder():
+    assert Noise(13e-3, "residuals").floor == (13e-3, "residuals")
+    assert Noise(13e-3, "residuals", None, 2e-4).floor == (2e-4, "high frequencies")
+    assert Noise(13e-3, "residuals", 2.1e-4, 2e-4).floor == (2.1e-4, "periods")
 
 
 def test_rivals_are_rejected_once_and_what_did_not_pass_says_so():

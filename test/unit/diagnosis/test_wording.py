@@ -21,6 +21,7 @@ from dfm_stage.diagnosis.evidence import (
     Proposal,
     RivalEvidence,
 )
+from dfm_stage.diagnosis.remainder import Finding
 from dfm_stage.diagnosis.result import told
 from dfm_stage.diagnosis.verdict import (
     Doubt,
@@ -121,6 +122,13 @@ def test_a_doubt_becomes_a_warning(reason, said):
     assert said in words
 
 
+def test_noise_with_a_colour_is_told():
+    loud = {"run": (Finding("excess", 5.0, 2.0, "slow", coloured=True),)}
+    e = replace(NONE, retuned=replace(NONE.retuned, findings=loud))
+    (words,) = wording.warnings(e, Verdict("none", Reason.NOISE))
+    assert words.startswith("run: what is left is stronger than its high frequencies")
+
+
 def test_warnings_stand_in_the_order_in_which_they_arose():
     v = Verdict("named", Reason.AT_FLOOR, doubts=(Doubt(Reason.NEAR, ("creep",)),))
     e = replace(NAMED, warnings=("of a record",), split=True,
@@ -138,6 +146,8 @@ def test_warnings_stand_in_the_order_in_which_they_arose():
     (Rejection("creep", Rejected.EXCLUDED, about="the model has it {already}"),
      "the model has it {already}"),
     (Rejection("creep", DropReason.AT_BOUND), "its parameters run to the edge of their range"),
+    (Rejection("creep", Rejected.COLOUR, 123.0),
+     "chi-square falls by 123 where noise is taken as white, which it is not"),
     (Rejection("creep", Rejected.SHARE, 0.123), "could take 12% of the gap at best"),
     (Rejection("creep", Rejected.BELOW_LIMIT, 12.3),
      "chi-square falls by 12, below the limit 40")])

@@ -1,0 +1,117 @@
+"""What of a residual the input and the motion foretell: a gap is caused by them, noise is not.
+
+Colour alone says nothing: 1/f noise of a sensor is as slow as creep. So the residual is regressed
+on the input and on functions of the simulated motion, and predicted on stretches left out.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from scipy.fft import dct, idct, irfft, next_fast_len, rfft
+
+from dfm_stage.arrays import Array, Complex
+from dfm_stage.diagnosis.blocks import Blocks
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.model import Model
+from dfm_stage.model.linear import linear_part
+
+FOLDS = 6
+"""Stretches of a record, each predicted from the others: few, so that slow noise does not reach
+from one into the next, where a short one would be interpolated between its neighbours."""
+SLOWEST = 8 * FOLDS
+"""Half cycles in a record from which an octave holds enough of them to be told from the others'
+stretches: below, as many functions as there are meet any noise."""
+BANDS = 30
+"""Bands of frequency with a gain and a phase each: any linear error, its resonances smeared."""
+WAVES, WAVE_NUMBER, SEED = 16, 1.2, 1
+"""Random Fourier features of position and speed, the spread of their wave numbers, the draw."""
+DIRECTED = 0.05
+"""Share of the RMS speed at which a direction is half known."""
+RIDGES = (1e-4, 1e-2, 1e-1)
+"""Penalties tried, on columns of unit power."""
+SEEN = 1e-3
+"""Share of a column in an octave below which it is leakage there."""
+
+
+def foretold(run: Observation, residual: Array, model: Model) -> float:
+    """Share of the power of one run's residual (N - skip,) that input and motion foretell on
+    stretches left out, in the octave where it is largest; at most 1, below zero where nothing is.
+
+    By octaves, because noise that grows towards low frequencies would hide a gap above them. The
+    motion is simulated: a measured one would foretell its own noise.
+    """
+    whole = dct(np.column_stack((_columns(run, residual, model), residual)), axis=0, norm="ortho")
+    total = np.linalg.norm(whole, axis=0)
+    edges = np.linspace(0, residual.size, FOLDS + 1).astype(np.int64)
+    shares, low = [0.0], SLOWEST
+    while low < residual.size // 2:
+        octave = np.zeros_like(whole)
+        octave[low:2 * low] = whole[low:2 * low]
+        used = np.linalg.norm(octave, axis=0) > SEEN * total
+        used[-1] = True
+        signals = idct(octave[:, used], axis=0, norm="ortho")
+        count = signals.shape[1] - 1
+        blocks = Blocks(signals, edges, np.ones(FOLDS))
+        left = blocks.ridge_errors((), range(count), count, RIDGES)
+        power = max(float(signals[:, -1] @ signals[:, -1]), 1e-300)
+        shares.append(1.0 - float(left @ blocks.sizes) / power)
+        low *= 2
+    return max(shares)
+
+
+def _columns(run: Observation, residual: Array, model: Model) -> Array:
+    """Bands of the input, and functions of the motion as errors of the reading and as forces on
+    the linear part (N - skip, c)."""
+    size = residual.size
+    length = next_fast_len(2 * size, real=True)
+    turns: Array = np.fft.rfftfreq(length).astype(np.float64)
+
+    def through(signal: Array, response: Complex) -> Array:
+        back = np.linspace(signal[-1], signal[0], length - size + 2)[1:-1]
+        spectrum = rfft(np.concatenate((signal, back)))
+        return np.asarray(irfft(spectrum * response, length)[:size])
+
+    drive = run.input[run.skip:] - np.mean(run.input[run.skip:])
+    found: list[Array] = []
+    for low, high in _bands(drive.size):
+        band: Complex = ((turns >= low) & (turns < high)).astype(np.complex128)
+        found += [through(drive, band), through(drive, np.asarray(1j * band))]
+    response = _response(model, 2.0 * math.pi * turns / run.sample_period)
+    for each in _functions(run.output[run.skip:] - residual):
+        found += [each, through(each - each.mean(), response)]
+    return np.asarray(np.array(found).T)
+
+
+def _bands(size: int) -> list[tuple[float, float]]:
+    """Edges (cycles a sample) of bands, half of them alike in width and half in ratio."""
+    low, top = 2.0 / size, 0.51
+    edges = np.unique(np.concatenate(([0.0], np.geomspace(low, top, BANDS // 2),
+                                      np.linspace(low, top, BANDS // 2)))).tolist()
+    return list(pairwise(edges))
+
+
+def _functions(position: Array) -> list[Array]:
+    """Functions (N,) of position and speed, both over their spread."""
+    x = (position - position.mean()) / max(float(np.std(position)), 1e-300)
+    v = np.gradient(position)
+    v = v / max(float(np.std(v)), 1e-300)
+    sign = v / np.hypot(v, DIRECTED)
+    found = [x * x, x**3, v * v, v**3, x * v, x * x * v, x * v * v, sign, np.abs(v), np.abs(x),
+             sign * x, sign * x * x, x**4, x**5]
+    draw = np.random.default_rng(SEED)
+    for _ in range(WAVES):
+        a, b = WAVE_NUMBER * draw.standard_normal(2)
+        found.append(np.cos(a * x + b * v + 2.0 * math.pi * draw.random()))
+    return found
+
+
+def _response(model: Model, omega: Array) -> Complex:
+    """Position per force (F,) of the linear part; at rest as at the lowest frequency."""
+    part = linear_part(model)
+    poles, vectors = np.linalg.eig(part.a)
+    residues = (part.c @ vectors) * np.linalg.solve(vectors, part.b.astype(complex))
+    s = 1j * np.maximum(omega, omega[1])[:, None]
+    return np.asarray((residues / (s - poles)).sum(axis=1))
