@@ -157,7 +157,7 @@ def test_the_model_as_given_stays_where_its_re_estimation_is_worse(monkeypatch, 
                                                                    kept):
     def left(rms, model):
         return SimpleNamespace(ok=True, residuals=[[rms * np.array([1.0, -1.0])]], locals={},
-                               model=model, system=SimpleNamespace(springless=False))
+                               model=model, system=SimpleNamespace(drifts=False))
 
     monkeypatch.setattr(hypothesis, "nearest_to", lambda *_: left(fitted[0], "given"))
     monkeypatch.setattr(hypothesis, "fit", lambda model, *_, **__: left(fitted[0], model))
