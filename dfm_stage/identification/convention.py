@@ -182,7 +182,7 @@ def image_share(motion: Array, factor: int, derivative: int = 0) -> float:
     (f / (factor - f))^2 of what f does; below the resonance, taken at the RMS frequency of the
     motion, by that of the resonance. In a derivative an image is stronger by its frequency.
     """
-    power = np.abs(np.fft.rfft(reflected(motion)[1])) ** 2
+    power = np.abs(np.fft.rfft(_reflected(motion)[1])) ** 2
     f = np.linspace(0.0, 0.5, power.size)
     total = max(float(power.sum()), 1e-300)
     resonance = math.sqrt(float(f**2 @ power) / total)
@@ -202,7 +202,7 @@ def interpolated(values: Array, factor: int, offset: float = 0.0, periodic: bool
     rate are left.
     """
     count = values.size
-    line, wave = (np.zeros(2), values) if periodic else reflected(values)
+    line, wave = (np.zeros(2), values) if periodic else _reflected(values)
     spectrum = np.fft.rfft(wave)
     if wave.size % 2 == 0:
         spectrum[-1] = 0.5 * spectrum[-1]
@@ -232,7 +232,7 @@ def _straight(values: Array, shift: float, factor: int, periodic: bool) -> Array
     return np.asarray(means[1:-1] - np.diff(means, 2) / 12.0)
 
 
-def reflected(values: Array) -> tuple[Array, Array]:
+def _reflected(values: Array) -> tuple[Array, Array]:
     """The line through first and last value, as value and slope, and what is left with its
     reflection in the end points, (2 N - 2,): periodic, without a jump."""
     slope = float(values[-1] - values[0]) / (values.size - 1)
@@ -385,7 +385,7 @@ def _least(left: Array) -> float:
 
 def _delayed(u: Array, width: float, sincs: int) -> Array:
     """The filtered input at every lag, (L, N)."""
-    line, wave = reflected(u)
+    line, wave = _reflected(u)
     omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
     spectrum = np.fft.rfft(wave) * np.exp(-0.5 * (omega * width) ** 2)
     spectrum *= np.sinc(omega / (2.0 * np.pi)) ** sincs
@@ -396,7 +396,7 @@ def _delayed(u: Array, width: float, sincs: int) -> Array:
 
 def _features(y: Array, width: float, derivative: int) -> Array:
     """Filtered motion and usual nonlinear functions of it, (F, N)."""
-    line, wave = reflected(y)
+    line, wave = _reflected(y)
     omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
     spectrum = np.fft.rfft(wave)
     filter_ = np.exp(-0.5 * (omega * width) ** 2)
@@ -414,7 +414,7 @@ def _features(y: Array, width: float, derivative: int) -> Array:
         return np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size] + straight
 
     def filtered(values: Array) -> Array:
-        ends, folded = reflected(values)
+        ends, folded = _reflected(values)
         return np.asarray(np.fft.irfft(np.fft.rfft(folded) * filter_, wave.size)[:y.size]
                           + ends[0] + ends[1] * time)
 

@@ -188,4 +188,4 @@ FOLLOWED = decision(
 MOTION_ABOVE_NOISE = decision(
     "MOTION_ABOVE_NOISE", 4.0, "1", meaning="Mean power of neighbouring lines over that of noise "
     "from which a measured velocity or acceleration is integrated there.", set_on="derivation: "
-    "the mean over 15 lines of noise has a standard deviation of 0.26 and stays below 2")
+    "the mean over three lines of noise exceeds 4 in 5 of 10,000")

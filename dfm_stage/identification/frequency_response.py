@@ -104,7 +104,8 @@ class FrequencyResponse:
 
     def integrated(self, times: int, output_unit: str) -> FrequencyResponse:
         """The response of the position, in `output_unit`, where this is that of its derivative of
-        order `times`: exact for what is slow beside the sampling."""
+        order `times`: good for what is slow beside the sampling; the acceleration, sampled before
+        a held input steps, is late by half a sample more where no lag stands between them."""
         if times == 0:
             return self
         return replace(self, response=self.response / (1j * self.omega) ** times,

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.identification.convention import reflected
 from dfm_stage.identification.decisions import MOTION_ABOVE_NOISE
 from dfm_stage.identification.periods import local_mean
 from dfm_stage.recording.record import Measured
 
 ORDER: Mapping[Measured, int] = {"position": 0, "velocity": 1, "acceleration": 2}
 """Of which order in the position's time derivatives each measured signal is."""
-NEIGHBOURS = 7
+NEIGHBOURS = 1
 """Lines at either side over which power is averaged before it is set beside the noise."""
 
 
@@ -30,17 +28,16 @@ def differentiated(signal: Array, order: int, period: float) -> Array:
         signal = np.asarray(np.gradient(signal, period))
     if order >= 0:
         return signal
-    times, samples = -order, np.arange(signal.size)
-    line, wave = reflected(signal)
+    signal = signal - np.mean(signal)
+    # what rings strongly leaks into all lines but those of a windowed signal
+    power = local_mean(np.abs(np.fft.rfft(signal * np.hanning(signal.size))) ** 2, NEIGHBOURS)
+    noise = float(np.median(power[-max(power.size // 4, 1):]))
+    wave = np.concatenate((signal, signal[::-1]))       # goes on without a jump
     spectrum = np.fft.rfft(wave)
-    power = np.abs(spectrum) ** 2
-    noise = float(np.median(power[-max(power.size // 4, 1):])) / math.log(2.0)
-    spectrum[local_mean(power, NEIGHBOURS) < MOTION_ABOVE_NOISE * noise] = 0.0
-    omega = 2.0 * np.pi * np.arange(spectrum.size) / (wave.size * period)
-    spectrum[1:] /= (1j * omega[1:]) ** times
+    spectrum[np.repeat(power, 2)[:spectrum.size] < MOTION_ABOVE_NOISE * noise] = 0.0
     spectrum[0] = 0.0
-    time = samples * period
-    whole = np.fft.irfft(spectrum, wave.size)[:signal.size] + sum(
-        line[k] / period**k * time**(times + k) / math.factorial(times + k) for k in range(2))
-    trend = np.linspace(-1.0, 1.0, signal.size)[:, None] ** np.arange(times + 1)
+    omega = 2.0 * np.pi * np.arange(spectrum.size) / (wave.size * period)
+    spectrum[1:] *= (1j * omega[1:]) ** order
+    whole = np.fft.irfft(spectrum, wave.size)[:signal.size]
+    trend = np.linspace(-1.0, 1.0, signal.size)[:, None] ** np.arange(1 - order)
     return np.asarray(whole - trend @ np.linalg.lstsq(trend, whole, rcond=None)[0])

@@ -10,6 +10,7 @@ import pytest
 from dfm_stage.diagnosis import hypothesis
 from dfm_stage.diagnosis.evidence import DropReason
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.search import Rival
 from dfm_stage.diagnosis.verification import SurrogateTest
 from dfm_stage.identification.periods import Periodicity
@@ -85,8 +86,7 @@ def test_a_vibration_at_a_line_of_the_input_is_dropped_beside_a_remainder(hertz,
     rng = np.random.default_rng(4)
     time = 1e-3 * np.arange(8000)
     left = rng.standard_normal(8000) + (0.0 if noisy else 20.0) * np.sin(2 * np.pi * 5.0 * time)
-    run = SimpleNamespace(periodicity=Periodicity(2000, 0, 4), sample_period=1e-3, skip=0,
-                          input=time, output=left)
+    run = Observation("run", time, left, 1e-3, skip=0, periodicity=Periodicity(2000, 0, 4))
     search = OneFit()
     search.runs = [run]
     model = SimpleNamespace(parameters=lambda: {"periodic_disturbance.frequency": hertz})
@@ -157,7 +157,7 @@ def test_the_model_as_given_stays_where_its_re_estimation_is_worse(monkeypatch, 
                                                                    kept):
     def left(rms, model):
         return SimpleNamespace(ok=True, residuals=[[rms * np.array([1.0, -1.0])]], locals={},
-                               model=model, system=SimpleNamespace(springless=False))
+                               model=model, system=SimpleNamespace(drifts=False))
 
     monkeypatch.setattr(hypothesis, "nearest_to", lambda *_: left(fitted[0], "given"))
     monkeypatch.setattr(hypothesis, "fit", lambda model, *_, **__: left(fitted[0], model))
