@@ -22,6 +22,7 @@ from dfm_stage.diagnosis.spectra import denoised
 from dfm_stage.identification.convention import find_convention
 from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.input_unit import input_mismatch
+from dfm_stage.identification.lost_samples import find_lost, put_in
 from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.identification.run import Run
 from dfm_stage.model import Model
@@ -34,7 +35,7 @@ class Observation(Run):
 
     `output` (N,) is in `unit`; `other` has its noise filtered out. `reference` (N,) is what the
     stage was to follow, where recorded. `start_s` is the time of the first sample since the record
-    began.
+    began, `lost_s` are times at which the logger had dropped samples, which were put in.
     """
 
     unit: str = "m"
@@ -42,6 +43,7 @@ class Observation(Run):
     periodicity: Periodicity | None = None
     skip: int = LEAD_IN
     start_s: float = 0.0
+    lost_s: tuple[float, ...] = ()
 
     @property
     def time(self) -> Array:
@@ -102,13 +104,21 @@ def observe(record: Record, model: Model, axis: str | None = None,
     others = [n for n in record.axes if n != chosen]
     other = _usable(record.axes[others[0]].position if len(others) == 1 else None)
     quiet = None if other is None else denoised(other)
-    found = find_convention(data.input, data.position, hold=data.input_hold,
-                            shift=data.input_shift)
-    return Observation(called, np.asarray(data.input, float), np.asarray(data.position, float),
-                       record.sample_period, unit=unit, current=_usable(data.current),
-                       other=quiet, reference=_usable(data.reference),
-                       periodicity=_periodicity(data.extra.get("excitation"), data.input)
-                       ).by(found)
+    applied, position = np.asarray(data.input, float), np.asarray(data.position, float)
+    lost = find_lost(applied, position)
+
+    def whole(signal: Array | None) -> Array | None:
+        return None if signal is None else put_in(signal, lost)
+
+    applied = put_in(applied, lost, [loss.input for loss in lost])
+    position = put_in(position, lost, [loss.output for loss in lost])
+    found = find_convention(applied, position, hold=data.input_hold, shift=data.input_shift)
+    return Observation(called, applied, position,
+                       record.sample_period, unit=unit, current=whole(_usable(data.current)),
+                       other=whole(quiet), reference=whole(_usable(data.reference)),
+                       periodicity=_periodicity(whole(data.extra.get("excitation")), applied),
+                       lost_s=tuple(float(record.time[loss.at]) for loss in lost
+                                    for _ in loss.input)).by(found)
 
 
 def _axis_name(record: Record, axis: str | None) -> str:

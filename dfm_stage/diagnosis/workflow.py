@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.observation import Observation, in_windows, observe, sp
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import leaves_open, needs_grading, needs_joint_fit, verdict
+from dfm_stage.diagnosis.wording import lost_samples
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
@@ -67,6 +68,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     held = [observe(r, one, chosen if chosen in r.axes else axis, n or None)
             for r, n in zip(holdout, labels[len(records):], strict=True)]
     warnings = [f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings]
+    warnings += [lost_samples(run.name, run.lost_s) for run in (*runs, *held) if run.lost_s]
     if not held:
         runs, held = split_by_time(runs)
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
