@@ -22,6 +22,7 @@ from dfm_stage.diagnosis.spectra import denoised
 from dfm_stage.identification.convention import find_convention
 from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.input_unit import input_mismatch
+from dfm_stage.identification.lost_samples import find_lost, put_in
 from dfm_stage.identification.motion import ORDER
 from dfm_stage.identification.periods import Periodicity, find_period
 from dfm_stage.identification.run import Run
@@ -35,7 +36,7 @@ class Observation(Run):
 
     `output` (N,) is in `unit`; `other` has its noise filtered out. `reference` (N,) is what the
     stage was to follow, where recorded. `start_s` is the time of the first sample since the record
-    began.
+    began, `lost_s` are times at which the logger had dropped samples, which were put in.
     """
 
     unit: str = "m"
@@ -43,6 +44,7 @@ class Observation(Run):
     periodicity: Periodicity | None = None
     skip: int = LEAD_IN
     start_s: float = 0.0
+    lost_s: tuple[float, ...] = ()
 
     def simulated_position(self, residual: Array) -> Array:
         """The position (N - skip,) that a simulation gave which left `residual` of the output; the
@@ -106,16 +108,24 @@ def observe(record: Record, model: Model, axis: str | None = None,
     other = _usable(others[0].position if len(others) == 1 and others[0].measures == "position"
                     else None)
     quiet = None if other is None else denoised(other)
-    found = find_convention(data.input, data.position, ORDER[data.measures],
-                            hold=data.input_hold, shift=data.input_shift)
-    return Observation(called, np.asarray(data.input, float), np.asarray(data.position, float),
-                       record.sample_period, unit=data.output_unit,
-                       current=_usable(data.current), other=quiet,
-                       reference=_usable(data.reference),
-                       periodicity=_periodicity(data.extra.get("excitation"), data.input),
-                       measures=data.measures,
-                       velocity=_usable(data.velocity) if data.measures == "position" else None
-                       ).by(found)
+    applied, output = np.asarray(data.input, float), np.asarray(data.position, float)
+    lost = find_lost(applied, output) if data.measures == "position" else []
+
+    def whole(signal: Array | None) -> Array | None:
+        return None if signal is None else put_in(signal, lost)
+
+    applied = put_in(applied, lost, [loss.input for loss in lost])
+    output = put_in(output, lost, [loss.output for loss in lost])
+    found = find_convention(applied, output, ORDER[data.measures], hold=data.input_hold,
+                            shift=data.input_shift)
+    return Observation(called, applied, output, record.sample_period, unit=data.output_unit,
+                       current=whole(_usable(data.current)), other=whole(quiet),
+                       reference=whole(_usable(data.reference)),
+                       periodicity=_periodicity(whole(data.extra.get("excitation")), applied),
+                       measures=data.measures, velocity=whole(
+                           _usable(data.velocity) if data.measures == "position" else None),
+                       lost_s=tuple(float(record.time[loss.at]) for loss in lost
+                                    for _ in loss.input)).by(found)
 
 
 def alike(runs: Sequence[Observation]) -> list[Observation]:

@@ -31,6 +31,8 @@ SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHAR
          "record are held out; a record of another kind would be a harder test")
 CUT_SHORT = ("not compared to the end for want of work: {names}; diagnose shorter records or "
              "fewer effects (--without)")
+MOST_TIMES = 5
+"""Times of lost samples that are told."""
 COLOURED = ("{name}: what is left is stronger than its high frequencies, but neither input nor "
             "motion foretells it: noise with a colour, or a disturbance from outside, no gap")
 DOUBTS = {
@@ -137,6 +139,15 @@ def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:
         told = f"the fits say {_listed([f.name for f in v.effects])}" if own else \
             "no fit bears that out on held-out records"
         yield f"the force domain by itself says {_listed(said)} ({share:.0%}); {told}"
+
+
+def lost_samples(name: str, times: Sequence[float]) -> str:
+    """Where a record lacks samples."""
+    listed = ", ".join(f"{t:.6g}" for t in times[:MOST_TIMES])
+    more = ", ..." if len(times) > MOST_TIMES else ""
+    many = "1 sample seems" if len(times) == 1 else f"{len(times)} samples seem"
+    return (f"{name}: {many} to be missing, at {listed}{more} s, though the time stamps do not "
+            "show it; what they must have been was put in")
 
 
 def rejection(r: Rejection) -> str:

@@ -31,6 +31,7 @@ from dfm_stage.diagnosis.verdict import (
     stays_open,
     verdict,
 )
+from dfm_stage.diagnosis.wording import lost_samples
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
@@ -81,6 +82,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     warnings = [f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings]
     both = alike([*runs, *held])
     runs, held = both[:len(runs)], both[len(runs):]
+    warnings += [lost_samples(run.name, run.lost_s) for run in (*runs, *held) if run.lost_s]
     if not held:
         runs, held = split_by_time(runs)
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)

@@ -189,3 +189,23 @@ MOTION_ABOVE_NOISE = decision(
     "MOTION_ABOVE_NOISE", 4.0, "1", meaning="Mean power of neighbouring lines over that of noise "
     "from which a measured velocity or acceleration is integrated there.", set_on="derivation: "
     "the mean over three lines of noise exceeds 4 in 5 of 10,000")
+
+# -- lost samples --------------------------------------------------------------------------------
+
+DROPS = "simulation: 0.1 % of samples dropped, against 40 healthy records of various inputs"
+LOST_CLEAR = decision(
+    "LOST_CLEAR", 8.0, "standard deviations", meaning="Error of a one-step predictor over a few "
+    "samples, above which some may be missing.", set_on=DROPS)
+LOST_EXPLAINED = decision(
+    "LOST_EXPLAINED", 0.2, "1", meaning="Squares of these errors that may stay once the samples "
+    "are put in.", set_on=DROPS)
+LOST_OTHERWISE = decision(
+    "LOST_OTHERWISE", 0.4, "1", meaning="The same over what a spike of the reading or a push on "
+    "the stage leaves.", set_on=DROPS)
+LOST_IN_A_ROW = decision(
+    "LOST_IN_A_ROW", 3, "samples", meaning="Samples that are looked for in one place.",
+    set_on="derivation: more are seldom lost without a trace, and each frees two values")
+LOST_AT_MOST = decision(
+    "LOST_AT_MOST", 0.01, "1", meaning="Share of lost samples above which the predictor is taken "
+    "to be wrong.", set_on="derivation: of six samples that a predictor looks back one would be "
+    "spoilt in 17, and it would not be known")

@@ -12,6 +12,7 @@ from dfm_stage.cli.diagnose_report import write_report
 from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose
 from dfm_stage.diagnosis.verification import SurrogateTest
 from dfm_stage.model import EFFECTS, save_model
+from dfm_stage.recording import AxisRecord, Record
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -52,6 +53,22 @@ def test_an_effect_twice_the_detection_limit_is_named_and_one_of_half_is_not(tim
     limit = _pair(library=few).detection_limits["cubic_stiffness"]["k3"]
     assert limit.unit == "N/m^3"
     assert _pair(lambda x, v: -times * limit.value * x**3, library=few).names == names
+
+
+def test_samples_dropped_by_the_logger_are_put_in_and_told():
+    def thinned(whole, seed):
+        keep = np.random.default_rng(seed).random(len(whole.time)) > 1e-3
+        axis = whole.axes["x"]
+        return Record(whole.time[:keep.sum()], whole.sample_period,
+                      {"x": AxisRecord(axis.input[keep], axis.position[keep])}, whole.provenance)
+
+    train, held = truth.multisine(1), truth.scan()
+    found = diagnose([thinned(truth.record(train, truth.move(train), 11), 0)], truth.believed(),
+                     holdout=[thinned(truth.record(held, truth.move(held), 12), 1)],
+                     library=QUICK, names=["train", "held"])
+    assert found.verdict == "none"
+    assert [w.split(" at ")[0] for w in found.warnings] == [
+        "train: 12 samples seem to be missing,", "held: 10 samples seem to be missing,"]
 
 
 def test_wrong_numbers_are_retuned():
