@@ -29,6 +29,7 @@ from dfm_stage.diagnosis.evidence import (
 from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers, score_by_blocks
+from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import Finding, describe, findings
@@ -40,7 +41,7 @@ from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import white_weights
-from dfm_stage.model import EFFECTS
+from dfm_stage.model import EFFECTS, Model
 
 
 def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: bool = False,
@@ -108,6 +109,13 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
         "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
         "predictable": 1.0 - seen.predictable**2, "margins": dict(seen.margins)},
         judged=replace(evidence.judged, predictable=predictable))
+
+
+def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
+    """Add the force that `model` with its sizes re-estimated misses."""
+    trial.search.step("describing what is left")
+    runs, held = ([replace(r, window=0) for r in each] for each in (trial.search.runs, trial.held))
+    return replace(evidence, surface=missing_force(runs, model, held))
 
 
 def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:

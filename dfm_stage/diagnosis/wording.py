@@ -7,6 +7,7 @@ from typing import Any
 
 from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, INCONSTANT, MARGIN, PARTIAL_SHARE
 from dfm_stage.diagnosis.evidence import DropReason, Evidence, Proposal
+from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
     Found,
     Reason,
@@ -16,6 +17,7 @@ from dfm_stage.diagnosis.verdict import (
     explained_share,
 )
 from dfm_stage.model import EFFECTS
+from dfm_stage.quantity import format_quantity
 
 SENTENCES = {
     "unknown": "The gap is real, and no effect of the library explains it on data it was not "
@@ -128,6 +130,29 @@ def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:
         told = f"the fits say {_listed([f.name for f in v.effects])}" if own else \
             "no fit bears that out on held-out records"
         yield f"the force domain by itself says {_listed(said)} ({share:.0%}); {told}"
+
+
+def missing_force(s: Surface) -> str:
+    """The force that is still missing, in a sentence."""
+    where = "" if s.frequency_hz is None else \
+        f", strongest at {format_quantity(s.frequency_hz, 'Hz')}"
+    said = (f"The missing force is {format_quantity(s.rms, s.force_unit)} RMS{where}. Position "
+            f"and velocity alone explain {s.position_velocity_share:.0%} of its power on data "
+            "held out")
+    more = s.predictable_share - s.position_velocity_share
+    if more > WORTH_TELLING:
+        return (f"{said}; with acceleration, past motion and amplitude {s.predictable_share:.0%} "
+                "are predictable: it depends on more than where the stage is and how fast it "
+                "moves.")
+    if s.predictable_share < MOSTLY:
+        return f"{said}, and nothing else of the motion explains more: most of it is not of it."
+    return f"{said}; nothing else of the motion adds to that."
+
+
+WORTH_TELLING = 0.05
+"""Share of the missing force by which past motion must add to position and velocity."""
+MOSTLY = 0.5
+"""Share below which most of the missing force does not follow the motion."""
 
 
 def rejection(r: Rejection) -> str:
