@@ -145,7 +145,7 @@ def missing_force(s: Surface) -> str:
                 "are predictable: it depends on more than where the stage is and how fast it "
                 "moves.")
     if s.predictable_share < MOSTLY:
-        return f"{said}, and nothing else of the motion explains more: most of it is not of it."
+        return f"{said}: most of it does not follow the motion."
     return f"{said}; nothing else of the motion adds to that."
 
 

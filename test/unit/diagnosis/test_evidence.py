@@ -80,10 +80,10 @@ def values_in(thing: object) -> Iterator[object]:
 def test_evidence_is_made_of_plain_values(cubic):
     from dfm_stage import quantity
     from dfm_stage.diagnosis import evidence as module
-    from dfm_stage.diagnosis import margins, remainder
+    from dfm_stage.diagnosis import margins, remainder, surface
 
     plain = (int, float, str, bool, type(None), enum.Enum, np.ndarray, tuple, list, dict)
-    ours = {m.__name__ for m in (module, margins, remainder, quantity)}
+    ours = {m.__name__ for m in (module, margins, remainder, surface, quantity)}
     odd = {type(v) for v in values_in(cubic[1])
            if not isinstance(v, plain) and type(v).__module__ not in ours}
     assert odd == set()
