@@ -147,7 +147,8 @@ def _sections(s: Surface) -> Drawing:
                 rows.append([f"{other} {place} {at_unit}", int(np.sum(s.samples[line])), Quantity(
                     float(told.min()), s.force_unit), Quantity(float(told.max()), s.force_unit)])
             axis.set(xlabel=f"{name} ({shown})", ylabel=f"missing force ({newton})")
-            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
+                        handlelength=1.0, columnspacing=1.0)
         figure.align_ylabels()
     return Drawing(figure, Table(("section at", "samples", "smallest", "largest"), rows))
 

@@ -129,7 +129,8 @@ def test_single_samples_make_no_bin():
 
 def test_the_table_has_one_line_a_bin_with_units_in_its_names():
     grid = np.array([[1.0, np.nan], [2.0, 3.0]])
-    surface = Surface("rad", grid, grid, grid, grid / 10.0, np.nan_to_num(9.0 * grid), 0.5, 0.6, 1.0)
+    surface = Surface("rad", grid, grid, grid, grid / 10.0, np.nan_to_num(9.0 * grid), 0.5, 0.6,
+                      1.0)
     rows = list(csv.DictReader(StringIO(surface.to_csv())))
     assert [float(row["force_Nm"]) for row in rows] == [1.0, 2.0, 3.0]
     assert rows[1] == {"position_rad": "2", "velocity_rad_s": "2", "force_Nm": "2",
