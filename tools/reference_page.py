@@ -79,6 +79,8 @@ record | [records.md](records.md#from-a-table)
 `damping_ratio` `gain` `fit` `held_out` `residual_tests` ...
 `diagnosis.json` | diagnose | programs | `schema` `verdict` `effects` `base` `rejected` `gap` \
 `description` `next_experiment` `warnings` ...
+`missing_force.csv` | diagnose | programs | [the force that is missing]\
+(diagnose.md#the-force-that-is-missing) over position and velocity
 `characterize.json` | characterize | programs | [characterize.md](characterize.md)
 `paper.json` | paper | programs | `rows` of `id` `paper` `ours` `unit` `deviation_percent` \
 `reason` ..., [paper.md](paper.md)

@@ -49,8 +49,8 @@ OPTIONS: Options = (
            help="a record to predict and never to fit, best of another kind; without one, the "
            "last 30 %% of each record"),
     option("--out", default="diagnosed", metavar="DIR",
-           help="folder for diagnosis.json, model.yaml, report.html and next_experiment.yaml "
-           "(default: %(default)s)"),
+           help="folder for diagnosis.json, model.yaml, report.html, next_experiment.yaml and "
+           "missing_force.csv (default: %(default)s)"),
     option("--axis", metavar="NAME", help="axis, where a record has several"),
     *(option(name, action="append", default=[], metavar="NAME[,NAME]", help=words)
       for name, words in (
@@ -116,6 +116,7 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
             **found.to_dict(), "records": list(fitted), "holdout": list(held)})
         save_model(found.model, out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
+        _surface(found, out)
         if not options.no_report:
             from dfm_stage.cli.diagnose_report import write_report
 
@@ -137,6 +138,15 @@ def _next(found: Diagnosis, path: Path) -> None:
     write_output(path, text.getvalue())
 
 
+def _surface(found: Diagnosis, out: Path) -> None:
+    from dfm_stage.diagnosis.surface import FILE
+
+    if found.surface is None:
+        (out / FILE).unlink(missing_ok=True)
+        return
+    write_output(out / FILE, found.surface.to_csv())
+
+
 def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
     experiment = dict(found.next_experiment or {})
     if bag.exists():
@@ -148,6 +158,8 @@ def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
 
 
 def _print(found: Diagnosis, out: Path, report: bool) -> None:
+    from dfm_stage.diagnosis.surface import FILE
+    from dfm_stage.diagnosis.wording import missing_force
     from dfm_stage.identification.convention import sentences
 
     print(f"{paint(found.verdict, TONES[found.verdict])}: {found.sentence}")
@@ -162,6 +174,8 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
                                             zip(words, values, strict=True)))
     print(f"  noise floor {format_quantity(gap.noise_floor, unit)} (from "
           f"{gap.noise_floor_from})")
+    if found.surface is not None:
+        print(f"  {missing_force(found.surface)}")
     if found.next_experiment is not None:
         print(f"  next experiment: {found.next_experiment['description']}")
     for said in sentences(found.conventions):
@@ -169,5 +183,6 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
     for warning in found.warnings:
         print(f"  note: {warning}")
     files = ["diagnosis.json", "model.yaml", *(["report.html"] if report else []),
-             *(["next_experiment.yaml"] if found.next_experiment is not None else [])]
+             *(["next_experiment.yaml"] if found.next_experiment is not None else []),
+             *([FILE] if found.surface is not None else [])]
     print(f"  {', '.join(files)} in {out}")

@@ -9,7 +9,7 @@ not among its arguments: the target is made of it, and would be predicted by its
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -28,11 +28,21 @@ SEED = 1
 
 def features(runs: Sequence[RunForces]) -> list[Array]:
     """(c, N) of each run, behind its filter; scaled alike, so that amplitude tells."""
+    return _filtered(runs, _functions)
+
+
+def position_velocity(runs: Sequence[RunForces]) -> list[Array]:
+    """The same of position and velocity alone: what a force without memory may depend on."""
+    return _filtered(runs, _functions_of_motion)
+
+
+def _filtered(runs: Sequence[RunForces],
+              functions: Callable[[Array], list[Array]]) -> list[Array]:
     arguments = [_arguments(run) for run in runs]
     pooled = np.concatenate(arguments, axis=1)
     middle = pooled.mean(axis=1, keepdims=True)
     spread = np.maximum(pooled.std(axis=1, keepdims=True), 1e-300)
-    return [np.array([run.filtered(f) for f in _functions((own - middle) / spread)])
+    return [np.array([run.filtered(f) for f in functions((own - middle) / spread)])
             for run, own in zip(runs, arguments, strict=True)]
 
 
@@ -59,10 +69,26 @@ def _functions(z: Array) -> list[Array]:
     found = [direction, direction * x, direction * v, direction * x**2, direction * v**2,
              direction * amplitude, amplitude, amplitude * x, amplitude * v, x_ago, v_ago,
              amplitude**2 * x, amplitude**2 * v, a * x, a * x**2, a * v]
-    found += [x**i * v**j for i in range(6) for j in range(6 - i) if i + j > 1]
+    found += _powers(x, v)
     draw = np.random.default_rng(SEED)
     for k in range(FOURIER):
         used = 2 if k % 2 else len(z)
         wave = SCALES[k % len(SCALES)] * draw.standard_normal(used)
         found.append(np.cos(wave @ z[:used] + 2.0 * math.pi * draw.random()))
     return found
+
+
+def _functions_of_motion(z: Array) -> list[Array]:
+    """Functions (N,) of scaled position, speed and direction."""
+    x, v, direction = z[0], z[1], z[-1]
+    found = [direction, direction * x, direction * v, direction * x**2, direction * v**2,
+             *_powers(x, v)]
+    draw = np.random.default_rng(SEED)
+    for k in range(FOURIER):
+        wave = SCALES[k % len(SCALES)] * draw.standard_normal(2)
+        found.append(np.cos(wave @ z[:2] + 2.0 * math.pi * draw.random()))
+    return found
+
+
+def _powers(x: Array, v: Array) -> list[Array]:
+    return [x**i * v**j for i in range(6) for j in range(6 - i) if i + j > 1]

@@ -96,15 +96,15 @@ class Blocks:
         return Solution(np.maximum(errors, 0.0) / self.sizes * norms[-1] ** 2, whole * scale,
                         solved[self.fitted] * scale)
 
-    def ridge_errors(self, columns: Sequence[int], penalised: Sequence[int], target: int,
-                     ridges: Sequence[float]) -> Array:
-        """Errors (B,) of a fit with a penalty on some of the columns, the best of `ridges`."""
+    def ridge_fit(self, columns: Sequence[int], penalised: Sequence[int], target: int,
+                  ridges: Sequence[float]) -> Solution:
+        """A fit with a penalty on some of the columns, that of `ridges` which predicts best."""
         at = [*columns, *penalised, target]
         sums, norms = self.sums[:, at][:, :, at], self.norms[at]
         weight = np.zeros(len(at) - 1)
         weight[len(columns):] = float(self.sizes[self.fitted].sum())
-        tried = [self._solved(sums, norms, np.diag(ridge * weight)).errors for ridge in ridges]
-        return min(tried, key=lambda e: float(e @ self.sizes))
+        tried = [self._solved(sums, norms, np.diag(ridge * weight)) for ridge in ridges]
+        return min(tried, key=lambda s: float(s.errors @ self.sizes))
 
 
 def margin(better: Array, worse: Array) -> tuple[float, float]:

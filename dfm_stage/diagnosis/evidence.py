@@ -15,6 +15,7 @@ from typing import Any, Literal
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.margins import Constancy, Signal
 from dfm_stage.diagnosis.remainder import Description, Finding
+from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.recording.record import Measured
 
@@ -209,7 +210,8 @@ class Evidence:
     instead, `not_compared` are effects whose fits were not begun or finished for want of work.
 
     `conventions` are those of the input, one for each record, as diagnosis.json holds them,
-    `witness` is what the force domain says by itself. `graded` says that the effects were found by
+    `witness` is what the force domain says by itself, `surface` the force that is still missing,
+    where that is clear of the noise. `graded` says that the effects were found by
     how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
     held-out powers are compared.
     """
@@ -235,4 +237,5 @@ class Evidence:
     judged: Judged = field(default_factory=Judged)
     graded: bool = False
     witness: Mapping[str, Any] | None = None
+    surface: Surface | None = None
     conventions: tuple[Mapping[str, Any], ...] = ()

@@ -229,8 +229,8 @@ class Fits:
     def black_box(self, members: Sequence[Candidate] = ()) -> Array:
         """Held-out errors (B,) of a black box, alone or beside effects."""
         columns, target = self.place(members)
-        return self.blocks.ridge_errors([*self.base, *columns], self.extra, target,
-                                        RIDGES) * _factor(members)
+        found = self.blocks.ridge_fit([*self.base, *columns], self.extra, target, RIDGES)
+        return found.errors * _factor(members)
 
     def by_group(self, found: Fitted, groups: Lines) -> Array:
         """Held-out errors (B,) of a set whose sizes differ between groups (B,) of blocks."""

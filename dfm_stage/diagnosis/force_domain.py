@@ -128,6 +128,12 @@ class RunForces:
         other.width = width
         return other
 
+    def sharp(self) -> RunForces:
+        """The same motion and the same samples with terms behind no filter."""
+        other = self.at_width(0.0)
+        other.__dict__.update(trajectory=self.trajectory, kept=self.kept)
+        return other
+
     def derivative(self, order: int, width: float | None = None) -> Array:
         """The derivative (N,) of the position of this order, behind a filter."""
         grid = self.grid

@@ -29,6 +29,7 @@ from dfm_stage.diagnosis.evidence import (
 from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers, score_by_blocks
+from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import Finding, describe, findings
@@ -40,7 +41,7 @@ from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import white_weights
-from dfm_stage.model import EFFECTS
+from dfm_stage.model import EFFECTS, Model
 
 
 def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: bool = False,
@@ -116,6 +117,13 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
         judged=replace(evidence.judged, predictable=predictable))
 
 
+def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
+    """Add the force that `model` with its sizes re-estimated misses."""
+    trial.search.step("describing what is left")
+    runs, held = ([replace(r, window=0) for r in each] for each in (trial.search.runs, trial.held))
+    return replace(evidence, surface=missing_force(runs, model, held))
+
+
 def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
     """Add what one fit to fitted and held-out records leaves of each."""
     search = trial.search
@@ -187,7 +195,6 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
     missed = trial.predicted(without.model)
     own = powers([*fit.residuals, *seen.residuals], judged.change)
     rivals = (_rival(trial, h, name, r, own, judged) for r in h.rivals.get(name, ()))
-    size = EFFECTS[name].sizes[0]
     return EffectEvidence(
         name, _own(trial, h, name, values),
         ModelEvidence(Errors(without.rms, without.chi2, without.white.size,
@@ -195,7 +202,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
         margin(powers([*without.residuals, *missed.residuals], judged.change), own),
-        constancy(fit, f"{name}.{size}"))
+        constancy(fit, [f"{n}.{EFFECTS[n].sizes[0]}" for n in h.names]))
 
 
 def _own(trial: Trial, h: Hypothesis, name: str,

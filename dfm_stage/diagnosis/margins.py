@@ -72,7 +72,7 @@ def margin(rival: Array, own: Array) -> float:
 
 @dataclass(frozen=True)
 class Constancy:
-    """What letting a parameter differ between small, middle and large motion gains on blocks left
+    """What letting parameters differ between small, middle and large motion gains on blocks left
     out: mean logarithm of the RMS without over with, and its standard error. About zero for the
     effect itself; a stand-in needs another value for every size of motion."""
 
@@ -80,42 +80,30 @@ class Constancy:
     se: float
 
 
-def constancy(found: Fit, address: str) -> Constancy | None:
-    """The constancy of one parameter of a fit, to first order about its minimum; None where the
-    fit does not know it or there are too few blocks."""
-    system = found.system
-    shared = [k for k, u in enumerate(system.unknowns) if u.run is None]
-    place = next((k for k in shared if u_name(found, k) == address), None)
-    if place is None or not found.ok:
+def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
+    """The constancy of some parameters of a fit together, to first order about its minimum; None
+    where the fit knows none of them or there are too few blocks."""
+    if not found.ok:
         return None
     blocks, sizes = _rows(found)
-    if len(blocks) < 2 * SIZE_GROUPS:
+    norms = np.linalg.norm(found.jacobian, axis=0)
+    used = [k for k, u in enumerate(found.system.unknowns) if u.run is None and norms[k] > 0.0]
+    own = [place for place, k in enumerate(used) if k < found.system.count
+           and found.system.free[k] in addresses]
+    if not own or len(blocks) < 2 * SIZE_GROUPS:
         return None
-    group = _groups(sizes)
-    if len(set(group)) < 2:
-        return None
-    norms = np.linalg.norm(found.jacobian[:, shared], axis=0)
-    used = [k for k, n in zip(shared, norms, strict=True) if n > 0.0]
-    scale = np.linalg.norm(found.jacobian[:, used], axis=0)
-    own = used.index(place) if place in used else -1
-    if own < 0:
-        return None
+    rest = [place for place in range(len(used)) if place not in own]
     plain, split = [], []
-    count = len(used)
-    for rows, g in zip(blocks, group, strict=True):
-        j, r = found.jacobian[rows][:, used] / scale, found.white[rows]
-        wide = np.zeros((j.shape[0], count - 1 + SIZE_GROUPS))
-        wide[:, :count - 1] = np.delete(j, own, axis=1)
-        wide[:, count - 1 + g] = j[:, own]
+    for rows, group in zip(blocks, _groups(sizes), strict=True):
+        j, r = found.jacobian[rows][:, used] / norms[used], found.white[rows]
+        wide = np.zeros((j.shape[0], len(rest) + SIZE_GROUPS * len(own)))
+        wide[:, :len(rest)] = j[:, rest]
+        at = len(rest) + group * len(own)
+        wide[:, at:at + len(own)] = j[:, own]
         plain.append((j, r))
         split.append((wide, r))
     ratio: Array = 0.5 * np.log(_left_out(plain) / _left_out(split))
     return Constancy(float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size))
-
-
-def u_name(found: Fit, index: int) -> str:
-    """The address of the parameter that an unknown of a fit is, or stands for."""
-    return found.system.free[index] if index < found.system.count else ""
 
 
 def _rows(found: Fit) -> tuple[list[slice], Array]:

@@ -169,10 +169,11 @@ def _white(residual: Array) -> Array:
 
 @dataclass(frozen=True)
 class Description:
-    """What an unexplained remainder looks like, in the words of diagnosis.json."""
+    """What an unexplained remainder looks like, in the words of diagnosis.json; None where that
+    was not looked at."""
 
-    parity: str
-    memory: bool
+    parity: str | None
+    memory: bool | None
     amplitude_exponent: float | None
     frequency_hz: float | None
     side: str

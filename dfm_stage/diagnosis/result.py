@@ -11,6 +11,7 @@ from dfm_stage.diagnosis import wording
 from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
 from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Description, Finding
+from dfm_stage.diagnosis.surface import FILE, Surface
 from dfm_stage.diagnosis.verdict import Found, Kind, Verdict
 from dfm_stage.identification.convention import origin_of
 from dfm_stage.identification.quantity import Quantity
@@ -19,7 +20,8 @@ from dfm_stage.model import Model
 SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partial (a reader of "
                "schema 1 should take it as unknown with a better model) and the keys complete, "
                "predictable_share, margins, constancy, predictable, judged, window_s, "
-               "conventions, witness")
+               "conventions, witness; in description: surface, predictable_share, "
+               "position_velocity_share")
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ class Diagnosis:
     which each effect would have been named in half of such records, `conventions` what the input
     of each record does between its samples, `shown` which of the models compared is the one
     after. `complete` says that the model explains all but noise, `witness` is what the force
-    domain says by itself."""
+    domain says by itself, `surface` the force that is still missing, where clear of noise."""
 
     verdict: Kind
     sentence: str
@@ -122,6 +124,7 @@ class Diagnosis:
     conventions: tuple[Mapping[str, Any], ...] = ()
     complete: bool = True
     witness: Mapping[str, Any] | None = None
+    surface: Surface | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -137,7 +140,7 @@ class Diagnosis:
             "base": {n: q.to_dict() for n, q in self.base.items()},
             "rejected": [r.to_dict() for r in self.rejected],
             "gap": self.gap.to_dict(),
-            "description": None if self.description is None else self.description.to_dict(),
+            "description": self._described(),
             "next_experiment": None if self.next_experiment is None
             else dict(self.next_experiment),
             "warnings": list(self.warnings), "sentence": self.sentence,
@@ -146,6 +149,17 @@ class Diagnosis:
             "conventions": [dict(each) for each in self.conventions],
             "witness": None if self.witness is None else dict(self.witness),
         }
+
+    def _described(self) -> dict[str, Any] | None:
+        """What is left: in the reading, and as a force, where there is anything."""
+        left, force = self.description, self.surface
+        if force is None:
+            return None if left is None else {
+                **left.to_dict(), "surface": None, "predictable_share": None,
+                "position_velocity_share": None}
+        left = left or Description(None, None, None, force.frequency_hz, "unclear")
+        return {**left.to_dict(), "surface": FILE, "predictable_share": force.predictable_share,
+                "position_velocity_share": force.position_velocity_share}
 
 
 def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
@@ -166,7 +180,7 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
         _signed(model, effects, e), shown.findings,
         e.limits if v.kind in ("none", "not_excited", "retune") else {},
         e.comparisons, v.shown, conventions=e.conventions, complete=v.complete,
-        witness=e.witness)
+        witness=e.witness, surface=e.surface if v.remainder else None)
 
 
 def _named(e: Evidence, found: Found) -> NamedEffect:

@@ -216,10 +216,10 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
 
 def explained_share(e: Evidence) -> float:
     """Share of what is predictable of the held-out gap that all effects explain together."""
-    return _above(e, e.extended.held_out.power) / max(_predictable(e), 1e-300)
+    return above(e, e.extended.held_out.power) / max(_predictable(e), 1e-300)
 
 
-def _above(e: Evidence, power: float) -> float:
+def above(e: Evidence, power: float) -> float:
     """Share of the held-out gap's power above the noise that a model leaving `power` explains;
     none where it cannot be simulated."""
     if not math.isfinite(power):
@@ -234,7 +234,7 @@ def _predictable(e: Evidence) -> float:
     limit = e.judged.predictable
     if limit is None:
         return 1.0
-    best = max(_above(e, limit**2), _above(e, e.extended.held_out.power))
+    best = max(above(e, limit**2), above(e, e.extended.held_out.power))
     return min(max(best, 0.0), 1.0)
 
 
@@ -318,7 +318,7 @@ def _not_parted(e: Evidence, rival: RivalEvidence) -> bool:
 
 def _found(e: Evidence, effect: EffectEvidence, members: tuple[str, ...]) -> Found:
     loss = effect.without.fitted.chi2 - e.extended.fitted.chi2
-    taken = _above(e, e.extended.held_out.power) - _above(e, effect.without.held_out.power)
+    taken = above(e, e.extended.held_out.power) - above(e, effect.without.held_out.power)
     share = min(max(taken, 0.0), 1.0)
     return Found(effect.name, members, share, loss, min(share / max(_predictable(e), 1e-9), 1.0))
 

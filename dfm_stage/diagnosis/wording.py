@@ -7,15 +7,18 @@ from typing import Any
 
 from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, INCONSTANT, MARGIN, PARTIAL_SHARE
 from dfm_stage.diagnosis.evidence import DropReason, Evidence, Proposal
+from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
     Found,
     Reason,
     Rejected,
     Rejection,
     Verdict,
+    above,
     explained_share,
 )
 from dfm_stage.model import EFFECTS
+from dfm_stage.quantity import format_quantity
 
 SENTENCES = {
     "unknown": "The gap is real, and no effect of the library explains it on data it was not "
@@ -88,8 +91,9 @@ def _part(e: Evidence, v: Verdict) -> str:
     what = _listed([" or ".join(map(_spoken, f.members)) for f in v.effects])
     how = (f"{explained:.0%} of what is predictable of the held-out gap ({where})")
     if v.kind == "named":
-        return (f"The model lacks {what}: it explains {how}; a remainder of "
-                f"{max(1.0 - explained, 0.0):.0%} stays.")
+        left = max(1.0 - above(e, e.extended.held_out.power), 0.0)
+        return (f"The model lacks {what}: it explains {how}; a remainder of {left:.2g} of the "
+                "gap's power stays.")
     return (f"A part of what is missing behaves like {what}: {how}; the rest is in no effect of "
             "the library.")
 
@@ -148,6 +152,27 @@ def lost_samples(name: str, times: Sequence[float]) -> str:
     many = "1 sample seems" if len(times) == 1 else f"{len(times)} samples seem"
     return (f"{name}: {many} to be missing, at {listed}{more} s, though the time stamps do not "
             "show it; what they must have been was put in")
+def missing_force(s: Surface) -> str:
+    """The force that is still missing, in a sentence."""
+    where = "" if s.frequency_hz is None else \
+        f", strongest at {format_quantity(s.frequency_hz, 'Hz')}"
+    said = (f"The missing force is {format_quantity(s.rms, s.force_unit)} RMS{where}. Position "
+            f"and velocity alone explain {s.position_velocity_share:.0%} of its power on data "
+            "held out")
+    more = s.predictable_share - s.position_velocity_share
+    if more > WORTH_TELLING:
+        return (f"{said}; with acceleration, past motion and amplitude {s.predictable_share:.0%} "
+                "are predictable: it depends on more than where the stage is and how fast it "
+                "moves.")
+    if s.predictable_share < MOSTLY:
+        return f"{said}: most of it does not follow the motion."
+    return f"{said}; nothing else of the motion adds to that."
+
+
+WORTH_TELLING = 0.05
+"""Share of the missing force by which past motion must add to position and velocity."""
+MOSTLY = 0.5
+"""Share below which most of the missing force does not follow the motion."""
 
 
 def rejection(r: Rejection) -> str:

@@ -12,7 +12,12 @@ from dfm_stage.diagnosis.decisions import GROSS_GAP, LEAST_STEPS, MOST_STEPS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
-from dfm_stage.diagnosis.gather import gather, with_joint_fit, with_next_experiment
+from dfm_stage.diagnosis.gather import (
+    gather,
+    with_joint_fit,
+    with_next_experiment,
+    with_surface,
+)
 from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import (
@@ -105,9 +110,11 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
     settled = verdict(evidence)
     if leaves_open(settled):
         evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
-    search.step("judging")
     models = {"given": search.model, "retuned": hypothesis.bare.model,
               "extended": hypothesis.fit.model}
+    if settled.remainder:
+        evidence = with_surface(trial, models[settled.model], evidence)
+    search.step("judging")
     answer = verdict(evidence)
     return told(evidence, answer, models[answer.model])
 

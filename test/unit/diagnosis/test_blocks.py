@@ -54,7 +54,7 @@ def test_a_ridge_never_fits_noise_better_than_nothing():
     columns, target = rng.standard_normal((400, 60)), rng.standard_normal(400)
     blocks = Blocks(np.column_stack((columns, target)), np.arange(0, 401, 40), [True] * 10)
     plain = blocks.fit(range(60), 60).errors.mean()
-    held = blocks.ridge_errors([], range(60), 60, (1e-4, 1.0, 100.0)).mean()
+    held = blocks.ridge_fit([], range(60), 60, (1e-4, 1.0, 100.0)).errors.mean()
     assert held < 1.02 * np.mean(target**2) < plain
 
 

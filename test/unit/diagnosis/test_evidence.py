@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.hypothesis import Trial
 from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.result import told
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import verdict
 from dfm_stage.identification.system import System
 from dfm_stage.model import Simulator
@@ -80,13 +81,26 @@ def values_in(thing: object) -> Iterator[object]:
 def test_evidence_is_made_of_plain_values(cubic):
     from dfm_stage import quantity
     from dfm_stage.diagnosis import evidence as module
-    from dfm_stage.diagnosis import margins, remainder
+    from dfm_stage.diagnosis import margins, remainder, surface
 
     plain = (int, float, str, bool, type(None), enum.Enum, np.ndarray, tuple, list, dict)
-    ours = {m.__name__ for m in (module, margins, remainder, quantity)}
+    ours = {m.__name__ for m in (module, margins, remainder, surface, quantity)}
     odd = {type(v) for v in values_in(cubic[1])
            if not isinstance(v, plain) and type(v).__module__ not in ours}
     assert odd == set()
+
+
+def test_a_missing_force_is_told_where_the_reading_was_not_described(cubic):
+    _, evidence, hypothesis = cubic
+    one = np.ones((1, 1))
+    found = dataclasses.replace(
+        told(evidence, verdict(evidence), hypothesis.fit.model), description=None,
+        surface=Surface("m", one, one, one, one, one, 0.5, 0.75, 2.0, 3.0))
+    assert found.to_dict()["description"] == {
+        "parity": None, "memory": None, "amplitude_exponent": None, "frequency_hz": 3.0,
+        "side": "unclear", "surface": "missing_force.csv", "predictable_share": 0.75,
+        "position_velocity_share": 0.5}
+    assert dataclasses.replace(found, surface=None).to_dict()["description"] is None
 
 
 def test_the_numbers_gathered_are_those_of_the_records(cubic):
