@@ -55,7 +55,7 @@ def foretold(run: Observation, residual: Array, model: Model) -> float:
         signals = idct(octave[:, used], axis=0, norm="ortho")
         count = signals.shape[1] - 1
         blocks = Blocks(signals, edges, np.ones(FOLDS))
-        left = blocks.ridge_errors((), range(count), count, RIDGES)
+        left = blocks.ridge_fit((), range(count), count, RIDGES).errors
         power = max(float(signals[:, -1] @ signals[:, -1]), 1e-300)
         shares.append(1.0 - float(left @ blocks.sizes) / power)
         low *= 2
