@@ -18,6 +18,7 @@ from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.candidates import starts
 from dfm_stage.diagnosis.decisions import (
     COARSER,
+    FEWEST_CYCLES,
     LEAST_TRAVEL,
     SCREEN_RANK,
     STEP_GRID,
@@ -131,7 +132,7 @@ class Screen:
         at = Conditions.of(model.base, model.drive, self.runs, self.weights[0][0].rms)
         first = [self.residual[a:a + run.input.size - run.skip - ws[0].order]
                  for (a, _), run, ws in zip(self.edges, self.runs, self.weights, strict=True)]
-        lines = frequency_peaks(first, at.sample_period, lowest_hz=2.0 / at.duration)
+        lines = frequency_peaks(first, at.sample_period, lowest_hz=FEWEST_CYCLES / at.duration)
         residuals = [parts[0] for parts in self.base.residuals]
         positions = [run.simulated_position(r) for run, r in zip(self.runs, residuals,
                                                                  strict=True)]

@@ -78,6 +78,16 @@ def test_an_effect_at_its_bound_is_dropped():
     assert trial.dropped == {"second_mode": DropReason.AT_BOUND}
 
 
+@pytest.mark.parametrize(("hertz", "kept"), [(0.085, ()), (0.25, ("periodic_disturbance",))])
+def test_a_vibration_of_less_than_two_cycles_is_a_wandering_reading(hertz, kept):
+    search = OneFit()
+    search.runs = [SimpleNamespace(input=np.zeros(10_000), sample_period=1e-3)]
+    model = SimpleNamespace(parameters=lambda: {"periodic_disturbance.frequency": hertz})
+    fit = SimpleNamespace(model=model, quantities={})
+    trial = Trial(search, [])
+    assert trial.at_bound(Hypothesis(("periodic_disturbance",), fit, fit)).names == kept
+
+
 @pytest.mark.parametrize(("hertz", "noisy", "kept"), [
     (5.0, False, False),  # at a line, and more than noise is left: the model's own error
     (5.0, True, True),    # at a line, and nothing else is left: a vibration
