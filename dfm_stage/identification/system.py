@@ -253,8 +253,8 @@ class System(Problem):
 
     def _run(self, run: Run, names: Sequence[str], table: Array, signal: str,
              light: bool, before: float | None = None) -> Array:
-        """One signal (P, N) of one run for rows (P, m) of parameters; `before` is the input that
-        acted before it, by default its first."""
+        """One signal (P, N) of one run for rows (P, m) of parameters; `before` is the step of the
+        input that acted before it, by default its first."""
         if run.window:
             return self._by_window(run, names, table, signal, light)
         drive = Drive(run.input) if run.drive is None else run.drive
@@ -307,6 +307,7 @@ class System(Problem):
                    light: bool) -> Array:
         """The same, window by window: one that a row does not move is simulated once for all."""
         out = np.empty((len(table), run.input.size))
+        drive = Drive(run.input) if run.drive is None else run.drive
         for part in run.windows:
             own = {_at_window(f"initial.{state}", run, part): f"initial.{state}"
                    for state in self.states}
@@ -314,7 +315,8 @@ class System(Problem):
             rows, which = np.unique(table[:, used], axis=0, return_inverse=True)
             alone = replace(run.sliced(part), window=0)
             found = self._run(alone, [own.get(names[k], names[k]) for k in used], rows, signal,
-                              light, float(run.input[max(part.start - 1, 0)]))
+                              light, float(drive.values[drive.factor * part.start - 1])
+                              if part.start else None)
             out[:, part] = found[which.ravel()]
         return out
 
