@@ -135,6 +135,13 @@ def _errors(seen: Prediction, judged: Judged) -> Errors:
                   power(seen.residuals, judged.signal))
 
 
+def _powers(found: Fit, seen: Prediction, judged: Judged) -> Array:
+    """Powers (B,) of blocks of fitted and held-out records; infinite where either cannot be
+    simulated."""
+    every = [*found.residuals, *seen.residuals] if found.ok and seen.residuals else []
+    return powers(every, judged.signal)
+
+
 def _change_rms(residuals: Sequence[Sequence[Array]]) -> float:
     """RMS from sample to sample; infinite without residuals."""
     return rms([np.diff(parts[0]) for parts in residuals]) if residuals else math.inf
@@ -179,7 +186,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
     rest = tuple(n for n in h.names if n != name)
     without = search.fitted(rest, fit) if rest else h.bare
     missed = trial.predicted(without.model)
-    own = powers([*fit.residuals, *seen.residuals], judged.signal)
+    own = _powers(fit, seen, judged)
     rivals = (_rival(trial, h, name, r, own, judged) for r in h.rivals.get(name, ()))
     size = EFFECTS[name].sizes[0]
     return EffectEvidence(
@@ -188,7 +195,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
                              power=power(without.residuals, judged.signal)),
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
-        margin(powers([*without.residuals, *missed.residuals], judged.signal), own),
+        margin(_powers(without, missed, judged), own),
         constancy(fit, f"{name}.{size}"))
 
 
@@ -230,8 +237,8 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Array,
     seen = trial.predicted(rival.fit.model)
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
-                         margin(powers([*rival.fit.residuals, *seen.residuals], judged.signal),
-                                own), shares_class(rival.name, name),
+                         margin(_powers(rival.fit, seen, judged), own),
+                         shares_class(rival.name, name),
                          len(rival.fit.system.free) > len(h.fit.system.free))
 
 
