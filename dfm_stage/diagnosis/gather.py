@@ -54,6 +54,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
     judged = judged_in(h)
+    floor = white_weights(h.fit.residuals)[0][0].rms if graded and h.fit.ok else weight.rms
     given, fitted_given = predict(search.model, *held), predict(search.model, runs, search.weights)
     seen = given, predict(h.bare.model, *held), trial.predicted(h.fit.model)
     retuned = _of_model(runs, h.bare, seen[1], judged)
@@ -64,7 +65,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
                           description=retuned.description or extended.description)
     return Evidence(
         tuple(r.name for r in runs), runs[0].unit,
-        Noise(weight.rms, weight.source, noise_floor_from_periods(
+        Noise(floor, weight.source, noise_floor_from_periods(
             h.fit.residuals[0][0], repeats.period) if repeats is not None else None),
         _motion(runs, h.bare),
         ModelEvidence(_errors(fitted_given, judged), _errors(given, judged)),
