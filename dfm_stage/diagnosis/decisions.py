@@ -143,6 +143,11 @@ GRADED_RIVALS = decision(
 NEAR_RIVAL = decision(
     "NEAR_RIVAL", 6.0, "block standard errors", meaning="Margin in the force domain below which a "
     "rival is fitted, too.", set_on="derivation: twice the margin that parts rivals")
+LEAST_HEARD = decision(
+    "LEAST_HEARD", 0.1, "1", meaning="Share of the predictable force that an effect must explain "
+    "by itself, where the force domain can judge it and names another.", set_on="simulated stages "
+    "with damping that grows with position: -0.01 to 0.03 for quadratic damping, 0.33 for a cubic "
+    "spring beside it")
 RIVAL_GAIN = decision(
     "RIVAL_GAIN", 0.4, "1", meaning="Screened gain over the effect's own from which such a rival "
     "is fitted.", set_on="derivation: it takes less than half of the gap otherwise")

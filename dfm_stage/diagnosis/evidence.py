@@ -35,6 +35,7 @@ DropReason = Enum("DropReason", [
     "SMALL_PART",     # takes too little of what is left on held-out blocks
     "INCONSTANT",     # needs another size for every size of motion: stands in for something else
     "RIVALS",         # rivals of no common class do as well
+    "UNHEARD",        # the force domain, which can judge it, finds none of it
 ])
 
 
@@ -93,7 +94,10 @@ class RivalEvidence:
 class EffectEvidence:
     """One effect of the hypothesis: parameters, the model without it, its rivals, and whether
     held-out records exercise it. `margin` is by how much the held-out blocks are worse without it,
-    in block standard errors, `constancy` whether its size is the same for every size of motion."""
+    in block standard errors, `constancy` whether its size is the same for every size of motion.
+    `force_share` is what it explains by itself of the force that is predictable, None where the
+    force domain cannot judge it; `in_best` says that this has it, or one of its class, in its best
+    set."""
 
     name: str
     parameters: Mapping[str, Quantity]
@@ -102,6 +106,8 @@ class EffectEvidence:
     exercised: bool = True
     margin: float = math.inf
     constancy: Constancy | None = None
+    force_share: float | None = None
+    in_best: bool = True
 
 
 @dataclass(frozen=True)

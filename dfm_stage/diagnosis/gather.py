@@ -11,7 +11,7 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.alike import shares_class
 from dfm_stage.diagnosis.candidates import excluded
-from dfm_stage.diagnosis.decisions import AS_GIVEN, STEP_GRID
+from dfm_stage.diagnosis.decisions import AS_GIVEN, LEAST_HEARD, STEP_GRID
 from dfm_stage.diagnosis.evidence import (
     Candidate,
     Comparison,
@@ -39,7 +39,7 @@ from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
-from dfm_stage.identification.system import rounding_step
+from dfm_stage.identification.system import is_nonlinear, rounding_step
 from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Model
 
@@ -55,6 +55,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
     judged = judged_in(h)
+    floor = white_weights(h.fit.residuals)[0][0].rms if graded and h.fit.ok else weight.rms
     given = trial.predicted(search.model)
     fitted_given = predict(search.model, runs, search.weights, search.noise)
     seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
@@ -66,7 +67,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
                           description=retuned.description or extended.description)
     return Evidence(
         tuple(r.name for r in runs), runs[0].unit,
-        Noise(weight.rms, weight.source, noise_floor_from_periods(
+        Noise(floor, weight.source, noise_floor_from_periods(
             h.fit.residuals[0][0], repeats.period) if repeats is not None else None,
             white_weights(h.fit.residuals)[0][0].rms if extended.remainder else None),
         _motion(runs, h.bare),
@@ -105,10 +106,8 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     noise, gap = evidence.judged.noise_power, evidence.retuned.held_out.power
     predictable = math.sqrt(noise + seen.predictable**2 * max(gap - noise, 0.0))
     named = {x.name for x in evidence.effects}
-    effects = tuple(replace(x, rivals=tuple(
-        replace(r, margin=max(r.margin, seen.margins.get(r.name, 0.0)))
-        for r in x.rivals)) if x.name in seen.best.names else x for x in evidence.effects)
     alone = {e.names[0]: e.share for e in seen.singles}
+    effects = tuple(_heard(x, seen, alone) for x in evidence.effects)
     library = tuple(replace(c, share=alone.get(c.name)) for c in evidence.library)
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
     return replace(evidence, effects=effects, library=library, witness={
@@ -122,6 +121,19 @@ def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
     trial.search.step("describing what is left")
     runs, held = ([replace(r, window=0) for r in each] for each in (trial.search.runs, trial.held))
     return replace(evidence, surface=missing_force(runs, model, held))
+
+
+def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:
+    """The effect with what the force domain says of it and of its rivals; linear effects give it
+    no force along the motion to judge by."""
+    if x.name in seen.best.names:
+        x = replace(x, rivals=tuple(replace(r, margin=max(r.margin, seen.margins.get(r.name, 0.0)))
+                                    for r in x.rivals))
+    predictable = 1.0 - seen.predictable**2
+    if x.name not in alone or not is_nonlinear(x.name) or predictable < LEAST_HEARD:
+        return x
+    return replace(x, force_share=alone[x.name] / predictable,
+                   in_best=any(n == x.name or shares_class(n, x.name) for n in seen.best.names))
 
 
 def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
@@ -147,6 +159,13 @@ def with_next_experiment(trial: Trial, h: Hypothesis, evidence: Evidence,
 def _errors(seen: Prediction, judged: Judged) -> Errors:
     return Errors(seen.rms, seen.chi2, seen.count, _change_rms(seen.residuals),
                   power(seen.residuals, judged.change))
+
+
+def _powers(found: Fit, seen: Prediction, judged: Judged) -> Array:
+    """Powers (B,) of blocks of fitted and held-out records; infinite where either cannot be
+    simulated."""
+    every = [*found.residuals, *seen.residuals] if found.ok and seen.residuals else []
+    return powers(every, judged.change)
 
 
 def _change_rms(residuals: Sequence[Sequence[Array]]) -> float:
@@ -193,7 +212,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
     rest = tuple(n for n in h.names if n != name)
     without = search.fitted(rest, fit) if rest else h.bare
     missed = trial.predicted(without.model)
-    own = powers([*fit.residuals, *seen.residuals], judged.change)
+    own = _powers(fit, seen, judged)
     rivals = (_rival(trial, h, name, r, own, judged) for r in h.rivals.get(name, ()))
     return EffectEvidence(
         name, _own(trial, h, name, values),
@@ -201,7 +220,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
                              power=power(without.residuals, judged.change)),
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
-        margin(powers([*without.residuals, *missed.residuals], judged.change), own),
+        margin(_powers(without, missed, judged), own),
         constancy(fit, [f"{n}.{EFFECTS[n].sizes[0]}" for n in h.names]))
 
 
@@ -243,8 +262,8 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Array,
     seen = trial.predicted(rival.fit.model)
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
-                         margin(powers([*rival.fit.residuals, *seen.residuals], judged.change),
-                                own), shares_class(rival.name, name),
+                         margin(_powers(rival.fit, seen, judged), own),
+                         shares_class(rival.name, name),
                          len(rival.fit.system.free) > len(h.fit.system.free))
 
 

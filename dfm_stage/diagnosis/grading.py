@@ -189,11 +189,12 @@ def _rivals(search: Search, seen: Witness | None, name: str, names: Names,
 
 
 def _near(seen: Witness, name: str, names: Names) -> list[Hit]:
-    """The rivals that the force domain puts within NEAR_RIVAL standard errors."""
+    """The rivals that the force domain puts within NEAR_RIVAL standard errors, or first."""
     alone = {e.names[0]: e for e in seen.singles}
     own = alone[name].share if name in alone else 0.0
-    near = [n for n, m in seen.margins.items() if m < NEAR_RIVAL and n in alone
-            and n not in names and alone[n].share > RIVAL_GAIN * own]
+    listed = [*seen.best.names, *(n for n, m in seen.margins.items() if m < NEAR_RIVAL)]
+    near = [n for n in listed if n in alone and n not in names
+            and alone[n].share > RIVAL_GAIN * own]
     return [_begun(n, {p: alone[n].parameters.get(f"{n}.{p}", v)
                        for p, v in EFFECTS[n].defaults.items()}) for n in near[:GRADED_RIVALS]]
 

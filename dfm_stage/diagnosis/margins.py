@@ -58,8 +58,8 @@ def power(residuals: Sequence[Sequence[Array]], change: bool = False) -> float:
 
 def margin(rival: Array, own: Array) -> float:
     """By how many standard errors of the mean log ratio the blocks' powers (B,) of a rival exceed
-    one's own; infinite where the rival cannot be simulated."""
-    if rival.size != own.size or not np.all(np.isfinite(rival)):
+    one's own; infinite where the rival cannot be simulated, minus infinite where only it can."""
+    if not np.all(np.isfinite(rival)):
         return math.inf
     if not np.all(np.isfinite(own)):
         return -math.inf
@@ -82,8 +82,9 @@ class Constancy:
 
 def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
     """The constancy of some parameters of a fit together, to first order about its minimum; None
-    where the fit knows none of them or there are too few blocks."""
-    if not found.ok:
+    where the fit knows none of them, there are too few blocks, or states that begin anew in every
+    window would take up what a split gains."""
+    if not found.ok or any(run.window for run in found.system.runs):
         return None
     blocks, sizes = _rows(found)
     norms = np.linalg.norm(found.jacobian, axis=0)
@@ -94,7 +95,7 @@ def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
         return None
     rest = [place for place in range(len(used)) if place not in own]
     plain, split = [], []
-    for rows, group in zip(blocks, _groups(sizes), strict=True):
+    for (rows, *_), group in zip(blocks, _groups(sizes), strict=True):
         j, r = found.jacobian[rows][:, used] / norms[used], found.white[rows]
         wide = np.zeros((j.shape[0], len(rest) + SIZE_GROUPS * len(own)))
         wide[:, :len(rest)] = j[:, rest]
@@ -106,18 +107,25 @@ def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
     return Constancy(float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size))
 
 
-def _rows(found: Fit) -> tuple[list[slice], Array]:
-    """The blocks of a fit as rows of its Jacobian, output only, with the RMS of the motion."""
-    blocks, sizes, at = [], [], 0
+def _rows(found: Fit) -> tuple[list[list[slice]], Array]:
+    """The blocks of a fit as rows of its Jacobian, those of the output first and then of what else
+    is compared, with the RMS (B,) of the motion."""
+    blocks: list[list[slice]] = []
+    sizes, at = [], 0
     lengths = [parts[0].size - ws[0].order
                for parts, ws in zip(found.residuals, found.weights, strict=True)]
     for run, ws, parts, length in zip(found.system.runs, found.weights, cuts(lengths), lengths,
                                       strict=True):
         output = run.output[run.skip + ws[0].order:]
-        for part in parts:
-            blocks.append(slice(at + part.start, at + part.stop))
-            sizes.append(float(np.std(output[part])))
-        at += length + sum(m.size - w.order for m, w in zip(run.measured[1:], ws[1:], strict=True))
+        own = [[slice(at + part.start, at + part.stop)] for part in parts]
+        sizes += [float(np.std(output[part])) for part in parts]
+        at += length
+        for measured, weight in zip(run.measured[1:], ws[1:], strict=True):
+            edges = at + np.linspace(0, measured.size - weight.order, len(own) + 1).astype(int)
+            for each, (a, b) in zip(own, pairwise(edges), strict=True):
+                each.append(slice(int(a), int(b)))
+            at = int(edges[-1])
+        blocks += own
     return blocks, np.array(sizes)
 
 
@@ -144,7 +152,8 @@ def score_by_blocks(found: Fit) -> tuple[Array, float]:
     """The middle (n, n) of the sandwich covariance with blocks as clusters, and its degrees of
     freedom (Liang and Zeger, Biometrika 73, 1986): it covers parameters that drift."""
     blocks, _ = _rows(found)
-    scores = np.array([found.jacobian[rows].T @ found.white[rows] for rows in blocks])
+    scores = np.array([sum(found.jacobian[rows].T @ found.white[rows] for rows in block)
+                       for block in blocks])
     count = len(blocks)
     factor = count / max(count - 1.0, 1.0)
     return np.asarray(scores.T @ scores) * factor, float(max(count - 1, 1))

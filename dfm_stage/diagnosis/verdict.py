@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.decisions import (
     HELD_OUT_FLOOR,
     INCONSTANT,
     JOINT_LOSS,
+    LEAST_HEARD,
     MARGIN,
     MARGIN_OVER_LARGER,
     NAMED_SHARE,
@@ -272,6 +273,8 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
         (taken < FURTHER_PART * left, DropReason.SMALL_PART),
         (x.constancy is not None and x.constancy.gain > INCONSTANT
          and x.constancy.gain > BLOCK_MARGIN * x.constancy.se, DropReason.INCONSTANT),
+        (x.force_share is not None and not x.in_best
+         and (x is not _main(e) or x.force_share < LEAST_HEARD), DropReason.UNHEARD),
         (len(unrelated) > (1 if x is _main(e) else 0), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
 

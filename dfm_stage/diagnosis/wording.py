@@ -57,6 +57,7 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.SMALL_PART: "takes little of what is left on held-out blocks",
     DropReason.INCONSTANT: "needs another size for every size of motion: it stands in for "
     "something else",
+    DropReason.UNHEARD: "the force domain, which can judge it, finds none of it",
     DropReason.RIVALS: "several unlike effects do as well in its place",
     Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
     Rejected.EXCLUDED: "{about}",
@@ -92,8 +93,8 @@ def _part(e: Evidence, v: Verdict) -> str:
     how = (f"{explained:.0%} of what is predictable of the held-out gap ({where})")
     if v.kind == "named":
         left = max(1.0 - above(e, e.extended.held_out.power), 0.0)
-        return (f"The model lacks {what}: it explains {how}; a remainder of {left:.2g} of the "
-                "gap's power stays.")
+        return (f"The model lacks {what}: it explains {how}; a remainder of {100.0 * left:.2g} % "
+                "of the gap's power stays.")
     return (f"A part of what is missing behaves like {what}: {how}; the rest is in no effect of "
             "the library.")
 

@@ -69,8 +69,9 @@ class Run:
 
     @property
     def windows(self) -> list[slice]:
-        """The parts that begin with a state of their own; the last one is not shorter."""
-        if not self.window:
+        """The parts that begin with a state of their own; the last one is not shorter. A state
+        that is known, at rest or periodic, is that of the beginning: then there is one part."""
+        if not self.window or self.start != "free":
             return [slice(0, self.input.size)]
         starts = range(0, max(self.input.size - self.window, 0) + 1, self.window)
         ends = [*starts[1:], self.input.size]

@@ -95,7 +95,7 @@ class System(Problem):
         self._finer: dict[tuple[int, bool], Simulator] = {}
         self.work = 0.0
         """Integration steps that simulations with nonlinear forces have taken."""
-        self._apart: dict[int, list[tuple[slice, Run, float]]] = {}
+        self._apart: dict[int, list[tuple[slice, Run, float | None]]] = {}
         self.noise = noise
         self.states = [s for s in self.simulator.states if _is_mechanical(s)] \
             if states is None else list(states)
@@ -285,8 +285,8 @@ class System(Problem):
 
     def _run(self, run: Run, names: Sequence[str], table: Array, signal: str,
              light: bool, before: float | None = None) -> Array:
-        """One signal (P, N) of one run for rows (P, m) of parameters; `before` is the input that
-        acted before it, by default its first."""
+        """One signal (P, N) of one run for rows (P, m) of parameters; `before` is the step of the
+        input that acted before it, by default its first."""
         if run.window:
             return self._by_window(run, names, table, signal, light)
         drive = Drive(run.input) if run.drive is None else run.drive
@@ -335,13 +335,13 @@ class System(Problem):
         table[:, list(names).index("delay")] += longer
         return names, table
 
-    def _windows_of(self, run: Run) -> list[tuple[slice, Run, float]]:
+    def _windows_of(self, run: Run) -> list[tuple[slice, Run, float | None]]:
         """The windows of a run as runs of their own, with the input that acted before each."""
         if id(run) not in self._apart:
             drive = Drive(run.input) if run.drive is None else run.drive
             self._apart[id(run)] = [
                 (part, replace(run.sliced(part), window=0),
-                 float(drive.values[max(drive.factor * part.start - 1, 0)]))
+                 float(drive.values[drive.factor * part.start - 1]) if part.start else None)
                 for part in run.windows]
         return self._apart[id(run)]
 

@@ -392,6 +392,14 @@ def test_an_effect_falls_beside_a_remainder(evidence, reason):
     assert fallen(evidence) == (None if reason is None else ("coulomb_friction", reason))
 
 
+@pytest.mark.parametrize(("share", "in_best", "falls"), [
+    (0.09, False, True), (0.11, False, False), (0.09, True, False), (None, False, False)])
+def test_an_effect_that_the_force_domain_does_not_find_falls(share, in_best, falls):
+    e = part(0.9)
+    e = replace(e, effects=(replace(e.effects[0], force_share=share, in_best=in_best),))
+    assert (fallen(e) is not None) is falls
+
+
 def test_two_effects_fall_the_lesser_first():
     e = part(0.9, margin=1.0)
     lesser = replace(e.effects[0], name="force_offset",
