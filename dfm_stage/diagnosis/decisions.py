@@ -42,9 +42,9 @@ JOINT_LOSS = decision(
     "JOINT_LOSS", 1.05, "1", meaning="Fitted RMS of a fit to all records over that of the fit "
     "to the fitted ones, up to which one set of values serves both.", set_on=FIRST_FORM)
 GROSS_GAP = decision(
-    "GROSS_GAP", 0.05, "1", meaning="Motion that is missed over all of it, above which the force "
-    "domain is heard first: without a spring by their change from sample to sample, and then "
-    "judged in windows.", set_on=MOTOR_BENCH)
+    "GROSS_GAP", 0.05, "1", meaning="Motion of a body without a spring that is missed over all of "
+    "it, both by their change from sample to sample, above which it is judged in windows first.",
+    set_on=MOTOR_BENCH)
 BASE_AT_ZERO = decision(
     "BASE_AT_ZERO", 1e-9, "1", meaning="Damping, stiffness or force constant below this share of "
     "the given value is at zero: no such stage.",

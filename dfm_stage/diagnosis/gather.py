@@ -291,7 +291,7 @@ def _library(trial: Trial) -> Iterator[Candidate]:
         hit = trial.search.hits.get(name)
         yield Candidate(name, excluded(name, trial.search.model, at),
                         None if hit is None else hit.gain, trial.dropped.get(name),
-                        trial.search.above)
+                        above=trial.search.above)
 
 
 def _limits(search: Search) -> dict[str, dict[str, Quantity]]:

@@ -45,14 +45,15 @@ def foretold(run: Observation, residual: Array, model: Model) -> float:
     """
     whole = dct(np.column_stack((_columns(run, residual, model), residual)), axis=0, norm="ortho")
     total = np.linalg.norm(whole, axis=0)
-    edges = np.linspace(0, residual.size, FOLDS + 1).astype(np.int64)
     shares, low = [0.0], SLOWEST
     while low < residual.size // 2:
-        octave = np.zeros_like(whole)
-        octave[low:2 * low] = whole[low:2 * low]
-        used = np.linalg.norm(octave, axis=0) > SEEN * total
+        lines = whole[low:2 * low]
+        used = np.linalg.norm(lines, axis=0) > SEEN * total
         used[-1] = True
-        signals = idct(octave[:, used], axis=0, norm="ortho")
+        octave = np.zeros((min(4 * low, residual.size), int(used.sum())))  # sampled as it needs
+        octave[low:low + len(lines)] = lines[:, used]
+        signals = idct(octave, axis=0, norm="ortho")
+        edges = np.linspace(0, len(signals), FOLDS + 1).astype(np.int64)
         count = signals.shape[1] - 1
         blocks = Blocks(signals, edges, np.ones(FOLDS))
         left = blocks.ridge_fit((), range(count), count, RIDGES).errors

@@ -123,23 +123,19 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
             split: bool) -> tuple[Trial, Hypothesis, Evidence]:
     """The effects that bring the gap to the noise; where none do, those that explain most.
 
-    A gross gap is looked at for the latter first, and the search to the noise goes on from there.
-    Without a spring that one judges positions, which say nothing while a clear force is missed.
+    Without a spring the latter come first where a gross force is missed and the force domain can
+    tell: positions say nothing then.
     """
     part: tuple[Trial, Hypothesis, Evidence] | None = None
-    names: tuple[str, ...] = ()
-    if is_gross(first):
-        own = _in_windows(trial) if first.system.springless else trial
-        bare = own.search.begin() if own is not trial else first
+    if first.system.springless and is_gross(first) and (
+            trial.witness is not None and not trial.witness.cannot_tell):
+        own = _in_windows(trial)
+        bare = own.search.begin()
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
-        if own is not trial and stays_open(part[2]):
+        if stays_open(part[2]):
             return part
         trial.search.begin_work(max(MOST_STEPS - own.search.steps, LEAST_STEPS))
-        trial.search.weigh_at_first(first)
-        if own is trial and part[1].names:
-            names = part[1].names
-            first = trial.search.fitted(names, part[1].fit)
-    h = trial.no_worse(trial.run(*trial.search.grown(names, first)))
+    h = trial.no_worse(trial.run(*trial.search.grown((), first)))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
         evidence = with_joint_fit(trial, h, evidence)
@@ -165,4 +161,6 @@ def _in_windows(trial: Trial) -> Trial:
     old = trial.search
     search = Search(old.model, [in_windows(r) for r in old.runs], old.free, library=old.library,
                     step=old.step)
-    return Trial(search, [in_windows(r) for r in trial.held], trial.seed)
+    found = Trial(search, [in_windows(r) for r in trial.held], trial.seed)
+    found.witness = trial.witness  # forces know no windows
+    return found

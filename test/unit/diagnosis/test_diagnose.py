@@ -187,9 +187,11 @@ def test_json_has_the_agreed_shape(cubic):
     assert data["schema"] == 2
     assert {"verdict", "effects", "base", "rejected", "gap", "description", "next_experiment",
             "warnings"} <= set(data)
-    assert set(data["gap"]) == {"unit", "noise_floor", "noise_floor_from", "fit", "held_out"}
+    assert set(data["gap"]) == {"unit", "noise_floor", "noise_floor_from", "fit", "held_out",
+                                "predictable", "judged", "window_s"}
     effect = data["effects"][0]
-    assert {"name", "class", "parameters", "gap_share", "evidence"} <= set(effect)
+    assert {"name", "class", "parameters", "gap_share", "evidence", "predictable_share", "margins",
+            "constancy"} <= set(effect)
     assert set(effect["parameters"]["k3"]) == {"value", "unit", "ci95"}
     assert all(r["reason"] for r in data["rejected"])
 
