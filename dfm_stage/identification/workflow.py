@@ -127,22 +127,7 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
     IdentificationError, ModelError
         If the records cannot be used or do not suit the model.
     """
-    if not sources:
-        raise IdentificationError("no record to identify from: give at least one")
-    _check_alike([*sources, *holdout])
-    mismatch = None if model is None else input_mismatch(model, sources[0].axis.input_unit)
-    if mismatch:
-        raise IdentificationError(f"{sources[0].name}: {mismatch}")
-    for source in sources:
-        if np.ptp(source.axis.position) == 0.0:
-            what = source.axis.measures
-            sensor = "encoder" if what == "position" else "sensor"
-            raise IdentificationError(f"{source.name}: the {what} never changes: check the "
-                                      f"{sensor}, or leave the record out")
-    if model is None and all(np.ptp(source.axis.input) == 0.0 for source in sources):
-        raise IdentificationError(f"{', '.join(source.name for source in sources)}: the input is "
-                                  "constant: excite the stage, or give the model whose free "
-                                  "motion the record shows")
+    _check_usable(sources, holdout, model)
     fixed = dict(fixed or {})
     warnings = [f"{s.name}: {w}" for s in sources for w in s.warnings]
     step("frequency response")
@@ -208,6 +193,27 @@ def plant_quantity(fit: ModelFit, function: Callable[[LinearPlant], float],
         return function(linear_plant(model.with_parameters(inside)))
 
     return estimate.derived(value, unit)
+
+
+def _check_usable(sources: Sequence[Source], holdout: Sequence[Source],
+                  model: Model | None) -> None:
+    """Refuse records of which nothing can be identified, or that do not suit each other."""
+    if not sources:
+        raise IdentificationError("no record to identify from: give at least one")
+    _check_alike([*sources, *holdout])
+    mismatch = None if model is None else input_mismatch(model, sources[0].axis.input_unit)
+    if mismatch:
+        raise IdentificationError(f"{sources[0].name}: {mismatch}")
+    for source in sources:
+        if np.ptp(source.axis.position) == 0.0:
+            what = source.axis.measures
+            sensor = "encoder" if what == "position" else "sensor"
+            raise IdentificationError(f"{source.name}: the {what} never changes: check the "
+                                      f"{sensor}, or leave the record out")
+    if model is None and all(np.ptp(source.axis.input) == 0.0 for source in sources):
+        raise IdentificationError(f"{', '.join(source.name for source in sources)}: the input is "
+                                  "constant: excite the stage, or give the model whose free "
+                                  "motion the record shows")
 
 
 def _check_alike(sources: Sequence[Source]) -> None:
