@@ -117,10 +117,16 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
 
 
 def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
-    """Add the force that `model` with its sizes re-estimated misses."""
+    """Add the force that `model` with its sizes re-estimated misses. What of that can be predicted
+    could be predicted of the gap, too."""
     trial.search.step("describing what is left")
     runs, held = ([replace(r, window=0) for r in each] for each in (trial.search.runs, trial.held))
-    return replace(evidence, surface=missing_force(runs, model, held))
+    surface, judged = missing_force(runs, model, held), evidence.judged
+    if surface is not None and evidence.effects and judged.predictable is not None:
+        left = max(evidence.extended.held_out.power - judged.noise_power, 0.0)
+        best = judged.noise_power + (1.0 - max(surface.predictable_share, 0.0)) * left
+        judged = replace(judged, predictable=min(judged.predictable, math.sqrt(best)))
+    return replace(evidence, surface=surface, judged=judged)
 
 
 def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:
