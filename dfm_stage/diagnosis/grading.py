@@ -38,8 +38,8 @@ from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.effect import Parameters
 
-Begins = Sequence[dict[str, Parameters]]
-"""Sets of effects to begin with: name -> where its parameters begin."""
+Begin = tuple[Fit, dict[str, Parameters]]
+"""A set of effects to begin with: a fit that has some of them, and the others' parameters."""
 
 
 def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
@@ -56,7 +56,8 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     search.weigh_at_first(bare)
     bare = search.once((), bare)
     trial.held_weights = weights_like(trial.held, search.weights)
-    names, found = _largest(search, bare, [*_proposed(search, seen), *_found_before(trial, h)])
+    names, found = _largest(search, bare, [
+        *_found_before(trial, h), *((bare, each) for each in _proposed(search, seen))])
     if not told_by(seen, search):
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
@@ -95,11 +96,11 @@ def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parame
                        for p, value in EFFECTS[n].defaults.items()} for n in each.names}
 
 
-def _found_before(trial: Trial, h: Hypothesis) -> Iterator[dict[str, Parameters]]:
+def _found_before(trial: Trial, h: Hypothesis) -> Iterator[Begin]:
     """The sets that the search fitted: its answer, and the best single effects."""
     search, seen = trial.search, trial.witness
     if h.names:
-        yield _own(search, h.fit)
+        yield h.fit, {}
     singles: dict[str, Fit] = {}
     for (names, _), found in search.fits.items():
         if len(names) == 1 and found.ok:
@@ -107,29 +108,24 @@ def _found_before(trial: Trial, h: Hypothesis) -> Iterator[dict[str, Parameters]
             if name not in singles or found.rms < singles[name].rms:
                 singles[name] = found
     for found in sorted(singles.values(), key=lambda f: f.rms)[:2]:
-        yield _own(search, found)
+        yield found, {}
     if not search.hits and (seen is None or seen.cannot_tell):
         search.step("screening every effect")
         _, hits = search.screened(h.bare, ())
         search.hits.update({x.name: x for x in reversed(hits)})
     for hit in sorted(search.hits.values(), key=lambda x: -x.gain)[:SHORT_LIST]:
         if hit.name not in singles:
-            yield {hit.name: hit.parameters}
+            yield h.bare, {hit.name: hit.parameters}
 
 
-def _own(search: Search, found: Fit) -> dict[str, Parameters]:
-    """The effects of a fit that the given model does not have."""
-    return {use.name: dict(use.parameters) for use in found.model.effects
-            if search.model.effect(use.name) is None}
-
-
-def _largest(search: Search, bare: Fit, begins: Begins) -> tuple[Names, Fit]:
+def _largest(search: Search, bare: Fit, begins: Sequence[Begin]) -> tuple[Names, Fit]:
     """The set that leaves the least power, a further effect paid for by what it must take."""
     best: tuple[Names, Fit] = (), bare
-    for begin in begins:
-        names = tuple(begin)
+    for start, new in begins:
+        names = (*(use.name for use in start.model.effects
+                   if search.model.effect(use.name) is None), *new)
         search.step(f"fitting {' and '.join(names)}")
-        found = search.once(names, bare, [_begun(n, p) for n, p in begin.items()])
+        found = search.once(names, start, [_begun(n, p) for n, p in new.items()])
         if _usable(found, names) and _score(names, found) < _score(*best):
             best = names, found
     return best

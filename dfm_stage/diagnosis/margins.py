@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.diagnosis.decisions import BLOCKS, SHORTEST_BLOCK, SIZE_GROUPS
+from dfm_stage.diagnosis.decisions import BLOCKS, SHORTEST_BLOCK, SIZE_GROUPS, SIZES_APART
 from dfm_stage.diagnosis.fit import Fit
 
 Signal = Literal["position", "velocity", "acceleration", "force"]
@@ -82,8 +82,8 @@ class Constancy:
 
 def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
     """The constancy of some parameters of a fit together, to first order about its minimum; None
-    where the fit knows none of them, there are too few blocks, or states that begin anew in every
-    window would take up what a split gains."""
+    where the fit knows none of them, there are too few blocks, all move alike, or states that
+    begin anew in every window would take up what a split gains."""
     if not found.ok or any(run.window for run in found.system.runs):
         return None
     blocks, sizes = _rows(found)
@@ -91,11 +91,12 @@ def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
     used = [k for k, u in enumerate(found.system.unknowns) if u.run is None and norms[k] > 0.0]
     own = [place for place, k in enumerate(used) if k < found.system.count
            and found.system.free[k] in addresses]
-    if not own or len(blocks) < 2 * SIZE_GROUPS:
+    groups = _groups(sizes)
+    if not own or len(blocks) < 2 * SIZE_GROUPS or _apart(sizes, groups) < SIZES_APART:
         return None
     rest = [place for place in range(len(used)) if place not in own]
     plain, split = [], []
-    for (rows, *_), group in zip(blocks, _groups(sizes), strict=True):
+    for (rows, *_), group in zip(blocks, groups, strict=True):
         j, r = found.jacobian[rows][:, used] / norms[used], found.white[rows]
         wide = np.zeros((j.shape[0], len(rest) + SIZE_GROUPS * len(own)))
         wide[:, :len(rest)] = j[:, rest]
@@ -109,16 +110,16 @@ def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
 
 def _rows(found: Fit) -> tuple[list[list[slice]], Array]:
     """The blocks of a fit as rows of its Jacobian, those of the output first and then of what else
-    is compared, with the RMS (B,) of the motion."""
+    is compared, with the RMS (B,) of the motion, or of its change where the position drifts."""
     blocks: list[list[slice]] = []
-    sizes, at = [], 0
+    sizes, at, degree = [], 0, 1 if found.system.drifts else 0
     lengths = [parts[0].size - ws[0].order
                for parts, ws in zip(found.residuals, found.weights, strict=True)]
     for run, ws, parts, length in zip(found.system.runs, found.weights, cuts(lengths), lengths,
                                       strict=True):
         output = run.output[run.skip + ws[0].order:]
         own = [[slice(at + part.start, at + part.stop)] for part in parts]
-        sizes += [float(np.std(output[part])) for part in parts]
+        sizes += [float(np.std(np.diff(output[part], degree))) for part in parts]
         at += length
         for measured, weight in zip(run.measured[1:], ws[1:], strict=True):
             edges = at + np.linspace(0, measured.size - weight.order, len(own) + 1).astype(int)
@@ -133,6 +134,12 @@ def _groups(sizes: Array) -> list[int]:
     """Small, middle and large blocks, as many of each."""
     rank = np.argsort(np.argsort(sizes))
     return [int(g) for g in rank * SIZE_GROUPS // sizes.size]
+
+
+def _apart(sizes: Array, groups: Sequence[int]) -> float:
+    """Motion of the group that moves most over that of the one that moves least."""
+    means = [float(np.mean(sizes[np.array(groups) == g])) for g in sorted(set(groups))]
+    return means[-1] / max(means[0], 1e-300)
 
 
 def _left_out(blocks: Sequence[tuple[Array, Array]]) -> Array:

@@ -144,7 +144,7 @@ def hand_made(target, columns, motion, order=0, current=None):
         residuals.append(white[target.size:])
         weights.append(0)
     run.measured = tuple(residuals)
-    system = SimpleNamespace(runs=[run], free=names, count=len(names),
+    system = SimpleNamespace(runs=[run], free=names, count=len(names), drifts=False,
                              unknowns=[SimpleNamespace(name=n, run=None) for n in names])
     return SimpleNamespace(system=system, residuals=[residuals], white=white, jacobian=-rows,
                            weights=((*(SimpleNamespace(order=n) for n in weights),),), ok=True)

@@ -174,11 +174,11 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
         case(CLEAR, left(9e-9, above=81.0), NO_GAP, (effect("saturation", exercised=False),)),
         "named", ("saturation",), Reason.AT_FLOOR),
     "not exercised, and held-out chi-square rises by less than that means": (
-        case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=19.0),
+        case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=55.0),
              (effect("saturation", exercised=False),)), "named", ("saturation",),
         Reason.AT_FLOOR),
     "not exercised, and it rises by more": (
-        case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=21.0),
+        case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=61.0),
              (effect("saturation", exercised=False),)), "none", (), Reason.NOISE),
     "lowers the fitted gap, not the held-out one": (
         case(CLEAR, left(1e-6, held=1e-6, remainder=True), left(held=2e-6), (FRICTION,)),
