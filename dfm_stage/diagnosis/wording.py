@@ -141,9 +141,9 @@ def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:
     said = [n for n in e.witness["effects"] if n not in own]
     share = e.witness["share"]
     if share > PARTIAL_SHARE and said and len(said) == len(e.witness["effects"]):
-        told = f"the fits say {_listed([f.name for f in v.effects])}" if own else \
+        told = f"the fits say {' and '.join(f.name for f in v.effects)}" if own else \
             "no fit bears that out on held-out records"
-        yield f"the force domain by itself says {_listed(said)} ({share:.0%}); {told}"
+        yield f"the force domain by itself says {' and '.join(said)} ({share:.0%}); {told}"
 
 
 def lost_samples(name: str, times: Sequence[float]) -> str:
