@@ -63,7 +63,7 @@ def test_a_model_comes_out_of_two_fields(bag: Path, tmp_path: Path, drive: str, 
     assert found["natural_frequency_hz"]["value"] == pytest.approx(FREQUENCY_HZ, rel=accuracy)
     assert found["damping_ratio"]["value"] == pytest.approx(DAMPING_RATIO, rel=3 * accuracy)
     assert found["gain"]["value"] == pytest.approx(GAIN, rel=accuracy)
-    if joint == "arm":  # the command has no stamp: its fit hangs on when a busy machine delivers it
+    if joint == "arm":  # the command has no stamp: its fit hangs on when it is delivered
         assert found["held_out"]["fit_percent"] > 98.0
     assert any("by header times" in text for text in found["warnings"])
     assert any("nearest message is" in text for text in found["warnings"])
