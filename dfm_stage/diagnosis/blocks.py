@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dfm_stage.arrays import Array, Lines
+from dfm_stage.diagnosis.decisions import SIZE_GROUPS
 
 RIDGE = 1e-11
 """Added to the diagonal of normalised equations: columns that are the same share a coefficient."""
@@ -107,7 +108,7 @@ class Blocks:
         return min(tried, key=lambda s: float(s.errors @ self.sizes))
 
 
-def margin(better: Array, worse: Array) -> tuple[float, float]:
+def log_ratio(better: Array, worse: Array) -> tuple[float, float]:
     """Mean log ratio of the errors (B,) of two fits, and its standard error.
 
     In logarithms every block counts the same; differences would be those of the largest ones.
@@ -116,13 +117,19 @@ def margin(better: Array, worse: Array) -> tuple[float, float]:
     return float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size)
 
 
+def by_size(sizes: Array) -> Lines:
+    """The group (B,) of each block, from zero: small, middle and large ones, as many of each."""
+    rank = np.argsort(np.argsort(sizes))
+    return np.asarray(rank * SIZE_GROUPS // sizes.size, dtype=np.int64)
+
+
 def block_edges(sizes: Sequence[int], wanted: int, shortest: int) -> tuple[Lines, Lines]:
     """Edges (B + 1,) of about `wanted` blocks over runs of these sizes, none across two runs, and
-    the run (B,) of each block."""
-    length = max(sum(sizes) / wanted, shortest)
+    the run (B,) of each block; none is shorter than `shortest` where its run is not."""
+    length = sum(sizes) / wanted
     edges, owner, at = [0], [], 0
     for number, size in enumerate(sizes):
-        count = max(1, round(size / length))
+        count = max(1, min(round(size / length), size // shortest))
         edges += [at + round((k + 1) * size / count) for k in range(count)]
         owner += [number] * count
         at += size

@@ -158,8 +158,7 @@ class Fits:
         use = current.model.effect(name)
         assert use is not None  # noqa: S101 (who calls has found it)
         typical = starts(twin, self.conditions(current.model))[0]
-        begin = Hit(twin, 0.0, {**typical, **EFFECTS[name].twins[twin](use.parameters)},
-                    np.zeros((0, 0)), np.zeros(0))
+        begin = Hit.at(twin, {**typical, **EFFECTS[name].twins[twin](use.parameters)})
         found = self._from(current.model, names, current, [begin], math.inf,
                            limit=STEPS_BEFORE_LINEAR)
         known = self.fits.get((frozenset(names), self.weighing))

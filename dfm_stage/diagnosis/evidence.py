@@ -41,14 +41,13 @@ DropReason = Enum("DropReason", [
 
 @dataclass(frozen=True)
 class Errors:
-    """What a model leaves of some records: RMS and chi-square of `count` weighted samples, and
-    the RMS of its change from sample to sample. `power` is the mean square of the signal that is
-    judged. Infinite where it cannot be simulated."""
+    """What a model leaves of some records: RMS and chi-square of `count` weighted samples,
+    and the mean square `power` of the signal that is judged. Infinite where it cannot be
+    simulated."""
 
     rms: float
     chi2: float
     count: int = 0
-    change_rms: float = math.inf
     power: float = math.inf
 
 
@@ -127,13 +126,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Motion:
-    """How much the stage moved: the largest RMS of a record, and of its change from sample to
-    sample, in the output's unit."""
+    """How much the stage moved: the largest RMS of a record, in the output's unit."""
 
     rms: float
-    change_rms: float
     constant_input: bool = False
-    springless: bool = False
 
 
 @dataclass(frozen=True)

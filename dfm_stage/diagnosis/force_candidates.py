@@ -12,9 +12,10 @@ from dfm_stage.arrays import Array, Lines
 from dfm_stage.diagnosis.black_box import features
 from dfm_stage.diagnosis.blocks import Blocks, Solution, block_edges
 from dfm_stage.diagnosis.candidates import excluded, starts
+from dfm_stage.diagnosis.decisions import BLOCKS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_domain import Terms, not_judged
-from dfm_stage.diagnosis.force_setting import BLOCKS, SHORTEST_BLOCK, Setting, least_squares
+from dfm_stage.diagnosis.force_setting import SHORTEST_KEPT, Setting, least_squares
 from dfm_stage.diagnosis.spectra import frequency_peaks
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
@@ -73,7 +74,7 @@ class Candidates:
         self.inverse = np.linalg.pinv(self.base / norms, rcond=SAME) / norms[:, None]
         self.plain = self.inverse @ found.target
         self.edges, self.owner = block_edges([run.kept.size for run in found.runs], BLOCKS,
-                                             SHORTEST_BLOCK)
+                                             SHORTEST_KEPT)
         self.fitted = self.owner < fitted_runs
         if self.fitted.sum() < FEWEST:
             raise DiagnosisError("the records are too short for a look at forces")

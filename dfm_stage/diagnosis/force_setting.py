@@ -10,6 +10,7 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.blocks import Blocks, block_edges, jackknife
+from dfm_stage.diagnosis.decisions import BLOCKS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_domain import (
     EDGE,
@@ -22,9 +23,7 @@ from dfm_stage.diagnosis.force_domain import (
 from dfm_stage.model import Model
 from dfm_stage.model.linear import linear_part
 
-BLOCKS = 30
-"""Blocks over all records: enough for a standard error, each still with many periods."""
-SHORTEST_BLOCK = 40
+SHORTEST_KEPT = 40
 """Kept samples of the shortest block."""
 NOISE_SHARE = 0.01
 """Share of the missing force's power that noise may make up: the narrowest filter that keeps
@@ -138,7 +137,7 @@ def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing) -> tuple[
     """The narrowest filter behind which noise is a small share of what is missing, and whether
     the acceleration stands out of the noise there."""
     shortest = min(run.grid.size - run.run.skip for run in runs)
-    widths = [w for w in WIDTHS if shortest >= LEAST_LEFT * (EDGE * w + SHORTEST_BLOCK)]
+    widths = [w for w in WIDTHS if shortest >= LEAST_LEFT * (EDGE * w + SHORTEST_KEPT)]
     if not widths:
         raise DiagnosisError("the records are too short for a look at forces")
     biased = {w: max(run.noise_rms(run.grid.omega**2, w)
@@ -193,7 +192,7 @@ def _timed(begun: Setting, model: Model) -> tuple[Timing, float]:
         step = float(least_squares(*at(late))[place])
         late = min(max(late + min(max(step, -period), period), low), high)
     columns, target = at(late)
-    edges, _ = block_edges([target.size], BLOCKS, SHORTEST_BLOCK)
+    edges, _ = block_edges([target.size], BLOCKS, SHORTEST_KEPT)
     blocks = Blocks(np.column_stack((columns, target)), edges, np.ones(edges.size - 1))
     found = blocks.fit(range(columns.shape[1]), columns.shape[1])
     error = float(jackknife(found.left_out)[place])

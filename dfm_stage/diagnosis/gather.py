@@ -26,7 +26,7 @@ from dfm_stage.diagnosis.evidence import (
     RivalEvidence,
     Which,
 )
-from dfm_stage.diagnosis.fit import Fit, rms
+from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers, score_by_blocks
 from dfm_stage.diagnosis.missing_force import missing_force
@@ -54,8 +54,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     search = trial.search
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
-    judged = judged_in(h)
-    floor = white_weights(h.fit.residuals)[0][0].rms if graded and h.fit.ok else weight.rms
+    quiet = white_weights(h.fit.residuals)[0][0].rms if h.fit.ok else 0.0
+    judged = judged_in(h, quiet)
     given = trial.predicted(search.model)
     fitted_given = predict(search.model, runs, search.weights, search.noise)
     seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
@@ -67,10 +67,10 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
                           description=retuned.description or extended.description)
     return Evidence(
         tuple(r.name for r in runs), runs[0].unit,
-        Noise(floor, weight.source, noise_floor_from_periods(
+        Noise(weight.rms, weight.source, noise_floor_from_periods(
             h.fit.residuals[0][0], repeats.period) if repeats is not None else None,
-            white_weights(h.fit.residuals)[0][0].rms if extended.remainder else None),
-        _motion(runs, h.bare),
+            quiet if graded or extended.remainder else None),
+        _motion(runs),
         ModelEvidence(_errors(fitted_given, judged), _errors(given, judged)),
         retuned, extended, tuple(effect_evidence(trial, h, name, extended.parameters, seen[2],
                                                  judged) for name in h.names),
@@ -85,26 +85,24 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
                                          for r in (*runs, *(() if split else trial.held))))
 
 
-def judged_in(h: Hypothesis) -> Judged:
+def judged_in(h: Hypothesis, noise: float) -> Judged:
     """The signal in which held-out powers are compared: the output, but a body without a spring
-    drifts by whatever small force there is, and its position is judged in velocity."""
+    drifts by whatever small force there is, and its position is judged in velocity. `noise` is the
+    RMS of high frequencies."""
     system = h.fit.system if h.fit.ok else h.bare.system
-    measures = system.runs[0].measures
     change = system.drifts
-    signal: Signal = "velocity" if change else measures
-    left = h.fit.residuals if h.fit.ok else []
-    noise = white_weights(left)[0][0].rms if left else 0.0
+    signal: Signal = "velocity" if change else system.runs[0].measures
     window = max(run.window for run in system.runs) * system.runs[0].sample_period
     return Judged(signal, window or None, noise**2 * (2.0 if change else 1.0), change=change)
 
 
 def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
-    """Add what the force domain says: shares of effects, margins over rivals, and how much of the
-    gap a black box would predict."""
+    """Add what the force domain says: shares of effects, and how much of the gap a black box would
+    predict."""
     if seen is None or seen.cannot_tell:
         return evidence
     noise, gap = evidence.judged.noise_power, evidence.retuned.held_out.power
-    predictable = math.sqrt(noise + seen.predictable**2 * max(gap - noise, 0.0))
+    predictable = math.sqrt(noise + (1.0 - seen.predictable_share) * max(gap - noise, 0.0))
     named = {x.name for x in evidence.effects}
     alone = {e.names[0]: e.share for e in seen.singles}
     effects = tuple(_heard(x, seen, alone) for x in evidence.effects)
@@ -112,7 +110,7 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
     return replace(evidence, effects=effects, library=library, witness={
         "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
-        "predictable": 1.0 - seen.predictable**2, "margins": dict(seen.margins)},
+        "predictable": seen.predictable_share, "margins": dict(seen.margins)},
         judged=replace(evidence.judged, predictable=predictable))
 
 
@@ -130,12 +128,9 @@ def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
 
 
 def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:
-    """The effect with what the force domain says of it and of its rivals; linear effects give it
-    no force along the motion to judge by."""
-    if x.name in seen.best.names:
-        x = replace(x, rivals=tuple(replace(r, margin=max(r.margin, seen.margins.get(r.name, 0.0)))
-                                    for r in x.rivals))
-    predictable = 1.0 - seen.predictable**2
+    """The effect with what the force domain says of it; linear effects give it no force along the
+    motion to judge by."""
+    predictable = seen.predictable_share
     if x.name not in alone or not is_nonlinear(x.name) or predictable < LEAST_HEARD:
         return x
     return replace(x, force_share=alone[x.name] / predictable,
@@ -163,31 +158,17 @@ def with_next_experiment(trial: Trial, h: Hypothesis, evidence: Evidence,
 
 
 def _errors(seen: Prediction, judged: Judged) -> Errors:
-    return Errors(seen.rms, seen.chi2, seen.count, _change_rms(seen.residuals),
-                  power(seen.residuals, judged.change))
+    return Errors(seen.rms, seen.chi2, seen.count, power(seen.residuals, judged.change))
 
 
-def _powers(found: Fit, seen: Prediction, judged: Judged) -> Array:
-    """Powers (B,) of blocks of fitted and held-out records; infinite where either cannot be
-    simulated."""
-    every = [*found.residuals, *seen.residuals] if found.ok and seen.residuals else []
-    return powers(every, judged.change)
-
-
-def _change_rms(residuals: Sequence[Sequence[Array]]) -> float:
-    """RMS from sample to sample; infinite without residuals."""
-    return rms([np.diff(parts[0]) for parts in residuals]) if residuals else math.inf
-
-
-def _motion(runs: Sequence[Observation], bare: Fit) -> Motion:
+def _motion(runs: Sequence[Observation]) -> Motion:
     return Motion(max(float(np.std(r.output)) for r in runs),
-                  max(float(np.std(np.diff(r.output))) for r in runs),
-                  all(float(np.ptp(r.input)) == 0.0 for r in runs), bare.system.springless)
+                  all(float(np.ptp(r.input)) == 0.0 for r in runs))
 
 
 def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,
               judged: Judged, by_blocks: bool = False) -> ModelEvidence:
-    fitted = Errors(found.rms, found.chi2, found.white.size, _change_rms(found.residuals),
+    fitted = Errors(found.rms, found.chi2, found.white.size,
                     power(found.residuals, judged.change))
     if not found.ok:
         return ModelEvidence(fitted, _errors(seen, judged))
@@ -218,7 +199,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
     rest = tuple(n for n in h.names if n != name)
     without = search.fitted(rest, fit) if rest else h.bare
     missed = trial.predicted(without.model)
-    own = _powers(fit, seen, judged)
+    own = powers(seen.residuals, judged.change)
     rivals = (_rival(trial, h, name, r, own, judged) for r in h.rivals.get(name, ()))
     return EffectEvidence(
         name, _own(trial, h, name, values),
@@ -226,7 +207,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
                              power=power(without.residuals, judged.change)),
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
-        margin(_powers(without, missed, judged), own),
+        margin(powers(missed.residuals, judged.change), own),
         constancy(fit, [f"{n}.{EFFECTS[n].sizes[0]}" for n in h.names]))
 
 
@@ -268,7 +249,7 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Array,
     seen = trial.predicted(rival.fit.model)
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
-                         margin(_powers(rival.fit, seen, judged), own),
+                         margin(powers(seen.residuals, judged.change), own),
                          shares_class(rival.name, name),
                          len(rival.fit.system.free) > len(h.fit.system.free))
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from dfm_stage.diagnosis.alike import at_upper_end
 from dfm_stage.diagnosis.decisions import (
     FURTHER_PART,
@@ -34,7 +32,7 @@ from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.verdict import fallen
 from dfm_stage.diagnosis.verification import weights_like
-from dfm_stage.diagnosis.witness import Witness
+from dfm_stage.diagnosis.witness import Explained, Witness
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.effect import Parameters
 
@@ -58,7 +56,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     trial.held_weights = weights_like(trial.held, search.weights)
     names, found = _largest(search, bare, [
         *_found_before(trial, h), *((bare, each) for each in _proposed(search, seen))])
-    if not told_by(seen, search):
+    if not _proposes_alone(seen, search):
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
     while True:
@@ -92,8 +90,13 @@ def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parame
         if each.names and allowed and frozenset(each.names) not in told \
                 and each.share > RIVAL_GAIN * seen.best.share:
             told.add(frozenset(each.names))
-            yield {n: {p: each.parameters.get(f"{n}.{p}", value)
-                       for p, value in EFFECTS[n].defaults.items()} for n in each.names}
+            yield {n: _parameters(each, n) for n in each.names}
+
+
+def _parameters(told: Explained, name: str) -> Parameters:
+    """What the force domain says of an effect, and defaults of what it cannot see."""
+    return {p: told.parameters.get(f"{name}.{p}", value)
+            for p, value in EFFECTS[name].defaults.items()}
 
 
 def _found_before(trial: Trial, h: Hypothesis) -> Iterator[Begin]:
@@ -125,7 +128,7 @@ def _largest(search: Search, bare: Fit, begins: Sequence[Begin]) -> tuple[Names,
         names = (*(use.name for use in start.model.effects
                    if search.model.effect(use.name) is None), *new)
         search.step(f"fitting {' and '.join(names)}")
-        found = search.once(names, start, [_begun(n, p) for n, p in new.items()])
+        found = search.once(names, start, [Hit.at(n, p) for n, p in new.items()])
         if _usable(found, names) and _score(names, found) < _score(*best):
             best = names, found
     return best
@@ -163,7 +166,7 @@ def _further(search: Search, names: Names, found: Fit) -> tuple[Names, Fit]:
     return names, found
 
 
-def told_by(seen: Witness | None, search: Search) -> bool:
+def _proposes_alone(seen: Witness | None, search: Search) -> bool:
     """Whether the force domain alone proposes: without a spring, where it sees every effect and
     screens of many windows are slow."""
     return seen is not None and not seen.cannot_tell and bool(search.runs[0].window)
@@ -176,8 +179,9 @@ def _rivals(search: Search, seen: Witness | None, name: str, names: Names,
     without = search.once(rest, found)
     if not without.ok:
         return
-    for hit in _near(seen, name, names) if seen is not None and told_by(seen, search) else \
-            _screened(search, name, rest, without):
+    near = _near(seen, name, names) if seen is not None and _proposes_alone(seen, search) \
+        else _screened(search, name, rest, without)
+    for hit in near:
         search.step(f"fitting {hit.name} in place of {name}")
         rival = search.once((*rest, hit.name), without, [hit])
         if _usable(rival, (hit.name,)):
@@ -191,12 +195,7 @@ def _near(seen: Witness, name: str, names: Names) -> list[Hit]:
     listed = [*seen.best.names, *(n for n, m in seen.margins.items() if m < NEAR_RIVAL)]
     near = [n for n in listed if n in alone and n not in names
             and alone[n].share > RIVAL_GAIN * own]
-    return [_begun(n, {p: alone[n].parameters.get(f"{n}.{p}", v)
-                       for p, v in EFFECTS[n].defaults.items()}) for n in near[:GRADED_RIVALS]]
-
-
-def _begun(name: str, parameters: Parameters) -> Hit:
-    return Hit(name, 0.0, dict(parameters), np.zeros((0, 0)), np.zeros(0))
+    return [Hit.at(n, _parameters(alone[n], n)) for n in near[:GRADED_RIVALS]]
 
 
 def _screened(search: Search, name: str, rest: Names, without: Fit) -> list[Hit]:

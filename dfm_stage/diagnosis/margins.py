@@ -15,11 +15,12 @@ from typing import Literal
 
 import numpy as np
 
-from dfm_stage.arrays import Array
+from dfm_stage.arrays import Array, Lines
+from dfm_stage.diagnosis.blocks import Blocks, block_edges, by_size, log_ratio
 from dfm_stage.diagnosis.decisions import BLOCKS, SHORTEST_BLOCK, SIZE_GROUPS, SIZES_APART
 from dfm_stage.diagnosis.fit import Fit
 
-Signal = Literal["position", "velocity", "acceleration", "force"]
+Signal = Literal["position", "velocity", "acceleration"]
 
 
 def judged_signal(residual: Array, change: bool) -> Array:
@@ -31,12 +32,10 @@ def judged_signal(residual: Array, change: bool) -> Array:
 def cuts(sizes: Sequence[int]) -> list[list[slice]]:
     """Blocks of equal length of runs of `sizes` samples, about BLOCKS in all, at least one a
     run."""
-    length = max(sum(sizes) // BLOCKS, SHORTEST_BLOCK)
-    found = []
-    for size in sizes:
-        edges = np.linspace(0, size, max(size // length, 1) + 1).astype(int)
-        found.append([slice(int(a), int(b)) for a, b in pairwise(edges)])
-    return found
+    edges, owner = block_edges(sizes, BLOCKS, SHORTEST_BLOCK)
+    begins = np.cumsum([0, *sizes])
+    return [[slice(int(edges[b] - begins[i]), int(edges[b + 1] - begins[i]))
+             for b in np.flatnonzero(owner == i)] for i in range(len(sizes))]
 
 
 def powers(residuals: Sequence[Sequence[Array]], change: bool = False) -> Array:
@@ -63,11 +62,10 @@ def margin(rival: Array, own: Array) -> float:
         return math.inf
     if not np.all(np.isfinite(own)):
         return -math.inf
-    ratio = np.log(np.maximum(rival, 1e-300) / np.maximum(own, 1e-300))
-    if ratio.size < 2:
+    if own.size < 2:
         return 0.0
-    error = float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size)
-    return float(np.mean(ratio)) / max(error, 1e-12)
+    mean, error = log_ratio(own, rival)
+    return mean / max(error, 1e-12)
 
 
 @dataclass(frozen=True)
@@ -91,21 +89,18 @@ def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:
     used = [k for k, u in enumerate(found.system.unknowns) if u.run is None and norms[k] > 0.0]
     own = [place for place, k in enumerate(used) if k < found.system.count
            and found.system.free[k] in addresses]
-    groups = _groups(sizes)
+    groups = by_size(sizes)
     if not own or len(blocks) < 2 * SIZE_GROUPS or _apart(sizes, groups) < SIZES_APART:
         return None
+    rows = np.concatenate([np.arange(output.start, output.stop) for output, *_ in blocks])
+    edges = np.cumsum([0, *(output.stop - output.start for output, *_ in blocks)])
+    sums = Blocks(np.column_stack((found.jacobian[rows][:, used], found.white[rows])), edges,
+                  np.ones(len(blocks)))
     rest = [place for place in range(len(used)) if place not in own]
-    plain, split = [], []
-    for (rows, *_), group in zip(blocks, groups, strict=True):
-        j, r = found.jacobian[rows][:, used] / norms[used], found.white[rows]
-        wide = np.zeros((j.shape[0], len(rest) + SIZE_GROUPS * len(own)))
-        wide[:, :len(rest)] = j[:, rest]
-        at = len(rest) + group * len(own)
-        wide[:, at:at + len(own)] = j[:, own]
-        plain.append((j, r))
-        split.append((wide, r))
-    ratio: Array = 0.5 * np.log(_left_out(plain) / _left_out(split))
-    return Constancy(float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size))
+    plain = sums.fit([*rest, *own], len(used))
+    split = sums.fit_by_group(rest, own, len(used), groups)
+    gain, error = log_ratio(split.errors, plain.errors)
+    return Constancy(0.5 * gain, 0.5 * error)
 
 
 def _rows(found: Fit) -> tuple[list[list[slice]], Array]:
@@ -130,29 +125,10 @@ def _rows(found: Fit) -> tuple[list[list[slice]], Array]:
     return blocks, np.array(sizes)
 
 
-def _groups(sizes: Array) -> list[int]:
-    """Small, middle and large blocks, as many of each."""
-    rank = np.argsort(np.argsort(sizes))
-    return [int(g) for g in rank * SIZE_GROUPS // sizes.size]
-
-
-def _apart(sizes: Array, groups: Sequence[int]) -> float:
+def _apart(sizes: Array, groups: Lines) -> float:
     """Motion of the group that moves most over that of the one that moves least."""
-    means = [float(np.mean(sizes[np.array(groups) == g])) for g in sorted(set(groups))]
-    return means[-1] / max(means[0], 1e-300)
-
-
-def _left_out(blocks: Sequence[tuple[Array, Array]]) -> Array:
-    """Mean square (B,) of each block's residual with the parameters that the others give."""
-    grams = [j.T @ j for j, _ in blocks]
-    scores = [j.T @ r for j, r in blocks]
-    gram, score = np.sum(grams, axis=0), np.sum(scores, axis=0)
-    found = []
-    for (j, r), own, part in zip(blocks, grams, scores, strict=True):
-        left = gram - own
-        step = np.linalg.lstsq(left, score - part, rcond=1e-9)[0]
-        found.append(float(np.mean((r - j @ step) ** 2)))
-    return np.asarray(np.maximum(np.array(found), 1e-300))
+    return float(np.mean(sizes[groups == SIZE_GROUPS - 1])) / max(
+        float(np.mean(sizes[groups == 0])), 1e-300)
 
 
 def score_by_blocks(found: Fit) -> tuple[Array, float]:

@@ -15,13 +15,13 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.black_box import features, position_velocity
 from dfm_stage.diagnosis.blocks import Blocks
+from dfm_stage.diagnosis.decisions import SWAMPED
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_candidates import RIDGES, SAME, Candidates
 from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces, Terms
 from dfm_stage.diagnosis.force_setting import Setting, least_squares, settled
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.surface import Surface, binned
-from dfm_stage.diagnosis.witness import SWAMPED
 from dfm_stage.model import EFFECTS, Model
 
 LINEAR: dict[str, Callable[[RunForces], Array]] = {

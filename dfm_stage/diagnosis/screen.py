@@ -8,7 +8,7 @@ step (a score test). Pairs are screened jointly, because a single effect may sta
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -48,6 +48,11 @@ class Hit:
     multiples: Array
     rescalable: bool = True
     """Whether one multiple makes its size."""
+
+    @classmethod
+    def at(cls, name: str, parameters: Mapping[str, float]) -> Hit:
+        """An effect to begin with that no screen has looked at."""
+        return cls(name, 0.0, dict(parameters), np.zeros((0, 0)), np.zeros(0))
 
 
 class Screen:

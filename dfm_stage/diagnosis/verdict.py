@@ -183,9 +183,9 @@ def judge_hypothesis(e: Evidence) -> Outcome:
     doubts = (Doubt(Reason.NOT_EXERCISED, idle),) if idle else ()
     if idle and e.retuned.fitted.chi2 - e.extended.fitted.chi2 < 2.0 * FIRST:
         return Outcome(False, Reason.BARELY_FITTED, doubts)
-    allowed = 0.0
-    if idle:  # the same model but for values that other records gave
-        allowed = NOT_EXERCISED + (RETUNE_RATIO**2 - 1.0) * e.retuned.held_out.chi2
+    allowed = NOT_EXERCISED if idle else 0.0
+    if idle and e.retuned.held_out == e.given.held_out:  # other values were fitted
+        allowed += (RETUNE_RATIO**2 - 1.0) * e.retuned.held_out.chi2
     if not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed:
         return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
     if e.extended.remainder:
@@ -359,8 +359,8 @@ def _rejected(e: Evidence, named: set[str]) -> Iterator[Rejection]:
                 told.add(rival.name)
                 yield Rejection(rival.name, Rejected.RIVAL, rival.cost, effect.name,
                                 rival.held_out.rms)
-    above = e.retuned.fitted.chi2 - e.retuned.fitted.count
-    gap = e.retuned.remainder or above > FIRST
+    gap = e.retuned.remainder or (
+        e.retuned.fitted.chi2 - e.retuned.fitted.count > FIRST)
     fitted = {x.name for x in e.effects}
     for candidate in e.library:
         if candidate.name not in told:

@@ -9,15 +9,15 @@ and starting values for them. It cannot tell what is smaller than the noise leav
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.diagnosis.blocks import jackknife, margin
+from dfm_stage.diagnosis.blocks import by_size, jackknife, log_ratio
+from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, FORCE_WORTH, SWAMPED
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_candidates import Candidates, Fits, Fitted
 from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces
@@ -26,20 +26,12 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 
-SWAMPED = 0.5
-"""Share of noise in what is missing, behind the best filter, above which nothing can be told."""
 PAIRED, LEADING = 10, 3
 """Effects that explain most: so many are combined to pairs, so many of them with all others."""
 POINTS = 3
 """Starting points of an effect that are tried in a pair."""
-BEATS = 3.0
-"""Standard errors by which a pair must beat the best single effect."""
-WORTH = 0.005
-"""Share of the missing force that the second of a pair must add."""
 CLOSER, SHOWN = 4, 20
 """Sets whose constancy is looked at, and pairs that are told."""
-TERCILES = 3
-"""Groups of blocks by amplitude."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +63,14 @@ class Witness:
     rival stays behind in the place of a member of `best`: the mean log ratio of the blocks'
     errors, in its standard errors; smallest first.
 
-    `predictable` is the RMS share of the missing force that is left by the best of the effects, a
-    black box alone (`black_box`) and a black box on top of the effects (`on_top`). `missing` is
+    `left` is the RMS share of the missing force that the best of all leaves: of the effects, of a
+    black box alone (`black_box`), of a black box on top of the effects (`on_top`). `missing` is
     the RMS of the missing force over the actuator's, `noise` the share of its power that is noise.
 
     `late_samples` is when the input acts and its standard error, beside the lags that the model
     has; 0.5 for a held one. It is a nuisance here, not a finding. `held` tells how the input was
     taken, `width_samples` is the filter's standard deviation, `blocks` their number, `not_judged`
     says of the other effects why.
-
-    `x` (m), `v` (m/s), `force` (N), `remainder` (N), (n,) each: motion, the force that the base
-    parameters leave, and what `best` leaves of it.
     """
 
     base: Explained
@@ -89,7 +78,7 @@ class Witness:
     pairs: tuple[Explained, ...]
     best: Explained
     margins: Mapping[str, float]
-    predictable: float
+    left: float
     black_box: float
     on_top: float
     missing: float
@@ -99,16 +88,16 @@ class Witness:
     width_samples: float
     blocks: int
     not_judged: Mapping[str, str]
-    seconds: float
-    x: Array = field(repr=False, compare=False)
-    v: Array = field(repr=False, compare=False)
-    force: Array = field(repr=False, compare=False)
-    remainder: Array = field(repr=False, compare=False)
 
     @property
     def cannot_tell(self) -> bool:
         """Whether noise swamps the missing force behind every filter."""
         return self.noise > SWAMPED
+
+    @property
+    def predictable_share(self) -> float:
+        """Share of the missing force's power that can be predicted."""
+        return 1.0 - self.left**2
 
     def of(self, *names: str) -> Explained | None:
         """What a single effect or a pair explains, in any order; None where not told."""
@@ -132,7 +121,6 @@ def witness(runs: Sequence[Observation], model: Model, library: Sequence[str], *
         If the records are too short behind the filter that their noise asks for, the input does
         nothing, or an acceleration was measured.
     """
-    begun = time.monotonic()
     if any(run.order > 1 for run in (*runs, *held)):
         raise DiagnosisError("a look at forces needs a measured position or velocity: an "
                              "acceleration integrated twice drifts by its noise")
@@ -152,14 +140,11 @@ def witness(runs: Sequence[Observation], model: Model, library: Sequence[str], *
         singles=tuple(figures.explained(s, k < CLOSER) for k, s in enumerate(sets.singles)),
         pairs=tuple(figures.explained(s, k < CLOSER) for k, s in enumerate(sets.pairs[:SHOWN])),
         best=figures.explained(sets.best, True), margins=sets.margins(),
-        predictable=math.sqrt(min(left)), black_box=math.sqrt(left[1]), on_top=math.sqrt(left[2]),
+        left=math.sqrt(min(left)), black_box=math.sqrt(left[1]), on_top=math.sqrt(left[2]),
         missing=float(np.linalg.norm(fits.candidates.missing) / np.linalg.norm(found.target)),
         noise=noise, late_samples=late, held=found.timing.held,
         width_samples=found.runs[0].width, blocks=fits.blocks.count,
-        not_judged={**fits.candidates.refused, **wrong}, seconds=time.monotonic() - begun,
-        x=np.concatenate([run.trajectory.x[run.kept] for run in found.runs]),
-        v=np.concatenate([run.trajectory.v[run.kept] for run in found.runs]),
-        force=-fits.candidates.missing, remainder=-figures.remainder(sets.best))
+        not_judged={**fits.candidates.refused, **wrong})
 
 
 def _power(fits: Fits, errors: Array) -> float:
@@ -204,10 +189,10 @@ class _Sets:
         if not pairs:
             return single
         pair = pairs[0]
-        mean, error = margin(pair.solution.errors, single.solution.errors)
+        mean, error = log_ratio(pair.solution.errors, single.solution.errors)
         added = _power(fits, single.solution.errors) - _power(fits, pair.solution.errors)
-        worth = added > WORTH * _power(fits, fits.bare.solution.errors)
-        return pair if worth and mean > BEATS * error else single
+        worth = added > FORCE_WORTH * _power(fits, fits.bare.solution.errors)
+        return pair if worth and mean > BLOCK_MARGIN * error else single
 
     def margins(self) -> dict[str, float]:
         """Of each rival that takes the place of a member of the best set."""
@@ -216,7 +201,7 @@ class _Sets:
             new = set(rival.names) - set(self.best.names)
             if len(new) != 1:
                 continue
-            mean, error = margin(self.best.solution.errors, rival.solution.errors)
+            mean, error = log_ratio(self.best.solution.errors, rival.solution.errors)
             name, behind = new.pop(), mean / max(error, 1e-300)
             found[name] = min(behind, found.get(name, math.inf))
         return dict(sorted(found.items(), key=lambda item: item[1]))
@@ -261,15 +246,6 @@ class _Figures:
         return (min(ratio(float(before.sum()), float(after.sum())), 1.0),
                 math.hypot(float(jackknife(np.array(without))[0]), self.noise))
 
-    def remainder(self, found: Fitted) -> Array:
-        """What a set leaves of force_constant times input, N, (n,)."""
-        columns, target = self.fits.place(found.members)
-        first, stored = self.fits.first, self.candidates.columns
-        explained = self.candidates.base @ found.solution.coefficients[:first]
-        for column, value in zip(columns, found.solution.coefficients[first:], strict=True):
-            explained = explained + value * stored[column - first]
-        return np.asarray(stored[target - first] - explained)
-
     def _values(self, found: Fitted, coefficients: Array) -> dict[str, float]:
         """Parameters by address from the coefficients of a fit."""
         candidates, first = self.candidates, self.fits.first
@@ -306,16 +282,15 @@ class _Figures:
         if not any(m.columns for m in found.members):
             return 0.0, 0.0
         owner, fitted = self.candidates.owner, self.candidates.fitted
-        ranks = np.argsort(np.argsort(self.candidates.amplitude))
-        every = np.ones(ranks.size, dtype=bool)
-        choices = [(np.asarray(ranks * TERCILES // ranks.size, dtype=np.int64), every)]
+        groups = by_size(self.candidates.amplitude)
+        choices = [(groups, np.ones(groups.size, dtype=bool))]
         blocks_of = np.bincount(owner[fitted])
         if blocks_of.size > 1 and blocks_of.min() > 1:
             choices.append((np.asarray(np.where(fitted, owner, 0), dtype=np.int64), fitted))
         told = []
         for groups, counted in choices:
             split = self.fits.by_group(found, groups)
-            mean, error = margin(split[counted], found.solution.errors[counted])
+            mean, error = log_ratio(split[counted], found.solution.errors[counted])
             told.append((1.0 - math.exp(-mean), math.exp(-mean) * error))
         return max(told)
 

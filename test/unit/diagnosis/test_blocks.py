@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dfm_stage.diagnosis.blocks import Blocks, block_edges, jackknife, margin
+from dfm_stage.diagnosis.blocks import Blocks, block_edges, jackknife, log_ratio
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
 
 def test_a_margin_counts_every_block_the_same():
     better = np.array([1.0, 1e6, 1e-6, 1.0])
-    mean, error = margin(better, 2.0 * better)
+    mean, error = log_ratio(better, 2.0 * better)
     assert mean == pytest.approx(np.log(2.0))
     assert error == pytest.approx(0.0, abs=1e-12)
 

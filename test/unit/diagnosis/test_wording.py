@@ -45,7 +45,7 @@ SPRING = EffectEvidence(
     "cubic_stiffness", {"k3": Quantity(3e6, "N/m^3", (2.9e6, 3.1e6))}, GAP,
     (RivalEvidence("force_constant_droop", 30.4, 30.4, Errors(1e-7, 1e3)),
      RivalEvidence("quadratic_damping", 90.0, 90.0, Errors(1e-7, 2e3))))
-NAMED = Evidence(("run",), "m", Noise(1e-7, "residuals"), Motion(1e-3, 1e-5), GAP, GAP, CLOSED,
+NAMED = Evidence(("run",), "m", Noise(1e-7, "residuals"), Motion(1e-3), GAP, GAP, CLOSED,
                  (SPRING,))
 NONE = replace(NAMED, extended=GAP, effects=())
 
