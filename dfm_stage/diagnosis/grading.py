@@ -55,7 +55,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     bare = search.once((), bare)
     trial.held_weights = weights_like(trial.held, search.weights)
     names, found = _largest(search, bare, [
-        *_found_before(trial, h), *((bare, each) for each in _proposed(search, seen))])
+        *_found_before(trial, h, bare), *((bare, each) for each in _proposed(search, seen))])
     if not _proposes_alone(seen, search):
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
@@ -99,7 +99,7 @@ def _parameters(told: Explained, name: str) -> Parameters:
             for p, value in EFFECTS[name].defaults.items()}
 
 
-def _found_before(trial: Trial, h: Hypothesis) -> Iterator[Begin]:
+def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
     """The sets that the search fitted: its answer, and the best single effects."""
     search, seen = trial.search, trial.witness
     if h.names:
@@ -114,11 +114,11 @@ def _found_before(trial: Trial, h: Hypothesis) -> Iterator[Begin]:
         yield found, {}
     if not search.hits and (seen is None or seen.cannot_tell):
         search.step("screening every effect")
-        _, hits = search.screened(h.bare, ())
+        _, hits = search.screened(bare, ())
         search.hits.update({x.name: x for x in reversed(hits)})
     for hit in sorted(search.hits.values(), key=lambda x: -x.gain)[:SHORT_LIST]:
         if hit.name not in singles:
-            yield h.bare, {hit.name: hit.parameters}
+            yield bare, {hit.name: hit.parameters}
 
 
 def _largest(search: Search, bare: Fit, begins: Sequence[Begin]) -> tuple[Names, Fit]:
