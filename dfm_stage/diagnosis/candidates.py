@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from dfm_stage.diagnosis.decisions import MOST_TO_ONE
 from dfm_stage.identification.coordinates import late_parameters
+from dfm_stage.identification.run import Run
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import Parameters
@@ -31,6 +35,17 @@ def starts(name: str, at: Conditions) -> list[Parameters]:
     return [found for found in EFFECTS[name].starts(at)
             if all(math.isfinite(v) and limits[n].low <= v <= limits[n].high
                    for n, v in found.items())]
+
+
+def cycles(name: str, values: Mapping[str, float], runs: Sequence[Run]) -> float:
+    """Cycles that a sine makes in the longest run, or over the widest motion of one; infinite for
+    other effects."""
+    wave = EFFECTS[name].wave
+    if wave is None:
+        return math.inf
+    if wave.over == "time":
+        return values[wave.parameter] * max(r.input.size * r.sample_period for r in runs)
+    return max(float(np.ptp(r.output)) for r in runs) / max(values[wave.parameter], 1e-300)
 
 
 def late_splits(model: Model, free: tuple[str, ...]) -> list[Parameters]:

@@ -105,11 +105,23 @@ BLOCK_MARGIN = decision(
     "worse without an effect, and with a rival in its place, which joins the class otherwise.",
     set_on=REAL)
 NAMED_SHARE = decision(
-    "NAMED_SHARE", 0.8, "1", meaning="Share of the predictable held-out gap from which effects "
+    "NAMED_SHARE", 0.95, "1", meaning="Share of the predictable held-out gap from which effects "
     "that leave a remainder are named.", set_on=REAL)
 PARTIAL_SHARE = decision(
     "PARTIAL_SHARE", 0.3, "1", meaning="The same from which they are told as a part.",
     set_on=REAL)
+SMALL_SHARE = decision(
+    "SMALL_SHARE", 0.1, "1", meaning="Share of the held-out gap below which a further effect is "
+    "named only where the force domain has it in its best set: what is in no library looks like "
+    "some effect where it is small.", set_on=PARTS)
+GROSS_REMAINDER = decision(
+    "GROSS_REMAINDER", 1.5, "1", meaning="RMS over the noise that the first effects found leave, "
+    "above which those that explain most are looked for before all that reach the noise.",
+    set_on=PARTS)
+FAR_BEHIND = decision(
+    "FAR_BEHIND", 0.7, "1", meaning="Share of what the force domain explains, below which the fit "
+    "of a grossly missed motion is taken for a local minimum and made again in windows.",
+    set_on=PARTS)
 FURTHER_PART = decision(
     "FURTHER_PART", 0.6, "1", meaning="Share of what is left above the noise that a further "
     "effect must take of held-out power where a remainder stays.", set_on=PARTS)

@@ -33,6 +33,7 @@ from dfm_stage.identification.system import is_nonlinear, rounding_step, steps_t
 from dfm_stage.identification.weights import Weight, Weights, velocity_weights, white_weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.effect import Parameters
 
 Names = tuple[str, ...]
 
@@ -135,13 +136,24 @@ class Fits:
             found = min(found, again, key=lambda f: f.chi2)
         return self.keep(names, found)
 
-    def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = ()) -> Fit:
+    def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),
+             base: Parameters | None = None) -> Fit:
         """The fit with the effects `names` from one beginning, without what is freed last, as far
-        as power left is told by: enough to rank sets of which none reaches the noise."""
+        as power left is told by: enough to rank sets of which none reaches the noise.
+
+        `base` are other values of base parameters to begin with, taken where they leave less.
+        """
         key = frozenset(names), self.weighing
         if key in self.fits:
             return self.fits[key]
         model, later = self._with(start.model, names, hits)
+        given = {n: min(max(v, model.parameter(n).low), model.parameter(n).high)
+                 for n, v in (base or {}).items() if n in self.free}
+        if given:
+            other = model.with_parameters(given)
+            if self._fit(other, (), start, iterations=0).chi2 < self._fit(
+                    model, (), start, iterations=0).chi2:
+                model = other
         free = tuple(n for n in self.parameters(model) if n not in later)
         return self.keep(names, self._fit(model, free, start, iterations=GRADED_ITERATIONS,
                                           tolerance=GRADED_FALL * start.white.size))

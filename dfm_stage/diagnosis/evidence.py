@@ -96,7 +96,7 @@ class EffectEvidence:
     in block standard errors, `constancy` whether its size is the same for every size of motion.
     `force_share` is what it explains by itself of the force that is predictable, None where the
     force domain cannot judge it; `in_best` says that this has it, or one of its class, in its best
-    set."""
+    set; `confirmed` that it has the effect itself there."""
 
     name: str
     parameters: Mapping[str, Quantity]
@@ -107,6 +107,7 @@ class EffectEvidence:
     constancy: Constancy | None = None
     force_share: float | None = None
     in_best: bool = True
+    confirmed: bool = False
 
 
 @dataclass(frozen=True)

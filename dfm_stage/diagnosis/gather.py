@@ -105,6 +105,7 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     predictable = math.sqrt(noise + (1.0 - seen.predictable_share) * max(gap - noise, 0.0))
     named = {x.name for x in evidence.effects}
     alone = {e.names[0]: e.share for e in seen.singles}
+    evidence = with_confirmation(evidence, seen)
     effects = tuple(_heard(x, seen, alone) for x in evidence.effects)
     library = tuple(replace(c, share=alone.get(c.name)) for c in evidence.library)
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
@@ -112,6 +113,14 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
         "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
         "predictable": seen.predictable_share, "margins": dict(seen.margins)},
         judged=replace(evidence.judged, predictable=predictable))
+
+
+def with_confirmation(evidence: Evidence, seen: Witness | None) -> Evidence:
+    """Add which effects the force domain has in its best set."""
+    if seen is None or seen.cannot_tell:
+        return evidence
+    return replace(evidence, effects=tuple(
+        replace(x, confirmed=x.name in seen.best.names) for x in evidence.effects))
 
 
 def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:

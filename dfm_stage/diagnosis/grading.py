@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from dfm_stage.diagnosis.alike import at_upper_end
+from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
+    FEWEST_CYCLES,
     FURTHER_PART,
     GRADED_RIVALS,
     GRADING_STEPS,
@@ -36,8 +38,9 @@ from dfm_stage.diagnosis.witness import Explained, Witness
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.effect import Parameters
 
-Begin = tuple[Fit, dict[str, Parameters]]
-"""A set of effects to begin with: a fit that has some of them, and the others' parameters."""
+Begin = tuple[Fit, dict[str, Parameters], Parameters]
+"""A set of effects to begin with: a fit that has some of them, the others' parameters, and base
+parameters that may suit better."""
 
 
 def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
@@ -55,7 +58,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     bare = search.once((), bare)
     trial.held_weights = weights_like(trial.held, search.weights)
     names, found = _largest(search, bare, [
-        *_found_before(trial, h, bare), *((bare, each) for each in _proposed(search, seen))])
+        *_found_before(trial, h, bare), *((bare, *each) for each in _proposed(search, seen))])
     if not _proposes_alone(seen, search):
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
@@ -79,8 +82,9 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         dropped[name] = reason
 
 
-def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parameters]]:
-    """The sets that explain most of the missing force."""
+def _proposed(search: Search,
+              seen: Witness | None) -> Iterator[tuple[dict[str, Parameters], Parameters]]:
+    """The sets that explain most of the missing force, and the base parameters beside them."""
     if seen is None or seen.cannot_tell:
         return
     listed = [seen.best, *seen.singles[:PROPOSED], *seen.pairs[:PROPOSED]]
@@ -90,7 +94,8 @@ def _proposed(search: Search, seen: Witness | None) -> Iterator[dict[str, Parame
         if each.names and allowed and frozenset(each.names) not in told \
                 and each.share > RIVAL_GAIN * seen.best.share:
             told.add(frozenset(each.names))
-            yield {n: _parameters(each, n) for n in each.names}
+            yield ({n: _parameters(each, n) for n in each.names},
+                   {n: v for n, v in each.parameters.items() if "." not in n})
 
 
 def _parameters(told: Explained, name: str) -> Parameters:
@@ -103,7 +108,7 @@ def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
     """The sets that the search fitted: its answer, and the best single effects."""
     search, seen = trial.search, trial.witness
     if h.names:
-        yield h.fit, {}
+        yield h.fit, {}, {}
     singles: dict[str, Fit] = {}
     for (names, _), found in search.fits.items():
         if len(names) == 1 and found.ok:
@@ -111,24 +116,24 @@ def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
             if name not in singles or found.rms < singles[name].rms:
                 singles[name] = found
     for found in sorted(singles.values(), key=lambda f: f.rms)[:2]:
-        yield found, {}
+        yield found, {}, {}
     if not search.hits and (seen is None or seen.cannot_tell):
         search.step("screening every effect")
         _, hits = search.screened(bare, ())
         search.hits.update({x.name: x for x in reversed(hits)})
     for hit in sorted(search.hits.values(), key=lambda x: -x.gain)[:SHORT_LIST]:
         if hit.name not in singles:
-            yield bare, {hit.name: hit.parameters}
+            yield bare, {hit.name: hit.parameters}, {}
 
 
 def _largest(search: Search, bare: Fit, begins: Sequence[Begin]) -> tuple[Names, Fit]:
     """The set that leaves the least power, a further effect paid for by what it must take."""
     best: tuple[Names, Fit] = (), bare
-    for start, new in begins:
+    for start, new, base in begins:
         names = (*(use.name for use in start.model.effects
                    if search.model.effect(use.name) is None), *new)
         search.step(f"fitting {' and '.join(names)}")
-        found = search.once(names, start, [Hit.at(n, p) for n, p in new.items()])
+        found = search.once(names, start, [Hit.at(n, p) for n, p in new.items()], base)
         if _usable(found, names) and _score(names, found) < _score(*best):
             best = names, found
     return best
@@ -136,10 +141,13 @@ def _largest(search: Search, bare: Fit, begins: Sequence[Begin]) -> tuple[Names,
 
 def _usable(found: Fit, names: Names) -> bool:
     """Whether every effect can be told from what it becomes at an end of its range: a force that
-    yields over less than what is left cannot be told from dry friction."""
+    yields over less than what is left cannot be told from dry friction, a part of a sine not from
+    a curve."""
     return found.ok and not at_upper_end(found, names) and not any(
-        use.name in names and EFFECTS[use.name].yields_within(use.parameters)
-        < PRESLIDING_DISTANCE * found.rms for use in found.model.effects)
+        use.name in names and (
+            EFFECTS[use.name].yields_within(use.parameters) < PRESLIDING_DISTANCE * found.rms
+            or cycles(use.name, use.parameters, found.system.runs) < FEWEST_CYCLES)
+        for use in found.model.effects)
 
 
 def _score(names: Names, found: Fit) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import FEWEST_CYCLES, MARGIN, RETUNE_RATIO
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
@@ -195,24 +196,17 @@ class Trial:
         self.dropped[name] = DropReason.LINE_OF_INPUT
         return h.without(name, self.search)
 
-    def _too_slow(self, h: Hypothesis, name: str) -> bool:
-        """Whether a vibration makes too few cycles in the longest record to be told from a
-        reading that wanders."""
-        if not EFFECTS[name].frequency:
-            return False
-        hertz = h.fit.model.parameters()[f"{name}.{EFFECTS[name].frequency}"]
-        longest = max(run.input.size * run.sample_period for run in self.search.runs)
-        return hertz * longest < FEWEST_CYCLES
-
     def at_bound(self, h: Hypothesis) -> Hypothesis:
         """Drop effects of which a parameter has no interval: the fit ran to the bound of what the
-        effect can be, and stands for something else there; so does a vibration slower than any
-        that is looked for."""
+        effect can be, and stands for something else there; so does a sine of which the records
+        show but a part."""
         values = h.fit.quantities
         for name in reversed(h.names):
-            own = [q for address, q in values.items() if address.startswith(f"{name}.")]
-            if self._too_slow(h, name) or any(
-                    q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own):
+            own = {address.removeprefix(f"{name}."): q for address, q in values.items()
+                   if address.startswith(f"{name}.")}
+            few = cycles(name, {n: q.value for n, q in own.items()}, self.search.runs)
+            if few < FEWEST_CYCLES or any(q.ci95 is None or not all(map(math.isfinite, q.ci95))
+                                          for q in own.values()):
                 self.dropped[name] = DropReason.AT_BOUND
                 return self.at_bound(h.without(name, self.search))
         return h

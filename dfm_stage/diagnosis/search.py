@@ -171,9 +171,11 @@ class Search(Fits):
         found = self.extend(names, current)
         return None if found is None else self.grown(*self.pruned(*found))
 
-    def grown(self, names: Names, current: Fit) -> tuple[Names, Fit]:
-        """Go on from `names` and their fit until nothing helps."""
-        while current.ok and len(names) < MOST_EFFECTS:
+    def grown(self, names: Names, current: Fit, rounds: int = MOST_EFFECTS) -> tuple[Names, Fit]:
+        """Go on from `names` and their fit until nothing helps, `rounds` times at most."""
+        for _ in range(rounds):
+            if not current.ok or len(names) >= MOST_EFFECTS:
+                break
             self.step("screening every effect")
             found = self.extend(names, current)
             if found is None:

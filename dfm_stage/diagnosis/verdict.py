@@ -30,6 +30,7 @@ from dfm_stage.diagnosis.decisions import (
     PRESLIDING_DISTANCE,
     RETUNE_GAIN,
     RETUNE_RATIO,
+    SMALL_SHARE,
 )
 from dfm_stage.diagnosis.evidence import (
     Candidate,
@@ -267,25 +268,40 @@ def _main(e: Evidence) -> EffectEvidence:
 
 
 def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
+    further = x is not _main(e)
     left = x.without.held_out.power - e.judged.noise_power
     taken = x.without.held_out.power - e.extended.held_out.power
     unrelated = [r for r in x.rivals if _level(r) and not r.related]
     rules = (
         (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
-        (taken < FURTHER_PART * left, DropReason.SMALL_PART),
+        (taken < FURTHER_PART * left or (further and _is_small(e, x)), DropReason.SMALL_PART),
         (x.constancy is not None and x.constancy.gain > INCONSTANT
          and x.constancy.gain > BLOCK_MARGIN * x.constancy.se, DropReason.INCONSTANT),
         (x.force_share is not None and not x.in_best
-         and (x is not _main(e) or x.force_share < LEAST_HEARD), DropReason.UNHEARD),
-        (len(unrelated) > (1 if x is _main(e) else 0), DropReason.RIVALS))
+         and (further or x.force_share < LEAST_HEARD), DropReason.UNHEARD),
+        (len(unrelated) > (0 if further else 1), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
 
 
+def small_parts(e: Evidence) -> tuple[str, ...]:
+    """Effects beside the main one that take so little that others would, too."""
+    return tuple(x.name for x in e.effects if x is not _main(e) and _is_small(e, x))
+
+
+def _is_small(e: Evidence, x: EffectEvidence) -> bool:
+    """Whether the effect takes little of a held-out gap that exercises it, and the force domain
+    does not put it beside the others."""
+    taken = x.without.held_out.power - e.extended.held_out.power
+    gap = e.retuned.held_out.power - e.judged.noise_power
+    return x.exercised and not x.confirmed and taken < SMALL_SHARE * gap
+
+
 def needs_grading(e: Evidence) -> bool:
-    """Whether a gap stays that no set of effects brings to the noise."""
-    outcome = judge_hypothesis(e)
+    """Whether a gap stays that no set of effects brings to the noise, or only one with parts too
+    small to be named."""
+    stands = judge_hypothesis(e).stands and not small_parts(e)
     real = e.retuned.remainder if not e.effects else True
-    return not outcome.stands and real and (
+    return not stands and real and (
         e.retuned.held_out.power > EXCESS**2 * e.judged.noise_power)
 
 

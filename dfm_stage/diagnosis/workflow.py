@@ -8,12 +8,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.decisions import GROSS_GAP, LEAST_STEPS, MOST_STEPS
+from dfm_stage.diagnosis.decisions import (
+    FAR_BEHIND,
+    GROSS_GAP,
+    GROSS_REMAINDER,
+    LEAST_STEPS,
+    MOST_STEPS,
+)
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import (
     gather,
+    with_confirmation,
     with_joint_fit,
     with_next_experiment,
     with_surface,
@@ -30,9 +37,11 @@ from dfm_stage.diagnosis.observation import (
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import (
+    explained_share,
     leaves_open,
     needs_grading,
     needs_joint_fit,
+    small_parts,
     stays_open,
     verdict,
 )
@@ -135,17 +144,48 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
         if stays_open(part[2]):
             return part
         trial.search.begin_work(max(MOST_STEPS - own.search.steps, LEAST_STEPS))
-    h = trial.no_worse(trial.run(*trial.search.grown((), first)))
+    search = trial.search
+    names, found = search.grown((), first, rounds=1)
+    if part is None and leaves_gross(found):
+        part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
+        if stays_open(part[2]) and leaves_gross(part[1].fit):
+            return part
+        if part[0] is trial and part[1].names:
+            names, found = part[1].names, part[1].fit
+        search.begin_work(max(MOST_STEPS - search.steps, LEAST_STEPS))
+    h = trial.no_worse(trial.run(*search.grown(names, found)))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
         evidence = with_joint_fit(trial, h, evidence)
+    if small_parts(evidence):
+        evidence = with_confirmation(evidence, trial.witness)
     if needs_grading(evidence):
         if part is None or not part[1].names:
-            part = trial, *graded(trial, h, warnings, split)
+            part = _explaining(trial, h, warnings, split)
         if part[1].names:
             return part
         evidence = replace(evidence, witness=part[2].witness, judged=part[2].judged)
     return trial, h, evidence
+
+
+def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
+                split: bool) -> tuple[Trial, Hypothesis, Evidence]:
+    """What explains most; in windows where much of the motion is missed and the fits stay far
+    behind the force domain, because long simulations have many local minima then."""
+    found = trial, *graded(trial, h, warnings, split)
+    seen = trial.witness
+    if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare) \
+            or explained_share(found[2]) > FAR_BEHIND * seen.best.share:
+        return found
+    own = _in_windows(trial)
+    bare = own.search.begin()
+    other = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
+    return other if other[1].names else found
+
+
+def leaves_gross(found: Fit) -> bool:
+    """Whether a fit leaves much more than the noise by which it is weighed."""
+    return found.ok and found.chi2 > GROSS_REMAINDER**2 * found.white.size
 
 
 def is_gross(bare: Fit) -> bool:

@@ -34,6 +34,7 @@ from dfm_stage.diagnosis.verdict import (
     fallen,
     needs_grading,
     needs_joint_fit,
+    small_parts,
     verdict,
 )
 
@@ -213,29 +214,29 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "an effect at its bound was dropped, and nothing else is left": (
         case(library=(Candidate("creep", gain=90.0, dropped=DropReason.AT_BOUND),)), "none", (),
         Reason.NOISE),
-    "explains 90 % of the predictable gap, a remainder stays": (
-        part(0.9), "named", ("coulomb_friction",), Reason.GRADED),
-    "explains 81 % of the gap": (part(0.81), "named", ("coulomb_friction",), Reason.GRADED),
-    "explains 79 % of the gap": (part(0.79), "partial", ("coulomb_friction",), Reason.GRADED),
-    "explains 70 % of the gap, of which 80 % can be predicted at all": (
-        part(0.7, predictable=0.8), "named", ("coulomb_friction",), Reason.GRADED),
+    "explains 97 % of the predictable gap, a remainder stays": (
+        part(0.97), "named", ("coulomb_friction",), Reason.GRADED),
+    "explains 96 % of the gap": (part(0.96), "named", ("coulomb_friction",), Reason.GRADED),
+    "explains 94 % of the gap": (part(0.94), "partial", ("coulomb_friction",), Reason.GRADED),
+    "explains 77 % of the gap, of which 80 % can be predicted at all": (
+        part(0.77, predictable=0.8), "named", ("coulomb_friction",), Reason.GRADED),
     "explains 31 % of the gap": (part(0.31), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains 29 % of the gap": (part(0.29), "unknown", (), Reason.GRADED),
     "explains most, with a rival 2.9 standard errors behind": (
-        part(0.9, at(2.9)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
+        part(0.97, at(2.9)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
     "explains most, with a rival 3.1 standard errors behind": (
-        part(0.9, at(3.1)), "named", ("coulomb_friction",), Reason.GRADED),
+        part(0.97, at(3.1)), "named", ("coulomb_friction",), Reason.GRADED),
     "explains most, with a larger rival 2.1 standard errors behind": (
-        part(0.9, at(2.1, larger=True)), "named", ("coulomb_friction",), Reason.GRADED),
+        part(0.97, at(2.1, larger=True)), "named", ("coulomb_friction",), Reason.GRADED),
     "explains most, with a larger rival 1.9 standard errors behind": (
-        part(0.9, at(1.9, larger=True)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
+        part(0.97, at(1.9, larger=True)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
     "explains a part, with a rival level": (
         part(0.5, at(0.0)), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains most, with the damping at nothing": (
-        part(0.9, base_shares={"damping": 8e-10, "stiffness": 1.0}), "unknown", (),
+        part(0.97, base_shares={"damping": 8e-10, "stiffness": 1.0}), "unknown", (),
         Reason.GRADED),
     "explains most, with next to no damping": (
-        part(0.9, base_shares={"damping": 1.2e-9}), "named", ("coulomb_friction",),
+        part(0.97, base_shares={"damping": 1.2e-9}), "named", ("coulomb_friction",),
         Reason.GRADED),
     "the stage at rest": (case(motion=Motion(NOISE)), "not_excited", (), Reason.REST),
     "moving at 8 times the noise": (case(motion=MOVING_AT_NOISE), "not_excited", (),
@@ -324,7 +325,7 @@ def test_without_effects_there_is_nothing_to_doubt():
 
 @pytest.mark.parametrize(("met", "shown", "model", "remainder"), [
     ("Coulomb friction, clear", "extended", "extended", False),
-    ("explains 90 % of the predictable gap, a remainder stays", "extended", "extended", True),
+    ("explains 97 % of the predictable gap, a remainder stays", "extended", "extended", True),
     ("comes near, but a line is left", "retuned", "given", True),
     ("the mass ratio was wrong", "retuned", "retuned", False),
     ("nothing is missing", "retuned", "given", False),
@@ -405,6 +406,21 @@ def test_an_effect_that_the_force_domain_does_not_find_falls(share, in_best, fal
     e = part(0.9)
     e = replace(e, effects=(replace(e.effects[0], force_share=share, in_best=in_best),))
     assert (fallen(e) is not None) is falls
+
+
+@pytest.mark.parametrize(("share", "confirmed", "named"), [
+    (0.11, False, True), (0.09, False, False), (0.09, True, True)])
+def test_a_small_further_effect_needs_the_force_domain(share, confirmed, named):
+    e = part(0.999)
+    offset = EffectEvidence("force_offset", {}, part(0.999 - share).extended, margin=20.0,
+                            confirmed=confirmed)
+    both = replace(e, effects=(*e.effects, offset))
+    assert (fallen(both) is None) is named
+    assert small_parts(both) == (() if named else ("force_offset",))
+
+
+def test_a_small_effect_alone_is_not_a_further_one():
+    assert small_parts(found(FRICTION)) == ()
 
 
 def test_two_effects_fall_the_lesser_first():
