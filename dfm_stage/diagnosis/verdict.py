@@ -297,11 +297,9 @@ def _is_small(e: Evidence, x: EffectEvidence) -> bool:
 
 
 def needs_grading(e: Evidence) -> bool:
-    """Whether a gap stays that no set of effects brings to the noise, or only one with parts too
-    small to be named."""
-    stands = judge_hypothesis(e).stands and not small_parts(e)
+    """Whether a gap stays that no set of effects brings to the noise."""
     real = e.retuned.remainder if not e.effects else True
-    return not stands and real and (
+    return not judge_hypothesis(e).stands and real and (
         e.retuned.held_out.power > EXCESS**2 * e.judged.noise_power)
 
 

@@ -16,7 +16,7 @@ from dfm_stage.diagnosis.decisions import (
     MOST_STEPS,
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
-from dfm_stage.diagnosis.evidence import Evidence
+from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import (
     gather,
@@ -47,6 +47,7 @@ from dfm_stage.diagnosis.verdict import (
 )
 from dfm_stage.diagnosis.wording import lost_samples
 from dfm_stage.identification.model_fit import default_free
+from dfm_stage.identification.system import steps_taken
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
 
@@ -135,6 +136,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
     Without a spring the latter come first where a gross force is missed and the force domain can
     tell: positions say nothing then.
     """
+    begun = steps_taken()
     part: tuple[Trial, Hypothesis, Evidence] | None = None
     if first.system.springless and is_gross(first) and (
             trial.witness is not None and not trial.witness.cannot_tell):
@@ -143,7 +145,6 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
         if stays_open(part[2]):
             return part
-        trial.search.begin_work(max(MOST_STEPS - own.search.steps, LEAST_STEPS))
     search = trial.search
     names, found = search.grown((), first, rounds=1)
     if part is None and leaves_gross(found):
@@ -152,13 +153,18 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
             return part
         if part[0] is trial and part[1].names:
             names, found = part[1].names, part[1].fit
-        search.begin_work(max(MOST_STEPS - search.steps, LEAST_STEPS))
+    if part is not None:
+        search.begin_work(max(MOST_STEPS - (steps_taken() - begun), LEAST_STEPS))
     h = trial.no_worse(trial.run(*search.grown(names, found)))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
         evidence = with_joint_fit(trial, h, evidence)
-    if small_parts(evidence):
-        evidence = with_confirmation(evidence, trial.witness)
+    small = small_parts(evidence) and small_parts(with_confirmation(evidence, trial.witness))
+    if small:
+        for name in small:
+            trial.dropped[name] = DropReason.SMALL_PART
+            h = h.without(name, search)
+        evidence = gather(trial, h, warnings, split)
     if needs_grading(evidence):
         if part is None or not part[1].names:
             part = _explaining(trial, h, warnings, split)
