@@ -2,7 +2,7 @@
 
 import os
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Matrices here are small: threads of the linear algebra that wait for each other cost more than
 # they give, on a busy machine thirty times more. Whoever has set these keeps them.

@@ -32,6 +32,7 @@ TOOLS: dict[str, str] = {
     "diagnose_batch": "diagnose many bags, each by itself, on all cores or a Dask cluster",
     "emulate": "a serial device that is not there, on a pseudo-terminal, with faults to order",
     "learn": "repeat a scan on the graph until its error is learnt away; keep and replay that",
+    "completion": "lines for bash, zsh or fish that complete names and options",
     "bench": "run the benchmarks and print each figure beside its bar and its peer",
 }
 

@@ -71,7 +71,7 @@ OPTIONS: Options = (
 )
 
 
-@command("diagnose", __doc__, EPILOG, OPTIONS)
+@command("diagnose", __doc__, EPILOG, OPTIONS, lambda options: options.run)
 def main(options: argparse.Namespace) -> int:
     """Diagnose bags or CSV files; 0 a verdict was reached, 2 unusable input."""
     model = load_model(options.model)

@@ -45,7 +45,7 @@ WITH_ROS: dict[str, set[str]] = {
     "nodes": LOOP | {"middleware"},
     "harness": LOOP | {"middleware", "nodes", "compile_all"},
     "live": BASE | {"middleware", "nodes", "reporting"},
-    "__main__": {"commands", "errors"},
+    "__main__": {"commands", "errors", "share"},
 }
 ARROWS = {**PURE, **WITH_ROS, "cli": TOOLS}
 CIRCLES: set[frozenset[str]] = set()
