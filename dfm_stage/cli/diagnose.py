@@ -114,7 +114,7 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         step("writing")
         text = write_json(out / "diagnosis.json", {
             **found.to_dict(), "records": list(fitted), "holdout": list(held)})
-        save_model(found.model, out / "model.yaml")
+        save_model(_with_gap(found), out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         _surface(found, out)
         if not options.no_report:
@@ -127,6 +127,16 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
     else:
         _print(found, out, not options.no_report)
     return found
+
+
+def _with_gap(found: Diagnosis) -> Model:
+    """The model with the gap that it leaves on held-out records, where whole ones were judged."""
+    from dfm_stage.comparison import with_gap
+
+    gap = found.gap
+    if gap.judged != "position" or gap.window_s is not None:
+        return found.model
+    return with_gap(found.model, gap.held_out[2], gap.unit)
 
 
 def _next(found: Diagnosis, path: Path) -> None:

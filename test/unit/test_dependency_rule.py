@@ -37,6 +37,7 @@ PURE: dict[str, set[str]] = {
     "control": BASE | {"model"},
     "identification": BASE | {"model", "recording"},
     "diagnosis": RECORDS | {"trajectory"},
+    "comparison": RECORDS | {"diagnosis"},
     "paper": RECORDS | {"trajectory", "control", "reporting"},
 }
 TOOLS = {*PURE, "harness", "live"} - {"commands"}
