@@ -117,15 +117,18 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         save_model(_with_gap(found), out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         _surface(found, out)
-        if not options.no_report:
+    # the answer first: the page takes as long to draw as a short record to diagnose
+    if options.json:
+        print(text, end="", flush=True)
+    else:
+        _print(found, out, not options.no_report)
+    if not options.no_report:
+        with steps("diagnose", options.json) as step:
+            step("report.html")
             from dfm_stage.cli.diagnose_report import write_report
 
             write_report(found, out / "report.html",
                          [each.provenance.words for each in (*records, *holdout)], options.model)
-    if options.json:
-        print(text, end="")
-    else:
-        _print(found, out, not options.no_report)
     return found
 
 
@@ -195,4 +198,4 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
     files = ["diagnosis.json", "model.yaml", *(["report.html"] if report else []),
              *(["next_experiment.yaml"] if found.next_experiment is not None else []),
              *([FILE] if found.surface is not None else [])]
-    print(f"  {', '.join(files)} in {out}")
+    print(f"  {', '.join(files)} in {out}", flush=True)
