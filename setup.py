@@ -28,7 +28,7 @@ DEPENDENCIES = [
     "numba>=0.59",
     "numpy>=1.26",
     "ruamel.yaml>=0.18",
-    "scipy>=1.11.4",
+    "scipy>=1.14",
     "zstandard>=0.22",
 ]
 EXTRAS = {

@@ -55,7 +55,8 @@ class _Part(_codegen.JITCodeLibrary):  # type: ignore[misc]
     def finalize(self) -> None:
         """Link what it calls."""
         for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
+            if hasattr(library, "_reload_init"):    # from numba 0.60 on
+                self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._finalize_dynamic_globals()
         self._finalized = True
@@ -88,7 +89,7 @@ def keeper(name: str, sources: Iterable[Path], takes: str) -> Callable[[F], F]:
 
     @lru_cache
     def announce() -> None:
-        _log.warning("compiling the %s, once on this machine: about %s", name, takes)
+        _log.warning("compiling the %s, once on this machine: up to %s", name, takes)
 
     def keep(function: F) -> F:
         kept: Any = function
