@@ -28,10 +28,14 @@ TOOLS: dict[str, str] = {
     "paper": "run all that the paper did on the simulated stage, its numbers beside ours",
     "tune": "a controller's parameters from a model or a bag, with margins and reasons",
     "diagnose": "what a model lacks, by runs it should explain; named, or said to be unknown",
+    "simulate": "the response of a model to recorded inputs, and what it leaves unexplained",
+    "compare": "several models beside the same records, in one table and one picture",
+    "check": "whether a model still explains its machine, by new records; exit code 1 if not",
     "view": "the loop as it runs, on a page for this machine: errors, faults, arm, stop",
     "diagnose_batch": "diagnose many bags, each by itself, on all cores or a Dask cluster",
     "emulate": "a serial device that is not there, on a pseudo-terminal, with faults to order",
     "learn": "repeat a scan on the graph until its error is learnt away; keep and replay that",
+    "completion": "lines for bash, zsh or fish that complete names and options",
     "bench": "run the benchmarks and print each figure beside its bar and its peer",
 }
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import logging
 import os
 import sys
 import tempfile
@@ -22,15 +23,59 @@ from typing import Any, TypeVar
 import numba
 import numba.core.caching
 import numba.core.ccallback
+import numba.core.codegen
+import numba.core.compiler
 import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
+_log = logging.getLogger(__package__)
 _caching: Any = numba.core.caching
+_codegen: Any = numba.core.codegen
+_compiler: Any = numba.core.compiler
 
 
-def keeper(name: str, sources: Iterable[Path]) -> Callable[[F], F]:
+class _Part(_codegen.JITCodeLibrary):  # type: ignore[misc]
+    """Code that is optimised and becomes machine code only as part of what it is linked into.
+
+    numba does both for every function, and again for each one that calls it: half of the time
+    that it takes to compile the simulator.
+    """
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Do nothing: there is no machine code that could hold the environment."""
+
+    def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002
+        """Return no address: Python cannot call a part."""
+        return 0
+
+    def finalize(self) -> None:
+        """Link what it calls."""
+        for library in dict.fromkeys(self._linking_libraries):
+            if hasattr(library, "_reload_init"):    # from numba 0.60 on
+                self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _PartCompiler(_compiler.Compiler):  # type: ignore[misc]
+    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any, **more: Any) -> None:
+        super().__init__(typing, target, library or _Part(target.codegen(), "part"), *rest, **more)
+
+
+INSIDE: dict[str, Any] = {"nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True,
+                          "pipeline_class": _PartCompiler}
+"""Options of functions that only compiled code calls."""
+
+
+def keeper(name: str, sources: Iterable[Path], takes: str) -> Callable[[F], F]:
     """Return a decorator for numba functions whose code depends on `sources`.
 
+    Where there is no code yet, one line says that `name` is compiled and how long that `takes`.
     The code lies in `$NUMBA_CACHE_DIR`, `$XDG_CACHE_HOME/dfm_stage` or `~/.cache/dfm_stage`,
     whichever can be written first, else in the temporary folder.
     """
@@ -42,10 +87,14 @@ def keeper(name: str, sources: Iterable[Path]) -> Callable[[F], F]:
             digest.update(source.read_bytes())
         return _folder(f"{name}-{digest.hexdigest()[:16]}")
 
+    @lru_cache
+    def announce() -> None:
+        _log.warning("compiling the %s, once on this machine: up to %s", name, takes)
+
     def keep(function: F) -> F:
         kept: Any = function
         if hasattr(kept, "py_func"):        # not where NUMBA_DISABLE_JIT is set
-            kept._cache = _cache_in(folder())(kept.py_func)
+            kept._cache = _cache_in(folder(), announce)(kept.py_func)
         return function
 
     return keep
@@ -101,7 +150,7 @@ def _content(value: Any, seen: set[int]) -> Iterator[bytes]:
         yield repr(getattr(value, "__name__", value)).encode()
 
 
-def _cache_in(folder: Path) -> type:
+def _cache_in(folder: Path, missed: Callable[[], None] = lambda: None) -> type:
     class Locator(_caching._CacheLocator):  # type: ignore[misc]
         def __init__(self, function: Any, file: str) -> None:
             self._line, self._py_file = function.__code__.co_firstlineno, file
@@ -134,6 +183,12 @@ def _cache_in(folder: Path) -> type:
 
         def _index_key(self, sig: Any, codegen: Any) -> Any:
             return sig, codegen.magic_tuple()       # the folder stands for the content
+
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            found = super().load_overload(sig, target_context)
+            if found is None:
+                missed()
+            return found
 
     return Cache
 

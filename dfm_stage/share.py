@@ -1,29 +1,33 @@
-"""Where configuration lives: in a source tree or installed beside the package."""
+"""What comes with the package, and how it came here."""
 
 from __future__ import annotations
 
-import os
+from importlib.resources import files
 from pathlib import Path
 
 from dfm_stage.errors import DfmError
 
 
 def config_folder() -> Path:
-    """Return the folder `config` of the source tree, or the installed one.
+    """Return the folder of models, experiments and node parameters that comes with the package."""
+    return Path(str(files("dfm_stage"))) / "config"
 
-    Raises
-    ------
-    DfmError
-        If there is neither.
-    """
-    package = Path(__file__).resolve().parent
-    prefixes = map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
-    for folder in (package.parent, *(prefix / "share" / "dfm_stage"
-                                     for prefix in (*package.parents, *prefixes))):
-        if (folder / "config" / "experiments").is_dir():
-            return folder / "config"
-    raise DfmError("dfm_stage's config folder is not found; build the package with colcon or run "
-                   "from its source tree")
+
+def door() -> str:
+    """Return what is typed here before the name of a command."""
+    package = Path(str(files("dfm_stage"))).resolve()
+    if (package.parent / "run").is_file():
+        return "./run"
+    if any((folder / "share" / package.name / "package.xml").is_file()
+           for folder in package.parents):
+        return f"ros2 run {package.name}"
+    return "dfm-stage"
+
+
+def needs_ros(what: str) -> str:
+    """Return the line that refuses `what`, a node or a run of nodes, where there is no ROS 2."""
+    return (f"{what} needs ROS 2 Jazzy, which is not here: start it as ./run {what} in a clone of "
+            "the repository, which brings its own, or source the workspace's install/setup.bash")
 
 
 def find_experiment(name: str) -> Path:

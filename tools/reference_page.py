@@ -81,6 +81,9 @@ record | [records.md](records.md#from-a-table)
 `description` `next_experiment` `warnings` ...
 `missing_force.csv` | diagnose | programs | [the force that is missing]\
 (diagnose.md#the-force-that-is-missing) over position and velocity
+`simulation.json`, `response.csv` | simulate | programs | `rms` `unit` `fit_percent` `samples` \
+`skipped`, [simulate.md](simulate.md)
+`comparison.json` | compare | programs | the same of each model, [simulate.md](simulate.md)
 `characterize.json` | characterize | programs | [characterize.md](characterize.md)
 `paper.json` | paper | programs | `rows` of `id` `paper` `ours` `unit` `deviation_percent` \
 `reason` ..., [paper.md](paper.md)
@@ -88,8 +91,8 @@ record | [records.md](records.md#from-a-table)
 [control.md](control.md#learning)
 figures `.json` | `bench --json` | `bench --page` | `machine`, `figures` of `key` `value` `unit` \
 `bar` `met` `peer` `peer_value` `ratio` `how`
-`report.html` | identify, diagnose, tune, characterize, paper, learn, bench | browsers | one \
-page, everything inside, light and dark, phone and print
+`report.html` | identify, diagnose, compare, tune, characterize, paper, learn, bench | browsers | \
+one page, everything inside, light and dark, phone and print
 """)
 
 

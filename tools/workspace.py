@@ -29,7 +29,8 @@ def sources(root: Path) -> dict[str, tuple[list[Path], list[Path]]]:
     """
     stage = [root / name for name in ("package.xml", "setup.py", "setup.cfg")]
     stage += [root / "dfm_stage" / name for name in ("__init__.py", "commands.py")]
-    linked = [path for name in ("resource", "config", "launch") for path in _files(root / name)]
+    folders = ("resource", "dfm_stage/config", "launch")
+    linked = [path for name in folders for path in _files(root / name)]
     return {INTERFACES: (_files(root / INTERFACES), []), STAGE: (stage, linked)}
 
 

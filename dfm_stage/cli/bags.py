@@ -24,6 +24,7 @@ from dfm_stage.recording import (
     write_mat,
     write_npz,
 )
+from dfm_stage.share import door
 
 EPILOG = """\
 examples:
@@ -125,6 +126,6 @@ def _print(found: dict[str, Any], name: str) -> None:
     for loss in found["losses"]:
         print(f"  note: {loss}")
     if found["axes"]:
-        print(f"a stage, axes {', '.join(found['axes'])}: ./run identify {name}")
+        print(f"a stage, axes {', '.join(found['axes'])}: {door()} identify {name}")
     else:
-        print(f"any two of these: ./run identify {name} --input FIELD --output FIELD")
+        print(f"any two of these: {door()} identify {name} --input FIELD --output FIELD")

@@ -55,7 +55,7 @@ OPTIONS: Options = (
 )
 
 
-@command("characterize", __doc__, EPILOG, OPTIONS)
+@command("characterize", __doc__, EPILOG, OPTIONS, lambda options: not options.bag)
 def main(options: argparse.Namespace) -> int:
     """Run and analyse characterisation experiments; 0 done, 2 unusable input."""
     if options.kind == "all" and (options.bag or options.experiment):

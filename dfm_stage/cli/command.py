@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import importlib.util
 import json
 import math
 import os
@@ -16,12 +17,15 @@ from typing import Any, Literal, TextIO
 
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
+from dfm_stage.share import door, needs_ros
 
 Option = tuple[tuple[str, ...], dict[str, Any]]
 Group = tuple[str, Sequence[Option]]
 """Options under a title of their own."""
 Options = Sequence[Option | Group]
 Work = Callable[[argparse.Namespace], int]
+Graph = Callable[[argparse.Namespace], object]
+"""Whether what is asked for runs nodes."""
 Tone = Literal["good", "warn", "bad"]
 TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "ambiguous": "warn",
                           "unknown": "bad", "partial": "warn", "not_excited": "warn"}
@@ -45,11 +49,17 @@ def paint(text: str, tone: Tone, stream: TextIO | None = None) -> str:
     return f"\x1b[{_CODES[tone]}m{text}\x1b[0m"
 
 
-def command(name: str, description: str | None, epilog: str, options: Options
+class NoRosError(DfmError):
+    """Nodes are to run where there is no ROS 2."""
+
+
+def command(name: str, description: str | None, epilog: str, options: Options,
+            graph: Graph = lambda _: False
             ) -> Callable[[Work], Callable[[Sequence[str] | None], int]]:
     """Make a function of its options a command: `main(argv)` that ends as `run_command` does.
 
-    The help ends with the epilog as it is written.
+    The help ends with the epilog as it is written. What needs the node `graph` is refused at once
+    where there is no ROS 2.
     """
     parser = command_parser(name, description, epilog, options)
 
@@ -57,11 +67,18 @@ def command(name: str, description: str | None, epilog: str, options: Options
         @functools.wraps(work)
         def main(argv: Sequence[str] | None = None) -> int:
             given = parser.parse_args(argv)
-            return run_command(lambda: work(given))
+            return run_command(lambda: work(_possible(name, given, bool(graph(given)))))
 
+        main.parser = parser  # type: ignore[attr-defined]
         return main
 
     return decorate
+
+
+def _possible(name: str, options: argparse.Namespace, graph: bool) -> argparse.Namespace:
+    if graph and importlib.util.find_spec("rclpy") is None:
+        raise NoRosError(needs_ros(name))
+    return options
 
 
 def run_command(work: Callable[[], int]) -> int:
@@ -101,7 +118,8 @@ NO_REPORT = option("--no-report", action="store_true", help="do not write report
 def command_parser(name: str, description: str | None, epilog: str,
                    options: Options) -> argparse.ArgumentParser:
     """A parser of these options whose help ends with examples, set as they are written."""
-    parser = argparse.ArgumentParser(prog=name, description=description, epilog=epilog,
+    parser = argparse.ArgumentParser(prog=name, description=description,
+                                     epilog=epilog.replace("./run", door()),
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     for flags, settings in options:
         where, entries = ((parser, ((flags, settings),)) if isinstance(settings, dict)

@@ -45,7 +45,7 @@ OPTIONS = (
 )
 
 
-@command("demo", __doc__, EPILOG, OPTIONS)
+@command("demo", __doc__, EPILOG, OPTIONS, lambda _: True)
 def main(options: argparse.Namespace) -> int:
     """Run the demonstration; 0 when it worked, 2 with one line when it could not."""
     out = dated_folder(options.out, "demo")

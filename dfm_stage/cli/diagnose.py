@@ -71,7 +71,7 @@ OPTIONS: Options = (
 )
 
 
-@command("diagnose", __doc__, EPILOG, OPTIONS)
+@command("diagnose", __doc__, EPILOG, OPTIONS, lambda options: options.run)
 def main(options: argparse.Namespace) -> int:
     """Diagnose bags or CSV files; 0 a verdict was reached, 2 unusable input."""
     model = load_model(options.model)
@@ -114,19 +114,32 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         step("writing")
         text = write_json(out / "diagnosis.json", {
             **found.to_dict(), "records": list(fitted), "holdout": list(held)})
-        save_model(found.model, out / "model.yaml")
+        save_model(_with_gap(found), out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         _surface(found, out)
-        if not options.no_report:
+    # the answer first: the page takes as long to draw as a short record to diagnose
+    if options.json:
+        print(text, end="", flush=True)
+    else:
+        _print(found, out, not options.no_report)
+    if not options.no_report:
+        with steps("diagnose", options.json) as step:
+            step("report.html")
             from dfm_stage.cli.diagnose_report import write_report
 
             write_report(found, out / "report.html",
                          [each.provenance.words for each in (*records, *holdout)], options.model)
-    if options.json:
-        print(text, end="")
-    else:
-        _print(found, out, not options.no_report)
     return found
+
+
+def _with_gap(found: Diagnosis) -> Model:
+    """The model with the gap that it leaves on held-out records, where whole ones were judged."""
+    from dfm_stage.comparison import with_gap
+
+    gap = found.gap
+    if gap.judged != "position" or gap.window_s is not None:
+        return found.model
+    return with_gap(found.model, gap.held_out[2], gap.unit)
 
 
 def _next(found: Diagnosis, path: Path) -> None:
@@ -185,4 +198,4 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
     files = ["diagnosis.json", "model.yaml", *(["report.html"] if report else []),
              *(["next_experiment.yaml"] if found.next_experiment is not None else []),
              *([FILE] if found.surface is not None else [])]
-    print(f"  {', '.join(files)} in {out}")
+    print(f"  {', '.join(files)} in {out}", flush=True)

@@ -137,7 +137,7 @@ def _without_start(path: str, record: Record, options: argparse.Namespace) -> Re
 def _source(name: str, record: Record, options: argparse.Namespace) -> Source:
     from dfm_stage.identification import Source
 
-    return Source(name, record.axis(options.axis), record.sample_period, tuple(record.warnings))
+    return Source.of(record, options.axis, name)
 
 
 def _free(options: argparse.Namespace, model: Model | None) -> list[str] | None:
@@ -166,14 +166,17 @@ def _fixed(item: str) -> tuple[str, float | None]:
 
 def _signed(found: Identification, paths: Sequence[str]) -> Model:
     """Return the model with where it comes from and how well its parameters are known."""
+    from dfm_stage.comparison import with_gap
     from dfm_stage.identification.convention import origin_of
 
-    unit = found.sources[0].axis.input_unit
-    return replace(found.model, origin={
+    unit, axis = found.sources[0].axis.input_unit, found.sources[0].axis
+    gap = max(each.fit.rms for each in found.held_out or found.evaluations)
+    return with_gap(replace(found.model, origin={
         "identified_from": [Path(p).name for p in paths], **origin_of(found.conventions),
         **({} if unit == found.model.input_unit else {"input_unit": unit}),
         "ci95": {name: [finite(float(x)) for x in q.ci95]
-                 for name, q in found.estimate.quantities().items() if q.ci95 is not None}})
+                 for name, q in found.estimate.quantities().items() if q.ci95 is not None}}),
+        gap, axis.output_unit)
 
 
 def _print(found: Identification, out: Path, report: bool) -> None:

@@ -34,7 +34,7 @@ from dfm_stage.control import (
 from dfm_stage.control.stage import closed_loop_poles, controller_response
 from dfm_stage.errors import DfmError
 from dfm_stage.model import Model, load_model
-from dfm_stage.share import find_experiment
+from dfm_stage.share import door, find_experiment
 from dfm_stage.trajectory import Experiment, Reference, load_experiment
 
 REST_M_S = 1e-9
@@ -68,7 +68,7 @@ OPTIONS = (
 EPILOG = """examples:
   ./run learn scan_repeat --model raster_bench --out learned
   ./run learn scan_repeat --bag bags/multisine --plant raster_bench --out learned
-  ./run learn --replay learned --out again
+  {door()} learn --replay learned --out again
 The signal is in learned/<axis>_learned.csv and attached to learned/bag; learned/learned.yaml is an
 experiment that replays it with the gains it was learnt with.
 """
@@ -96,7 +96,7 @@ class Axis:
         return _rms(self.first_error[steady]), _rms(self.error[steady])
 
 
-@command("learn", __doc__, EPILOG, OPTIONS)
+@command("learn", __doc__, EPILOG, OPTIONS, lambda _: True)
 def main(options: argparse.Namespace) -> int:
     """Learn; 0 when done, 1 if it does not converge, 2 with one line if unusable."""
     result = _replay(options) if options.replay else _learn(options)
@@ -276,7 +276,7 @@ def _finish(axes: list[Axis], out: Path, options: argparse.Namespace) -> dict[st
               file=sys.stderr)
     write_json(out / "learning.json", result)
     learning_page(axes, out, options)
-    print(f"written: {out}/learned.yaml (replay it with ./run learn --replay {out}), "
+    print(f"written: {out}/learned.yaml (replay it with {door()} learn --replay {out}), "
           f"{out}/report.html, {out}/bag", file=sys.stderr)
     return result
 

@@ -54,7 +54,7 @@ OPTIONS = (
 )
 
 
-@command("paper", __doc__, EPILOG, OPTIONS)
+@command("paper", __doc__, EPILOG, OPTIONS, lambda options: not options.quick)
 def main(options: argparse.Namespace) -> int:
     """Compare with the paper; 0 done, 2 unusable input."""
     from dfm_stage.paper.report import write_page

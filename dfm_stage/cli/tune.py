@@ -96,7 +96,8 @@ class TuningFailedError(CheckFailedError):
     """A tuning run on the loop ended without a result; it was stopped safely."""
 
 
-@command("tune", __doc__, EPILOG, OPTIONS)
+@command("tune", __doc__, EPILOG, OPTIONS, lambda options: options.verify or (
+    options.method == "ziegler_nichols" and options.way != "model"))
 def main(options: argparse.Namespace) -> int:
     """Tune; 0 when done, 1 when the loop could not be tuned, 2 with one line if unusable."""
     out = Path(options.out or f"{options.method}.yaml")

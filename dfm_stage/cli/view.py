@@ -22,7 +22,7 @@ OPTIONS = (
 )
 
 
-@command("view", __doc__, EPILOG, OPTIONS)
+@command("view", __doc__, EPILOG, OPTIONS, lambda _: True)
 def main(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C (130) or SIGTERM (0); 2 where the port is taken."""
     from dfm_stage.live.server import View

@@ -12,7 +12,7 @@ from dfm_stage.identification.convention import Convention, find_convention
 from dfm_stage.identification.motion import ORDER
 from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.run import Run
-from dfm_stage.recording import AxisRecord
+from dfm_stage.recording import AxisRecord, Record
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,18 @@ class Source:
     axis: AxisRecord
     sample_period: float
     warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, record: Record, axis: str | None = None, name: str | None = None) -> Source:
+        """Return one axis of a record.
+
+        Raises
+        ------
+        RecordError
+            If there is no such axis, or several and none is named.
+        """
+        return cls(name or record.provenance.source, record.axis(axis), record.sample_period,
+                   tuple(record.warnings))
 
     @property
     def driver(self) -> Array | None:

@@ -36,6 +36,7 @@ from dfm_stage.identification.transfer_function import (
     fit_transfer_function,
 )
 from dfm_stage.model import BASE_PARAMETERS, Model
+from dfm_stage.recording import Record
 
 LIMITS = {parameter.name: parameter for parameter in BASE_PARAMETERS}
 
@@ -110,11 +111,13 @@ class Identification:
 Step = Callable[[str], None]
 
 
-def identify(sources: Sequence[Source], *, model: Model | None = None,
+def identify(records: Sequence[Source | Record], *, model: Model | None = None,
              free: Sequence[str] | None = None, fixed: Mapping[str, float | None] | None = None,
-             holdout: Sequence[Source] = (), noise: str = "auto",
+             holdout: Sequence[Source | Record] = (), noise: str = "auto",
              step: Step = lambda _: None) -> Identification:
     """Identify a stage from one or several records of one axis.
+
+    Of a record with several axes choose one by `Source.of(record, axis)`.
 
     Without `model` a second-order stage behind amplifier lag and delay is identified, its mass
     held at the paper's. `free` lists the addresses to estimate (default: see `default_free`);
@@ -124,9 +127,11 @@ def identify(sources: Sequence[Source], *, model: Model | None = None,
 
     Raises
     ------
-    IdentificationError, ModelError
+    IdentificationError, ModelError, RecordError
         If the records cannot be used or do not suit the model.
     """
+    sources, holdout = ([each if isinstance(each, Source) else Source.of(each) for each in given]
+                        for given in (records, holdout))
     _check_usable(sources, holdout, model)
     fixed = dict(fixed or {})
     warnings = [f"{s.name}: {w}" for s in sources for w in s.warnings]

@@ -25,6 +25,7 @@ from dfm_stage.model.description import (
 )
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import EFFECTS, coupling_effect
+from dfm_stage.share import config_folder
 
 T = TypeVar("T")
 _AXIS_KEYS = ("base", "effects")
@@ -278,25 +279,11 @@ def _find(path_or_name: str | os.PathLike[str]) -> Path:
     path = Path(path_or_name)
     if path.suffix in (".yaml", ".yml") or len(path.parts) != 1 or path.is_file():
         return path
-    folders = model_folders()
-    for folder in folders:
-        if (folder / f"{path.name}.yaml").is_file():
-            return folder / f"{path.name}.yaml"
-    known = sorted({found.stem for folder in folders for found in folder.glob("*.yaml")})
-    raise ModelError(unknown_name("model", path.name, known) if known else
-                     f"model {path.name}: no folder config/models found; give the path of a file")
-
-
-def model_folders() -> list[Path]:
-    """Where models that come with the package lie: the source tree, or installed share folders."""
-    package = Path(__file__).resolve().parents[1]
-    share = Path("share") / "dfm_stage" / "config" / "models"
-    candidates = [package.parent / "config" / "models"]
-    candidates += [parent / share for parent in package.parents]
-    candidates += [Path(prefix) / share
-                   for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-                   if prefix]
-    return [folder for folder in dict.fromkeys(candidates) if folder.is_dir()]
+    folder = config_folder() / "models"
+    if (folder / f"{path.name}.yaml").is_file():
+        return folder / f"{path.name}.yaml"
+    known = sorted(found.stem for found in folder.glob("*.yaml"))
+    raise ModelError(unknown_name("model", path.name, known))
 
 
 def _yaml() -> YAML:

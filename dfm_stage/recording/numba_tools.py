@@ -16,7 +16,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from dfm_stage.machine_code import keeper
+from dfm_stage.machine_code import INSIDE, keeper
 
 Bytes: TypeAlias = NDArray[np.uint8]
 Ints: TypeAlias = NDArray[np.int64]
@@ -25,7 +25,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _njit: Any = numba.njit
 _HERE = Path(__file__).resolve().parent
 _keep = keeper("reader", [*_HERE.glob("*_kernels.py"), _HERE / "numba_tools.py",
-                          _HERE / "decode_plan.py"])
+                          _HERE / "decode_plan.py"], takes="10 s")
 
 RECORD_HEAD = 9         # opcode, length
 MESSAGE_HEAD = 31       # and channel, sequence, log time, publish time
@@ -38,11 +38,9 @@ def entry(function: Function) -> Function:
     return _keep(result)
 
 
-compiled: Callable[[Function], Function] = _njit(
-    nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+compiled: Callable[[Function], Function] = _njit(**INSIDE)
 """Compile a function that only compiled code calls."""
-inlined: Callable[[Function], Function] = _njit(
-    nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+inlined: Callable[[Function], Function] = _njit(**INSIDE, forceinline=True)
 """Compile a function into each compiled function that calls it."""
 
 

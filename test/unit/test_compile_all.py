@@ -65,7 +65,6 @@ for function in (record.run, record.peek, setup.prepare, setup.reset, setup.rest
 def test_a_second_process_and_a_copy_compile_nothing(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "dfm_stage", tmp_path / "dfm_stage",
                     ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(ROOT / "config", tmp_path / "config")
     for code, folder in (("from dfm_stage.compile_all import compile_all; compile_all()", ROOT),
                          (USE, ROOT), (USE, tmp_path)):
         done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True,

@@ -37,6 +37,7 @@ PURE: dict[str, set[str]] = {
     "control": BASE | {"model"},
     "identification": BASE | {"model", "recording"},
     "diagnosis": RECORDS | {"trajectory"},
+    "comparison": RECORDS | {"diagnosis"},
     "paper": RECORDS | {"trajectory", "control", "reporting"},
 }
 TOOLS = {*PURE, "harness", "live"} - {"commands"}
@@ -45,7 +46,7 @@ WITH_ROS: dict[str, set[str]] = {
     "nodes": LOOP | {"middleware"},
     "harness": LOOP | {"middleware", "nodes", "compile_all"},
     "live": BASE | {"middleware", "nodes", "reporting"},
-    "__main__": {"commands", "errors"},
+    "__main__": {"commands", "errors", "share"},
 }
 ARROWS = {**PURE, **WITH_ROS, "cli": TOOLS}
 CIRCLES: set[frozenset[str]] = set()

@@ -25,9 +25,8 @@ POINTER: Any = types.CPointer(types.float64)
 _njit: Any = numba.njit
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SOURCES = [*(_PACKAGE / "kernel").glob("*.py"), _PACKAGE / "parameter.py"]
-_keep = machine_code.keeper("simulator", _SOURCES)
-_INSIDE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True,
-                           "no_cfunc_wrapper": True}
+_keep = machine_code.keeper("simulator", _SOURCES, takes="half a minute")
+_INSIDE: dict[str, Any] = {**machine_code.INSIDE, "error_model": "numpy"}
 _AROUND_HOOKS = tuple((_PACKAGE / "kernel" / name).read_bytes() for name in
                       ("hooks.py", "compiled.py", "slots.py"))
 

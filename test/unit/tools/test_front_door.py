@@ -129,7 +129,7 @@ def checkout(tmp_path: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(name)
     for name in ("package.xml", "setup.py", "setup.cfg", "dfm_stage/__init__.py",
-                 "dfm_stage/commands.py", "dfm_stage/model/core.py", "config/a.yaml",
+                 "dfm_stage/commands.py", "dfm_stage/model/core.py", "dfm_stage/config/a.yaml",
                  "launch/a.launch.py", "resource/dfm_stage"):  # fmt: skip
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -155,9 +155,9 @@ class TestRebuild:
             ("dfm_interfaces/CMakeLists.txt", ["dfm_interfaces"]),
             ("setup.py", ["dfm_stage"]),
             ("dfm_stage/commands.py", ["dfm_stage"]),
-            ("config/models/new.yaml", ["dfm_stage"]),
+            ("dfm_stage/config/models/new.yaml", ["dfm_stage"]),
             ("launch/new.launch.py", ["dfm_stage"]),
-            ("config/a.yaml", []),
+            ("dfm_stage/config/a.yaml", []),
             ("dfm_stage/model/core.py", []),
             ("dfm_stage/model/new.py", []),
             ("dfm_interfaces/__pycache__/x.pyc", []),
@@ -177,7 +177,7 @@ class TestRebuild:
     def test_a_removed_file_or_build_is_noticed(self, checkout: Path) -> None:
         folder = checkout / ".dfm/private"
         mark_built(checkout, folder)
-        (checkout / "config/a.yaml").unlink()
+        (checkout / "dfm_stage/config/a.yaml").unlink()
         assert list(workspace.stale(checkout, folder)) == ["dfm_stage"]
         mark_built(checkout, folder)
         console.remove_tree(folder / "install/dfm_interfaces")
