@@ -171,7 +171,7 @@ def force_error(model: Model, columns: Columns, band_hz: float,
     acted = samples if convention.hold != HELD else (samples + np.roll(samples, 1)) / 2.0
     applied = base["force_constant"] * acted
     for use in model.effects:
-        effect = EFFECTS[use.name]
+        effect = use.effect
         if effect.bristle_force is not None:
             raise ValueError(f"{use.name} has a memory")
         if effect.force is not None:

@@ -140,10 +140,10 @@ class EffectInput:
         self._k, self._gain = base.get("stiffness", 0.0), base["force_constant"]
         stage = linear_stage(model)
         self.ahead_s = stage.delay_s + stage.lag_s + 0.5 * model.sample_period
-        used = [(EFFECTS[use.name], tuple(use.parameters[p.name]
-                                          for p in EFFECTS[use.name].parameters))
+        used = [(use.effect, tuple(use.parameters[p.name]
+                                          for p in use.effect.parameters))
                 for use in model.effects]
-        self._hooks = [(effect.force, values) for effect, values in used if effect.force]
+        self._hooks = [(effect.felt, values) for effect, values in used if effect.force]
         self._constant = base.get("constant_force", 0.0)
         self._friction = sum(values[0] for effect, values in used if _rubs(effect))
         self.covers = tuple(effect.name for effect, _ in used if effect.force or _rubs(effect)

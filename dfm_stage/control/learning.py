@@ -120,7 +120,7 @@ def neighbours(model: Model, share: float = 0.1) -> list[Sampled]:
     """
     names = [name for name in ("mass", "stiffness", "damping", "force_constant", "delay")
              if model.base.get(name)]
-    names += [f"{use.name}.{name}" for use in model.effects if EFFECTS[use.name].stamp
+    names += [f"{use.name}.{name}" for use in model.effects if use.effect.stamp
               for name in use.parameters]
     values = model.parameters()
     return [sample_model(model.with_parameters({name: values[name] * factor}))

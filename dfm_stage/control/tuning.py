@@ -213,7 +213,7 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
 def _states_of(model: Model) -> str:
     """Name what is in the design model beside the stage's first mode."""
     *others, last = ["delay", "amplifier lag", *(
-        use.name.replace("_", " ") for use in model.effects if EFFECTS[use.name].stamp)]
+        use.name.replace("_", " ") for use in model.effects if use.effect.stamp)]
     return f"{', '.join(others)} and {last}"
 
 

@@ -276,6 +276,23 @@ class Terms:
         along.forces_along(address("force", [(effect, 0)]), values, t.x, t.v, drive, out)
         return run.filtered(out)
 
+    def flow(self, run: RunForces, effect: Effect, values: Array) -> Array:
+        """A force with time, current or states of its own; what the actuator gives is what moves
+        the linear part, as above."""
+        t, out, gain = run.trajectory, np.zeros(run.grid.size), self.gain or 1.0
+        drive = self.linear.force(t) if reads(effect.flow, 3) or reads(effect.flow, 4) \
+            else np.zeros_like(t.x)
+        per = 1.0 / (gain * (self.model.base.get("coil_resistance", 0.0) or 1.0))
+        along.flows_along(address("flow", [(effect, 0)]), values, len(effect.states), t.x, t.v,
+                          drive, drive / gain, per, run.grid.period, out)
+        return run.filtered(out)
+
+    def commanded(self, run: RunForces, effect: Effect, values: Array) -> Array:
+        """What is added to the command."""
+        changed = np.array(run.run.input)
+        along.commands_along(address("command", [(effect, 0)]), values, run.grid.period, changed)
+        return run.drive(self.timing, signal=changed - run.run.input) * self.gain
+
     def bristle(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """A force with memory, relaxed at the beginning."""
         t, out = run.trajectory, np.zeros(run.grid.size)
@@ -344,6 +361,8 @@ _Part = Callable[[Terms, RunForces, Effect, Array], Array]
 _PARTS: tuple[tuple[Callable[[Effect], bool], _Part], ...] = (
     (lambda e: e.force is not None, Terms.force),
     (lambda e: e.advance is not None, Terms.bristle),
+    (lambda e: e.flow is not None, Terms.flow),
+    (lambda e: e.command is not None, Terms.commanded),
     (lambda e: e.adds_to == "dry_friction", Terms.dry),
     (lambda e: e.adds_to == "constant_force", Terms.constant),
     (lambda e: e.adds_to == "command_limit", Terms.limited),

@@ -138,7 +138,7 @@ def _usable(found: Fit, names: Names) -> bool:
     """Whether every effect can be told from what it becomes at an end of its range: a force that
     yields over less than what is left cannot be told from dry friction."""
     return found.ok and not at_upper_end(found, names) and not any(
-        use.name in names and EFFECTS[use.name].yields_within(use.parameters)
+        use.name in names and use.effect.yields_within(use.parameters)
         < PRESLIDING_DISTANCE * found.rms for use in found.model.effects)
 
 

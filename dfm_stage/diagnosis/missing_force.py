@@ -93,7 +93,7 @@ class _Plane:
         self.functions = sharp.stacked_features(position_velocity)
         terms = Terms(sharp.runs, candidates.model, found.linear, found.timing)
         parts = [terms.parts(use.name, use.parameters) for use in candidates.model.effects
-                 if EFFECTS[use.name].late is None]
+                 if use.effect.late is None]
         columns = np.column_stack([sharp.stacked(part) for part in (
             *(of for name, of in LINEAR.items() if name in found.names),
             *(part for part in parts if part is not None),

@@ -164,8 +164,8 @@ def linear_part(model: Model) -> LinearPart:
     for _ in range(n):
         moved |= (a[:, :n] != 0.0) @ moved
     actuator = {"amplifier", "coil", *(
-        name for use in model.effects if EFFECTS[use.name].stage == "amplifier"
-        for name in EFFECTS[use.name].state_names)}
+        name for use in model.effects if use.effect.stage == "amplifier"
+        for name in use.effect.state_names)}
     names = plan.states[:n]
     kept = sorted(np.flatnonzero(moved), key=lambda i: names[i] in actuator)
     motion = sum(names[i] not in actuator for i in kept)

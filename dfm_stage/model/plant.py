@@ -178,7 +178,7 @@ class CoupledPlant:
         self._twice = any(
             hook(tuple(use.parameters.values())) != 0.0
             for plant, _ in self._coupled for use in plant.model.effects
-            if (hook := EFFECTS[use.name].other_force) is not None)
+            if (hook := use.effect.other_force) is not None)
 
     def reset(self) -> None:
         """Go back to k = 0 and rest; use the `reset` of single `plants` for another state."""

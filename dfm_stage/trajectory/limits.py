@@ -197,7 +197,7 @@ def _driven(voltage: Array, limits: Limits, model: Model) -> list[Candidate]:
 def uncoupled(model: Model) -> Model:
     """Return a one-axis model without what the motion of its neighbour does to it."""
     return replace(model, effects=tuple(use for use in model.effects
-                                        if not EFFECTS[use.name].couples))
+                                        if not use.effect.couples))
 
 
 def _larger(stated: Array, difference: Array) -> Array:

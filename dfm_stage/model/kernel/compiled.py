@@ -29,7 +29,7 @@ _keep = machine_code.keeper("simulator", _SOURCES)
 _INSIDE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True,
                            "no_cfunc_wrapper": True}
 _AROUND_HOOKS = tuple((_PACKAGE / "kernel" / name).read_bytes() for name in
-                      ("hooks.py", "compiled.py", "slots.py"))
+                      ("collocated.py", "hooks.py", "compiled.py", "slots.py"))
 
 
 def compiled(function: F) -> F:

@@ -17,6 +17,7 @@ from typing import Any
 import numba
 
 from dfm_stage.model.effect import Effect
+from dfm_stage.model.kernel.collocated import collocated
 from dfm_stage.model.kernel.compiled import (
     POINTER,
     at,
@@ -31,6 +32,7 @@ from dfm_stage.model.kernel.compiled import (
 from dfm_stage.model.kernel.slots import (
     BRISTLE_STEPS,
     CODE,
+    COMMANDS,
     ENCODES,
     ENTRY,
     FIRST,
@@ -138,6 +140,16 @@ def _encode(hook: Hook, values: Hook) -> Hook:
     return encode
 
 
+def _command(hook: Hook, values: Hook) -> Hook:
+    def command(u: Any, count: int, first: int, period: float, p: Any) -> None:
+        """Add to `count` commands, the first of which was given at sample `first`."""
+        own = values(p)
+        for k in range(count):
+            u[k] += hook(u[k], max(first + k, 0) * period, own)
+
+    return command
+
+
 def _other_force(hook: Hook, values: Hook) -> Hook:
     def other_force(p: Any) -> float:
         return float(hook(values(p)))
@@ -153,7 +165,9 @@ _KINDS: dict[str, tuple[Any, Callable[..., Hook]]] = {
     "sense": (types.void(POINTER, POINTER, _index, _index, _number, POINTER, _index, POINTER),
               _sense),
     "encode": (types.void(POINTER, _index, _number, POINTER), _encode),
-    "other_force": (_number(POINTER), _other_force)}
+    "other_force": (_number(POINTER), _other_force),
+    "flow": (_number(*[_number] * 16, *[POINTER] * 5, _index, _index), collocated),
+    "command": (types.void(POINTER, _index, _index, _number, POINTER), _command)}
 """Kind of hook -> the signature of its machine code, and what makes that of hooks."""
 
 
@@ -166,21 +180,24 @@ def address(kind: str, uses: Sequence[tuple[Effect, int]]) -> int:
     begin = uses[0][1]
     return int(_code(kind, *(
         ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else [])),
-         first - begin, len(effect.parameters)) for effect, first in uses)).address)
+         first - begin, len(effect.parameters), len(effect.states) if kind == "flow" else 0)
+        for effect, first in uses)).address)
 
 
 @cache
-def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int]) -> Any:
+def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int, int]) -> Any:
     signature, make = _KINDS[kind]
     ready = [(*(lean(hook) for hook in hooks), values_at(first, count))
-             for hooks, first, count in parts]
-    return callback(make(*ready) if kind == "force" else make(*ready[0]), signature,
-                    (kind, parts))
+             for hooks, first, count, _ in parts]
+    made = make(*ready) if kind == "force" else make(
+        *ready[0], *([parts[0][-1]] if kind == "flow" else []))
+    return callback(made, signature, (kind, parts))
 
 
-call_force, call_bristle, call_stamp, call_start, call_sense, call_encode, call_other = (
-    caller(_KINDS[kind][0])
-    for kind in ("force", "advance", "stamp", "start", "sense", "encode", "other_force"))
+call_force, call_bristle, call_stamp, call_start, call_sense, call_encode, call_other, \
+    call_flow, call_command = (caller(_KINDS[kind][0]) for kind in (
+        "force", "advance", "stamp", "start", "sense", "encode", "other_force", "flow",
+        "command"))
 
 
 @inlined
@@ -253,3 +270,12 @@ def other_stiffness(layout: Layout, theta: Array) -> float:
     for entry in range(layout[OTHER_FORCES], layout[OTHER_FORCES + 1], ENTRY):
         total += call_other(layout[entry + CODE], (pointer(theta, layout[entry + OWN]),))
     return total
+
+
+@lean
+def change_commands(layout: Layout, theta: Array, applied: Array, first: int,
+                    period: float) -> None:
+    """Add to the commands (N,) that act, the first of which was given at sample `first`."""
+    for entry in range(layout[COMMANDS], layout[COMMANDS + 1], ENTRY):
+        call_command(layout[entry + CODE], (pointer(applied, 0), applied.shape[0], first, period,
+                                            pointer(theta, layout[entry + OWN])))

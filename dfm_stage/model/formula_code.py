@@ -1,0 +1,115 @@
+"""Functions made from the checked tree of a formula, for the simulator to compile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dfm_stage.model.formula_text import NUMPY, Node
+
+_CALLS: dict[str, str] = {
+    "abs": "abs", "min": "min", "max": "max", "sign": "sign", "sqrt": "sqrt", "exp": "exp",
+    "log": "log", "sin": "sin", "cos": "cos", "tan": "tan", "atan": "arctan", "tanh": "tanh"}
+LARGEST_POWER = 16
+"""Whole powers up to this one are products."""
+
+
+def source(node: Node, place: Mapping[str, str]) -> str:
+    """Python text of a tree; `place` tells where the value of each name stands.
+
+    Only operators and functions of the whitelist can come out.
+    """
+    if node.kind == "number":
+        return repr(node.number) if node.number >= 0.0 else f"({node.number!r})"
+    if node.kind == "name":
+        return place[node.name]
+    inner = [source(part, place) for part in node.parts]
+    if node.kind == "negative":
+        return f"(-{inner[0]})"
+    if node.kind == "where":
+        return f"({inner[1]} if {inner[0]} else {inner[2]})"
+    if node.kind == "**":
+        power = node.parts[1]
+        if power.kind == "number" and power.number == round(power.number) \
+                and abs(power.number) <= LARGEST_POWER:
+            return f"({inner[0]} ** {round(power.number)})"
+    if node.kind in _CALLS:
+        return f"{_CALLS[node.kind]}({', '.join(inner)})"
+    return f"({inner[0]} {node.kind} {inner[1]})"
+
+
+def function(name: str, arguments: Sequence[str], lines: Sequence[str],
+             result: str) -> Callable[..., Any]:
+    """A function of `source` texts, in a namespace that has nothing but NumPy's functions."""
+    body = "".join(f"    {line}\n" for line in (*lines, f"return {result}"))
+    space: dict[str, Any] = {"__name__": __name__, "__builtins__": {
+        "abs": abs, "min": min, "max": max, "range": range}, **NUMPY}
+    exec(compile(f"def {name}({', '.join(arguments)}):\n{body}",  # noqa: S102 of our own text
+                 f"<formula {name}>", "exec"), space)
+    made: Callable[..., Any] = space[name]
+    return made
+
+
+def hooks_of(kind: str, tree: Node, states: Mapping[str, Node],
+             parameters: Sequence[str]) -> dict[str, Any]:
+    """The hooks of an effect that is a formula, as fields of `Effect`."""
+    place = {n: n for n in ("x", "v", "u", "i", "t")}
+    place |= {n: f"p[{k}]" for k, n in enumerate(parameters)}
+    if kind == "input":
+        return {"command": function("command", ("u", "t", "p"), (), source(tree, place))}
+    if kind == "reading":
+        return {"sense": function("sense", ("x", "t", "other", "p"), (), source(tree, place))}
+    moving = ("x", "v", "u", *states)
+    if all(_power_in(each, moving) == 1 for each in (tree, *states.values())):
+        return {"stamp": _stamp(tree, states, place), "stage": "mechanics"}
+    if not states and not {"t", "u", "i"} & tree.names:
+        return {"force": function("force", ("x", "v", "actuator", "p"), (), source(tree, place))}
+    place |= {n: f"z[{k}]" for k, n in enumerate(states)}
+    rates = [f"rate[{k}] = {source(each, place)}" for k, each in enumerate(states.values())]
+    return {"flow": function("flow", ("t", "x", "v", "u", "i", "z", "rate", "p"), rates,
+                             source(tree, place))}
+
+
+def _stamp(tree: Node, states: Mapping[str, Node], place: Mapping[str, str]) -> Callable[..., Any]:
+    """The hook of a formula that is linear in the motion: its coefficients are its values where
+    one of the variables is one and the others are zero."""
+    variables = ("x", "v", "u", *states)
+
+    def coefficient(node: Node, of: str) -> str:
+        return source(node, {**place, **{n: "1.0" if n == of else "0.0" for n in variables}})
+
+    lines = ["n = a.shape[0]"]
+    for own, each in enumerate((None, *states.values())):
+        if each is not None:
+            lines += [f"for j in range(n + 1): a[first + {own - 1}, j] += "
+                      f"{coefficient(each, 'x')} * rows[0, j] + "
+                      f"{coefficient(each, 'v')} * rows[1, j]",
+                      f"a[first + {own - 1}, n] += {coefficient(each, 'u')}"]
+            lines += [f"a[first + {own - 1}, first + {k}] += {coefficient(each, n)}"
+                      for k, n in enumerate(states)]
+    force = [f"for j in range(n + 1): a[i, j] += rows[3, i] * ({coefficient(tree, 'x')} * "
+             f"rows[0, j] + {coefficient(tree, 'v')} * rows[1, j])",
+             f"a[i, n] += rows[3, i] * {coefficient(tree, 'u')}",
+             *(f"a[i, first + {k}] += rows[3, i] * {coefficient(tree, n)}"
+               for k, n in enumerate(states))]
+    lines += ["for i in range(n):", *(f"    {line}" for line in force)]
+    return function("stamp", ("a", "rows", "first", "p"), lines, "None")
+
+
+def _power_in(node: Node, moving: Sequence[str]) -> int | None:
+    """0 where none of the names `moving` is in it, 1 where it is linear in them (and zero at
+    zero), else None."""
+    if not node.names & {*moving, "t", "i"}:
+        return 0
+    if node.kind == "name":
+        return 1 if node.name in moving else None
+    powers = [_power_in(part, moving) for part in node.parts]
+    if node.kind == "negative":
+        return powers[0]
+    if node.kind in ("+", "-"):
+        return 1 if powers == [1, 1] else None
+    if node.kind == "*":
+        return 1 if sorted(p if p is not None else 2 for p in powers) == [0, 1] else None
+    return 1 if node.kind == "/" and powers == [1, 0] else None

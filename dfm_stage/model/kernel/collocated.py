@@ -1,0 +1,94 @@
+"""The machine code of a `flow`: a force with states of its own, along a step of the motion.
+
+Over a step of length h the states z are the polynomials of order four that satisfy z' = rate at
+the four Lobatto points of the motion (Lobatto IIIA, order six, A-stable: Hairer and Wanner,
+Solving Ordinary Differential Equations II, sec. IV.5). They are found by repeated substitution,
+which contracts where h times their rates is below one; elsewhere the forces are NaN, and the
+simulator halves the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+
+from dfm_stage.model.kernel.tables import FROM_VALUES, POINTS
+
+Hook = Callable[..., Any]
+carray: Any = numba.carray  # type: ignore[attr-defined]
+STAGES = 7
+"""Numbers kept for each state: its rates at the four points, its values at the last three."""
+SWEEPS, SETTLED = 25, 1e-12
+"""Repetitions at most, and the change over the size of a state at which they end."""
+ONE = 1
+_INTEGRALS = np.vander(POINTS, 4, increasing=True) * np.array(POINTS)[:, None] \
+    / np.arange(1.0, 5.0) @ FROM_VALUES
+"""(3, 4): integrals of the cubic through values at the four points up to each of the later ones,
+per step length."""
+(A0, A1, A2, A3), (B0, B1, B2, B3), (C0, C1, C2, C3) = _INTEGRALS.tolist()
+P1, P2 = POINTS[0], POINTS[1]
+
+
+def collocated(hook: Hook, values: Hook, states: int) -> Hook:
+    """The machine code of a hook `flow` with a number of states."""
+
+    def still(t: float, h: float, x0: float, x1: float, x2: float, x3: float, v0: float,
+              v1: float, v2: float, v3: float, d0: float, d1: float, d2: float, d3: float,
+              u: float, per: float, z: Any, moved: Any, stages: Any, p: Any, out: Any,
+              count: int, fresh: int) -> float:
+        """Return the force at the first point, or 0 and those at the others in `out`, N."""
+        own, none = values(p), carray(z, (0,))
+        if count == ONE:
+            return float(hook(t, x0, v0, u, per * d0, none, none, own))
+        out[0] = hook(t + P1 * h, x1, v1, u, per * d1, none, none, own)
+        out[1] = hook(t + P2 * h, x2, v2, u, per * d2, none, none, own)
+        out[2] = hook(t + h, x3, v3, u, per * d3, none, none, own)
+        return 0.0
+
+    def flow(t: float, h: float, x0: float, x1: float, x2: float, x3: float, v0: float,
+             v1: float, v2: float, v3: float, d0: float, d1: float, d2: float, d3: float,
+             u: float, per: float, z: Any, moved: Any, stages: Any, p: Any, out: Any,
+             count: int, fresh: int) -> float:
+        """As `still`, and z at the end of the step goes to `moved`. `fresh` begins a new step;
+        else `stages` holds what was found for nearly the same motion."""
+        own, begin, kept = values(p), carray(z, (states,)), carray(stages, (STAGES * states,))
+        r0, r1 = kept[:states], kept[states:2 * states]
+        r2, r3 = kept[2 * states:3 * states], kept[3 * states:4 * states]
+        z1, z2, z3 = kept[4 * states:5 * states], kept[5 * states:6 * states], kept[6 * states:]
+        if count == ONE:
+            return float(hook(t, x0, v0, u, per * d0, begin, r0, own))
+        if fresh == 1:
+            hook(t, x0, v0, u, per * d0, begin, r0, own)
+            for k in range(states):
+                z1[k] = begin[k] + P1 * h * r0[k]
+                z2[k] = begin[k] + P2 * h * r0[k]
+                z3[k] = begin[k] + h * r0[k]
+        for _ in range(SWEEPS):
+            f1 = hook(t + P1 * h, x1, v1, u, per * d1, z1, r1, own)
+            f2 = hook(t + P2 * h, x2, v2, u, per * d2, z2, r2, own)
+            f3 = hook(t + h, x3, v3, u, per * d3, z3, r3, own)
+            settled = True
+            for k in range(states):
+                y1 = begin[k] + h * (A0 * r0[k] + A1 * r1[k] + A2 * r2[k] + A3 * r3[k])
+                y2 = begin[k] + h * (B0 * r0[k] + B1 * r1[k] + B2 * r2[k] + B3 * r3[k])
+                y3 = begin[k] + h * (C0 * r0[k] + C1 * r1[k] + C2 * r2[k] + C3 * r3[k])
+                change = abs(y1 - z1[k]) + abs(y2 - z2[k]) + abs(y3 - z3[k])
+                size = abs(begin[k]) + abs(y1) + abs(y2) + abs(y3)
+                if not change <= SETTLED * size:
+                    settled = False
+                z1[k], z2[k], z3[k] = y1, y2, y3
+            if settled:
+                out[0], out[1], out[2] = f1, f2, f3
+                for k in range(states):
+                    moved[k] = z3[k]
+                return 0.0
+        for k in range(states):
+            moved[k] = z3[k]
+            z1[k] = z2[k] = z3[k] = begin[k]
+        out[0] = out[1] = out[2] = np.nan
+        return np.nan
+
+    return flow if states else still
