@@ -15,7 +15,9 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
     velocity went from `v0` to `v1`; and the force that goes with it.
 `flow(t, x, v, u, i, z, rate, p) -> N` with `states`
     A force that may depend on the time t (s), the command u that acts (V or A), the current i (A)
-    and states z of its own, whose time derivatives it stores in `rate`.
+    and states z of its own, whose time derivatives it stores in `rate`. With
+    `side_of_kinks(t, x, v, u, i, z, p)`, a number that is another one on each side of a kink of
+    the force, steps end at the kinks.
 `stamp(a, rows, first, p)` with `states`
     A linear part whose states begin at index `first`, see `dfm_stage.model.kernel.setup`;
     `start(state, first, p)` gives them initial values.
@@ -172,6 +174,7 @@ class Effect:
     advance: Callable[..., float] | None = field(default=None, repr=False)
     bristle_force: Callable[..., float] | None = field(default=None, repr=False)
     flow: Callable[..., float] | None = field(default=None, repr=False)
+    side_of_kinks: Callable[..., float] | None = field(default=None, repr=False)
     command: Callable[..., float] | None = field(default=None, repr=False)
     stamp: Callable[..., None] | None = field(default=None, repr=False)
     start: Callable[..., None] | None = field(default=None, repr=False)

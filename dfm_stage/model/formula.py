@@ -31,7 +31,7 @@ import numpy as np
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import SMALL, Effect, Parameter, Parameters, Prior, Values
 from dfm_stage.model.formula_code import hooks_of
-from dfm_stage.model.formula_friction import part_friction
+from dfm_stage.model.formula_kinks import kinks_of, part_friction
 from dfm_stage.model.formula_text import (
     CONSTANTS,
     FUNCTIONS,
@@ -124,6 +124,7 @@ class FormulaEffect(Effect):
 
     formula: Formula = field(kw_only=True)
     tree: Node = field(kw_only=True, repr=False)
+    smooth: Node | None = field(default=None, repr=False)
     units: Mapping[str, Dimension | None] = field(default_factory=dict, repr=False)
 
     def starts(self, at: Conditions) -> list[Parameters]:
@@ -141,9 +142,10 @@ class FormulaEffect(Effect):
 
     def felt(self, x: float, v: float, actuator: float, p: Values) -> float:
         """As of any effect; a formula may divide by zero, or overflow."""
-        with np.errstate(all="ignore"):
-            return 0.0 if self.force is None else float(self.force(
-                np.float64(x), np.float64(v), np.float64(actuator), tuple(map(np.float64, p))))
+        if self.force is None or self.smooth is None:
+            return 0.0
+        return float(value(self.smooth, {
+            "x": x, "v": v, **{q.name: own for q, own in zip(self.parameters, p, strict=True)}}))
 
     def _values(self, parameter: Parameter, at: Conditions) -> list[float]:
         low, high = parameter.low, parameter.high
@@ -254,8 +256,8 @@ def _build(formula: Formula) -> FormulaEffect:
     tree, states, units = _trees(formula)
     given = {p.name: p for p in formula.parameters}
     ranges = {n: p.range or (-math.inf, math.inf) for n, p in given.items()}
-    rest, rubs = (part_friction(tree, {n: (p.value, p.range) for n, p in given.items()})
-                  if formula.kind == "force" else (tree, ""))
+    spread = {n: (p.value, p.range) for n, p in given.items()}
+    rest, rubs = part_friction(tree, spread) if formula.kind == "force" else (tree, "")
     if rubs:
         if ranges[rubs][0] < 0.0 and given[rubs].range is not None:
             raise FormulaError(f"{formula.name}: {rubs} is a friction; its range cannot go below "
@@ -266,6 +268,8 @@ def _build(formula: Formula) -> FormulaEffect:
     first = rubs or (rest.name if constant and rest is not None else "")
     order = sorted(given, key=lambda n: n != first)         # what is added to a slot comes first
     sizes = _sizes(tree, states, order)
+    kinks = [] if rest is None or formula.kind != "force" else kinks_of(
+        (rest, *states.values()), spread, list(states))
     return FormulaEffect(
         name=formula.name, meaning="a formula", equation=f"{formula.kind} = {formula.text}"
         + "".join(f";  {n}' = {rate}" for n, rate in formula.state),
@@ -280,8 +284,8 @@ def _build(formula: Formula) -> FormulaEffect:
         adds_to="dry_friction" if rubs else "constant_force" if constant else None,
         states=tuple(f".{n}" for n in states), size=sizes, searched=not sizes,
         **({} if constant or rest is None
-           else hooks_of(formula.kind, rest, states, order)),
-        formula=formula, tree=tree, units=units)
+           else hooks_of(formula.kind, rest, states, order, kinks)),
+        formula=formula, tree=tree, smooth=rest, units=units)
 
 
 def _trees(formula: Formula) -> tuple[Node, dict[str, Node], dict[str, Dimension | None]]:

@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
+from numba.extending import register_jitable
 
-from dfm_stage.model.formula_text import NUMPY, Node
+from dfm_stage.model.formula_text import Node
 
-_CALLS: dict[str, str] = {
-    "abs": "abs", "min": "min", "max": "max", "sign": "sign", "sqrt": "sqrt", "exp": "exp",
-    "log": "log", "sin": "sin", "cos": "cos", "tan": "tan", "atan": "arctan", "tanh": "tanh"}
+
+@register_jitable(error_model="numpy")  # type: ignore[untyped-decorator]
+def _sign(number: float) -> float:
+    return 1.0 if number > 0.0 else -1.0 if number < 0.0 else 0.0
+
+
+@register_jitable(error_model="numpy")  # type: ignore[untyped-decorator]
+def _to_the(base: float, power: int) -> float:
+    product = 1.0
+    for _ in range(abs(power)):
+        product *= base
+    return product if power >= 0 else 1.0 / product
+
+
+_CALLS: dict[str, Callable[..., Any]] = {
+    "abs": abs, "min": min, "max": max, "sign": _sign, "sqrt": math.sqrt, "exp": math.exp,
+    "log": math.log, "sin": math.sin, "cos": math.cos, "tan": math.tan, "atan": math.atan,
+    "tanh": math.tanh, "power": math.pow, "whole": _to_the}
+"""Function -> what numba compiles for it."""
 LARGEST_POWER = 16
 """Whole powers up to this one are products."""
 
@@ -34,27 +51,36 @@ def source(node: Node, place: Mapping[str, str]) -> str:
         power = node.parts[1]
         if power.kind == "number" and power.number == round(power.number) \
                 and abs(power.number) <= LARGEST_POWER:
-            return f"({inner[0]} ** {round(power.number)})"
+            return _whole(node.parts[0].kind == "name", inner[0], round(power.number))
+        return f"power({inner[0]}, {inner[1]})"
     if node.kind in _CALLS:
-        return f"{_CALLS[node.kind]}({', '.join(inner)})"
+        return f"{node.kind}({', '.join(inner)})"
     return f"({inner[0]} {node.kind} {inner[1]})"
+
+
+def _whole(short: bool, base: str, power: int) -> str:
+    """A whole power; of what is `short` written out, which is fastest."""
+    if not short:
+        return f"whole({base}, {power})"
+    product = " * ".join([base] * abs(power)) or "1.0"
+    return f"({product})" if power >= 0 else f"(1.0 / ({product}))"
 
 
 def function(name: str, arguments: Sequence[str], lines: Sequence[str],
              result: str) -> Callable[..., Any]:
-    """A function of `source` texts, in a namespace that has nothing but NumPy's functions."""
+    """A function of `source` texts, in a namespace that has nothing but their functions."""
     body = "".join(f"    {line}\n" for line in (*lines, f"return {result}"))
-    space: dict[str, Any] = {"__name__": __name__, "__builtins__": {
-        "abs": abs, "min": min, "max": max, "range": range}, **NUMPY}
+    space: dict[str, Any] = {"__name__": __name__, "__builtins__": {"range": range}, **_CALLS}
     exec(compile(f"def {name}({', '.join(arguments)}):\n{body}",  # noqa: S102 of our own text
                  f"<formula {name}>", "exec"), space)
     made: Callable[..., Any] = space[name]
     return made
 
 
-def hooks_of(kind: str, tree: Node, states: Mapping[str, Node],
-             parameters: Sequence[str]) -> dict[str, Any]:
-    """The hooks of an effect that is a formula, as fields of `Effect`."""
+def hooks_of(kind: str, tree: Node, states: Mapping[str, Node], parameters: Sequence[str],
+             kinks: Sequence[Node]) -> dict[str, Any]:
+    """The hooks of an effect that is a formula, as fields of `Effect`; `kinks` are zero where the
+    force has one."""
     place = {n: n for n in ("x", "v", "u", "i", "t")}
     place |= {n: f"p[{k}]" for k, n in enumerate(parameters)}
     if kind == "input":
@@ -64,12 +90,18 @@ def hooks_of(kind: str, tree: Node, states: Mapping[str, Node],
     moving = ("x", "v", "u", *states)
     if all(_power_in(each, moving) == 1 for each in (tree, *states.values())):
         return {"stamp": _stamp(tree, states, place), "stage": "mechanics"}
-    if not states and not {"t", "u", "i"} & tree.names:
+    if not states and not kinks and not {"t", "u", "i"} & tree.names:
         return {"force": function("force", ("x", "v", "actuator", "p"), (), source(tree, place))}
     place |= {n: f"z[{k}]" for k, n in enumerate(states)}
     rates = [f"rate[{k}] = {source(each, place)}" for k, each in enumerate(states.values())]
-    return {"flow": function("flow", ("t", "x", "v", "u", "i", "z", "rate", "p"), rates,
-                             source(tree, place))}
+    hooks = {"flow": function("flow", ("t", "x", "v", "u", "i", "z", "rate", "p"), rates,
+                              source(tree, place))}
+    if kinks:
+        sides = [f"({2.0**k} if {source(each, place)} > 0.0 else 0.0)"
+                 for k, each in enumerate(kinks)]
+        hooks["side_of_kinks"] = function("side", ("t", "x", "v", "u", "i", "z", "p"), (),
+                                          " + ".join(sides))
+    return hooks
 
 
 def _stamp(tree: Node, states: Mapping[str, Node], place: Mapping[str, str]) -> Callable[..., Any]:

@@ -224,7 +224,7 @@ def _folded(kind: str, parts: tuple[Node, ...], at: int) -> Node:
     node = Node(kind, parts, column=at)
     if any(part.kind != "number" for part in parts):
         return node
-    number = value(node, {})
+    number = float(value(node, {}))
     if not math.isfinite(number):
         fail(at, f"{node.text()[:60]} is not a finite number")
     return Node("number", number=number, column=at)
@@ -267,14 +267,12 @@ def _degree(node: Node, own: list[float]) -> float | None:
     return 0.0 if not any(own) else None
 
 
-NUMPY: dict[str, Callable[..., Any]] = {
-    "sign": np.sign, "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "sin": np.sin, "cos": np.cos,
-    "tan": np.tan, "arctan": np.arctan, "tanh": np.tanh}
-"""What a formula may call, by NumPy's names."""
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power,
     "negative": np.negative, "abs": np.abs, "<": np.less, "<=": np.less_equal, ">": np.greater,
-    ">=": np.greater_equal, "where": np.where, **NUMPY, "atan": np.arctan}
+    ">=": np.greater_equal, "where": np.where, "sign": np.sign, "sqrt": np.sqrt, "exp": np.exp,
+    "log": np.log, "sin": np.sin, "cos": np.cos, "tan": np.tan, "atan": np.arctan,
+    "tanh": np.tanh}
 
 
 def value(node: Node, given: Mapping[str, Any]) -> Any:

@@ -16,11 +16,13 @@ from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.events import TERMS
 from dfm_stage.model.kernel.collocated import STAGES
 from dfm_stage.model.kernel.hooks import address
+from dfm_stage.model.kernel.setup import SMOOTH_LEVELS
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError
 from dfm_stage.model.registry import EFFECTS
 
-DIRECTED_LEVELS, SMOOTH_LEVELS = 19, 9
+SHARP_LEVELS = 19
+"""Levels of halving where reversals or kinks are to be located."""
 _LAGS = (("amplifier", slots.AMPLIFIER, slots.AMPLIFIER_STATE),
          ("coil", slots.INDUCTANCE, slots.COIL_STATE))
 """State, the slot that makes it, and where `layout` has its index."""
@@ -73,8 +75,9 @@ class Plan:
         head[slots.HISTORY] = _history(model, max(theta[slots.DELAY], longest_delay))
         head[slots.CURVED] = any(effect.curves for effect in effects)
         head[slots.DIRECTED] = directed = dry or bool(memory)
+        sharp = directed or any(effect.side_of_kinks for effect in effects)
         head[slots.LEVELS] = (0 if not head[slots.CURVED] else
-                              DIRECTED_LEVELS if directed else SMOOTH_LEVELS)
+                              SHARP_LEVELS if sharp else SMOOTH_LEVELS)
         head[slots.BRISTLES] = sum(len(effect.state_names) for effect in memory)
         head[slots.KEPT] = len(bristles)
         head[slots.USES_SPEED] = directed or any(reads(force, 1) for force in forces) \

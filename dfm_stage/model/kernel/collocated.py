@@ -32,21 +32,26 @@ per step length."""
 P1, P2 = POINTS[0], POINTS[1]
 
 
-def collocated(hook: Hook, values: Hook, states: int) -> Hook:
-    """The machine code of a hook `flow` with a number of states."""
+def collocated(hook: Hook, side: Hook, values: Hook, states: int) -> Hook:
+    """The machine code of the hooks `flow` and `side` with a number of states."""
 
     def still(t: float, h: float, x0: float, x1: float, x2: float, x3: float, v0: float,
               v1: float, v2: float, v3: float, d0: float, d1: float, d2: float, d3: float,
               u: float, per: float, z: Any, moved: Any, stages: Any, p: Any, out: Any,
               count: int, fresh: int) -> float:
-        """Return the force at the first point, or 0 and those at the others in `out`, N."""
+        """Return the force (N) at the first point. Of THREE points they go to `out`, and the
+        result is 1 where not all points are on one side of every kink, else 0."""
         own, none = values(p), carray(z, (0,))
         if count == ONE:
             return float(hook(t, x0, v0, u, per * d0, none, none, own))
         out[0] = hook(t + P1 * h, x1, v1, u, per * d1, none, none, own)
         out[1] = hook(t + P2 * h, x2, v2, u, per * d2, none, none, own)
         out[2] = hook(t + h, x3, v3, u, per * d3, none, none, own)
-        return 0.0
+        here = side(t, x0, v0, u, per * d0, none, own)
+        crossed = (here != side(t + P1 * h, x1, v1, u, per * d1, none, own)
+                   or here != side(t + P2 * h, x2, v2, u, per * d2, none, own)
+                   or here != side(t + h, x3, v3, u, per * d3, none, own))
+        return 1.0 if crossed else 0.0
 
     def flow(t: float, h: float, x0: float, x1: float, x2: float, x3: float, v0: float,
              v1: float, v2: float, v3: float, d0: float, d1: float, d2: float, d3: float,
@@ -84,11 +89,15 @@ def collocated(hook: Hook, values: Hook, states: int) -> Hook:
                 out[0], out[1], out[2] = f1, f2, f3
                 for k in range(states):
                     moved[k] = z3[k]
-                return 0.0
+                here = side(t, x0, v0, u, per * d0, begin, own)
+                crossed = (here != side(t + P1 * h, x1, v1, u, per * d1, z1, own)
+                           or here != side(t + P2 * h, x2, v2, u, per * d2, z2, own)
+                           or here != side(t + h, x3, v3, u, per * d3, z3, own))
+                return 1.0 if crossed else 0.0
         for k in range(states):
             moved[k] = z3[k]
             z1[k] = z2[k] = z3[k] = begin[k]
         out[0] = out[1] = out[2] = np.nan
-        return np.nan
+        return 1.0
 
     return flow if states else still

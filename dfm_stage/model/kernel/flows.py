@@ -29,7 +29,6 @@ from dfm_stage.model.kernel.slots import (
 from dfm_stage.model.kernel.tables import POINT_1, POINT_2
 
 Four = tuple[float, float, float, float]
-Three = tuple[float, float, float]
 
 
 @inlined
@@ -59,15 +58,16 @@ def flow_force(layout: Layout, theta: Array, work: Array, x: float, v: float, d:
 
 @inlined
 def flow_steps(layout: Layout, theta: Array, work: Array, x: Four, v: Four, d: Four, u: float,
-               h: float, fresh: int) -> Three:
+               h: float, fresh: int) -> Four:
     """Move the states of all flows on by h (s), to scratch; the forces at the three later points
-    of the step, N. `fresh` is 1 when a step is tried for the first time."""
-    g1 = g2 = g3 = 0.0
+    of the step, N, and how many flows have a kink in the step. `fresh` is 1 when a step is tried
+    for the first time."""
+    g1 = g2 = g3 = crossed = 0.0
     head = at(layout, AT_HEAD)
     z, moved = at(layout, AT_BRISTLE), at(layout, AT_SCRATCH) + at(layout, ORDER)
     for entry in range(at(layout, FLOWS), at(layout, FLOWS + 1), ENTRY):
         own = at(layout, entry + FIRST)
-        call_flow(at(layout, entry + CODE), (
+        crossed += call_flow(at(layout, entry + CODE), (
             at(work, head + NOW), h, x[0], x[1], x[2], x[3], v[0], v[1], v[2], v[3],
             d[0], d[1], d[2], d[3], u, _amperes(theta), pointer(work, z + own),
             pointer(work, moved + own), pointer(work, at(layout, AT_STAGES) + STAGES * own),
@@ -75,7 +75,7 @@ def flow_steps(layout: Layout, theta: Array, work: Array, x: Four, v: Four, d: F
         g1 += at(work, head + OUT)
         g2 += at(work, head + OUT + 1)
         g3 += at(work, head + OUT + 2)
-    return g1, g2, g3
+    return g1, g2, g3, crossed
 
 
 @inlined

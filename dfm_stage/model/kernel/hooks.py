@@ -105,6 +105,11 @@ def _bristle(advance: Hook, force: Hook, values: Hook) -> Hook:
     return step
 
 
+def one_side(t: float, x: float, v: float, u: float, i: float, z: Any, p: Any) -> float:
+    """The side of kinks for a flow that has none."""
+    return 0.0
+
+
 def _stamp(hook: Hook, values: Hook) -> Hook:
     def stamp(a: Any, rows: Any, n: int, first: int, p: Any) -> None:
         hook(carray(a, (n, n + 1)), carray(rows, (ROWS, n + 1)), first, values(p))
@@ -179,7 +184,8 @@ def address(kind: str, uses: Sequence[tuple[Effect, int]]) -> int:
     """
     begin = uses[0][1]
     return int(_code(kind, *(
-        ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else [])),
+        ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else []),
+          *([effect.side_of_kinks or one_side] if kind == "flow" else [])),
          first - begin, len(effect.parameters), len(effect.states) if kind == "flow" else 0)
         for effect, first in uses)).address)
 

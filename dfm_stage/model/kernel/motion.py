@@ -138,7 +138,7 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
                 u: float, f0: float, given: Three) -> tuple[
                     float, float, float, float, float, float, float, bool]:
     """Find the forces at the three later points: these, the speeds there, the largest force so
-    far, and whether the iteration has settled. `given` does not depend on the motion.
+    far, and whether the iteration has settled on a force without a kink. `given` does not depend on the motion.
     """
     n, head, state = at(layout, ORDER), at(layout, AT_HEAD), at(layout, AT_STATE)
     speed = at(layout, USES_SPEED) == 1
@@ -149,7 +149,7 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
     f3 = f0 + (slope + curvature)
     largest, settled, before = at(work, head + SCALE), False, 0.0
     p, q, w = node + 9 * (n + 2), node + 9 * (n + 3), node + 9 * (n + 4)
-    v1 = v2 = v3 = d0 = 0.0
+    v1 = v2 = v3 = d0 = crossed = 0.0
     flows = at(layout, FLOWS) < at(layout, FLOWS + 1)
     if flows and at(layout, USES_DRIVE) == 1:
         d0 = theta[FORCE_CONSTANT] * row_value(
@@ -165,7 +165,7 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
         d = _drives(layout, work, node + 6, u, (f0, f1, f2, f3))
         g1, g2, g3 = _three_forces(layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), d)
         if flows:
-            e1, e2, e3 = flow_steps(
+            e1, e2, e3, crossed = flow_steps(
                 layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), (d0, d[0], d[1], d[2]), u,
                 at(work, head + SPAN), int(iteration == 0))
             g1, g2, g3 = g1 + e1, g2 + e2, g3 + e3
@@ -178,7 +178,7 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
             settled = True
             break
         before = change
-    return f1, f2, f3, v1, v2, v3, largest, settled
+    return f1, f2, f3, v1, v2, v3, largest, settled and crossed == 0.0
 
 
 @inlined
@@ -286,7 +286,7 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
     end = layout[AT_STICK_END] + n * (n + 1) * table
     x = row_value(work, layout[AT_ROWS] + ROW_POSITION * (n + 1), state, n, u)
     rest = theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0)
-    flowing = (0.0, 0.0, 0.0)
+    flowing = (0.0, 0.0, 0.0, 0.0)
     if layout[FLOWS] < layout[FLOWS + 1]:
         flowing = flow_steps(layout, theta, work, (x, x, x, x), (0.0, 0.0, 0.0, 0.0),
                              _stuck_drives(layout, theta, work, node, u), u,

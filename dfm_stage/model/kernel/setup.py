@@ -79,6 +79,8 @@ from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
 
 SHORTEST = 0.2
 """The shortest step times the fastest rate, for which the Taylor series of events are exact."""
+SMOOTH_LEVELS = 9
+"""Levels of halving where no force has a kink or a reversal to come close to."""
 INSTANT = 1e-6
 """A lag shorter than this part of a sample period is taken as none."""
 
@@ -178,7 +180,7 @@ def prepare(layout: Layout, theta: Array, work: Array) -> None:
         for j in range(n + 1):
             held[i, j] = a[i, j] + rows[ROW_FORCE_IN, i] * rows[ROW_HOLD, j]
     rate = period * fastest_rate(a, n) / SHORTEST
-    depth = max(12 if layout[DIRECTED] == 1 else 8, int(np.ceil(np.log2(rate))))
+    depth = max(12 if layout[LEVELS] > SMOOTH_LEVELS else 8, int(np.ceil(np.log2(rate))))
     head[DEPTH] = min(depth, layout[LEVELS] - 1)
     node, end, stick_node, stick_end = tables(work, layout)
     for piece in range(2):
