@@ -32,6 +32,7 @@ from dfm_stage.model.kernel.slots import (
     AT_INITIAL,
     AT_NODE,
     AT_ROWS,
+    AT_STAGES,
     AT_STATE,
     AT_STICK_END,
     AT_STICK_NODE,
@@ -72,6 +73,7 @@ from dfm_stage.model.kernel.slots import (
     STIFFNESS,
     TRIED,
     WHOLE,
+    WORK_SIZE,
     Array,
     Layout,
 )
@@ -245,3 +247,5 @@ def restart(layout: Layout, work: Array) -> None:
     head[MODE] = np.sign(row_value(work, speed_row, layout[AT_STATE], n, 0.0))
     head[LEVEL] = head[SCALE] = head[SLOPE] = head[CURVATURE] = head[STEP] = 0.0
     head[TRIED] = 0.0
+    for i in range(layout[AT_STAGES], layout[WORK_SIZE]):
+        work[i] = 0.0
