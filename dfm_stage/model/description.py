@@ -58,14 +58,14 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
 class EffectUse:
     """An effect that is on, with the values of all its parameters (SI).
 
-    One that is a `formula` carries it; `effect` is the one that counts, whatever is registered.
+    One that is a `formula` carries it, whatever is registered.
     """
 
     name: str
     parameters: Mapping[str, float]
     origin: Mapping[str, Any] | None = None
     formula: Formula | None = None
-    effect: Effect = field(init=False, compare=False, repr=False)
+    _own: FormulaEffect | None = field(init=False, default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         effect = EFFECTS.get(self.name) if self.formula is None else self.formula.effect()
@@ -73,8 +73,7 @@ class EffectUse:
             raise ModelError(unknown_name("effect", self.name, EFFECTS))
         if isinstance(effect, FormulaEffect):
             EFFECTS.hold(effect)
-            _set(self, formula=effect.formula)
-        _set(self, effect=effect)
+            _set(self, formula=effect.formula, _own=effect)
         known = effect.defaults
         for name in self.parameters:
             if name not in known:
@@ -86,6 +85,11 @@ class EffectUse:
         _set(self, origin=_frozen(self.origin), parameters=Frozen({
             p.name: p.checked(self.parameters.get(p.name, p.default), self.name)
             for p in effect.parameters}))
+
+    @property
+    def effect(self) -> Effect:
+        """The effect: that of the formula, or the one that is registered now."""
+        return EFFECTS[self.name] if self._own is None else self._own
 
     def __reduce__(self) -> tuple[Any, ...]:
         return EffectUse, (self.name, self.parameters, self.origin, self.formula)

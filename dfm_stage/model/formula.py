@@ -39,6 +39,7 @@ from dfm_stage.model.formula_text import (
     Node,
     degree,
     parse,
+    shown,
     value,
 )
 from dfm_stage.model.formula_units import (
@@ -199,10 +200,10 @@ def formula_of(data: Mapping[str, Any]) -> Formula:
     """
     kinds = [kind for kind in KINDS if data.get(kind) is not None]
     name = data.get("name")
-    where = f"{str(name)[:40]}: "
+    where = f"{name[:40] if isinstance(name, str) else shown(name)}: "
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name in {*_RESERVED, *BASE_BY_NAME}:
-        raise FormulaError(f"name: {str(name)[:40]!r} cannot be the name of a formula; take "
-                           "letters, digits and _")
+        raise FormulaError(f"name: {shown(name)} cannot be the name of a formula; take another "
+                           "word of letters, digits and _")
     if len(kinds) != 1:
         raise FormulaError(f"{where}give exactly one of force (N), input (V) and reading (m)")
     parameters, state = data.get("parameters") or {}, data.get("state") or {}
@@ -216,12 +217,20 @@ def formula_of(data: Mapping[str, Any]) -> Formula:
     for own in (*parameters, *state):
         if not isinstance(own, str) or not _NAME.fullmatch(own) or own in _RESERVED \
                 or (own in parameters and own in state):
-            raise FormulaError(f"{where}{str(own)[:40]!r} cannot be the name of a parameter or "
-                               "state; it must be another word than variables and functions")
-    text = data[kinds[0]]
-    return Formula(name, kinds[0], text if isinstance(text, str) else str(text),
+            raise FormulaError(f"{where}{shown(own)} cannot be the name of a parameter or state; "
+                               "it must be another word than variables and functions")
+    return Formula(name, kinds[0], _text(data[kinds[0]], f"{where}{kinds[0]}: "),
                    tuple(_parameter(p, given, where) for p, given in parameters.items()),
-                   tuple((n, str(rate)) for n, rate in state.items()))
+                   tuple((n, _text(rate, f"{where}state {n}: ")) for n, rate in state.items()))
+
+
+def _text(given: object, where: str) -> str:
+    """The text of a formula; YAML reads one of a single number as that number."""
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        return repr(given)
+    if not isinstance(given, str):
+        raise FormulaError(f"{where}a formula is a text, not {shown(given)}")
+    return str(given)
 
 
 def _parameter(name: str, given: Any, where: str) -> FormulaParameter:
@@ -248,7 +257,7 @@ def _finite(given: object, where: str) -> float:
     except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not math.isfinite(found):
-        raise FormulaError(f"{where}{str(given)[:40]} is no finite number")
+        raise FormulaError(f"{where}{shown(given)} is no finite number")
     return found
 
 
@@ -257,7 +266,8 @@ def _build(formula: Formula) -> FormulaEffect:
     given = {p.name: p for p in formula.parameters}
     ranges = {n: p.range or (-math.inf, math.inf) for n, p in given.items()}
     spread = {n: (p.value, p.range) for n, p in given.items()}
-    rest, rubs = part_friction(tree, spread) if formula.kind == "force" else (tree, "")
+    with _about(formula, formula.kind):
+        rest, rubs = part_friction(tree, spread) if formula.kind == "force" else (tree, "")
     if rubs:
         if ranges[rubs][0] < 0.0 and given[rubs].range is not None:
             raise FormulaError(f"{formula.name}: {rubs} is a friction; its range cannot go below "

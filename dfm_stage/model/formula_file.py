@@ -9,7 +9,8 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from dfm_stage.model.formula import KINDS, Formula, FormulaError, formula_of
+from dfm_stage.model.formula import KINDS, Formula, formula_of
+from dfm_stage.model.formula_text import FormulaError, shown
 
 YAML_ENDINGS = (".yaml", ".yml")
 LARGEST_BYTES = 1_000_000
@@ -46,10 +47,10 @@ def read_formulas(path: Path) -> list[Formula]:
 def _formula(path: Path, entry: Any) -> Formula:
     if not isinstance(entry, Mapping):
         raise FormulaError(f"{path}: a formula needs name, force and parameters, "
-                           f"not {str(entry)[:40]!r}")
-    strange = sorted(str(key) for key in entry if key not in _KEYS)
+                           f"not {shown(entry)}")
+    strange = [key for key in entry if key not in _KEYS]
     if strange:
-        raise FormulaError(f"{path}: {strange[0][:40]} is no key of a formula; known are "
+        raise FormulaError(f"{path}: {shown(strange[0])} is no key of a formula; known are "
                            f"{', '.join(sorted(_KEYS))}")
     try:
         formula = formula_of(entry)

@@ -160,17 +160,24 @@ class _Trial:
             low, high = np.where(same, middle, low), np.where(same, high, middle)
         yield low, high, rows
 
+    def change(self, low: Array, high: Array, rows: Lines) -> Array:
+        """By how much the formula grows between two numbers; NaN where it has no value."""
+        with np.errstate(all="ignore"):
+            return self.value(self.node, high, rows) - self.value(self.node, low, rows)
+
     def jumps(self, low: Array, high: Array, rows: Lines) -> bool:
         """Whether the formula jumps between two numbers."""
-        change = np.abs(self.value(self.node, high, rows) - self.value(self.node, low, rows))
+        change = np.abs(self.change(low, high, rows))
         return bool(np.any(change[np.isfinite(change)] > JUMP * self.largest))
 
     def bends(self, low: Array, high: Array, rows: Lines) -> bool:
         """Whether its slope changes between two numbers, or the formula jumps."""
-        step = NEAR * np.maximum(np.abs(low), NEAR)
-        after = self.value(self.node, high + step, rows) - self.value(self.node, high, rows)
-        before = self.value(self.node, low, rows) - self.value(self.node, low - step, rows)
-        change = np.abs(after - before) / step * np.maximum(np.abs(low), NEAR)
+        size = np.maximum(np.abs(low), NEAR)
+        step = NEAR * size
+        after = self.change(high, high + step, rows)
+        before = self.change(low - step, low, rows)
+        with np.errstate(all="ignore"):
+            change = np.abs(after - before) / step * size
         return self.jumps(low, high, rows) or bool(
             np.any(change[np.isfinite(change)] > BEND * self.largest))
 

@@ -10,6 +10,7 @@ import ast
 import difflib
 import math
 import re
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -79,7 +80,7 @@ class Node:
         return f"({inner[0]} {self.kind} {inner[1]})"
 
 
-def parse(text: object, known: Collection[str]) -> Node:
+def parse(text: str, known: Collection[str]) -> Node:
     """The tree of a formula over the names `known`.
 
     Raises
@@ -87,16 +88,14 @@ def parse(text: object, known: Collection[str]) -> Node:
     FormulaError
         If it is no such formula; one line with the column.
     """
-    if isinstance(text, (int, float)) and not isinstance(text, bool):
-        text = repr(text)           # YAML reads a formula of one number as that number
-    if not isinstance(text, str):
-        raise FormulaError(f"a formula is a text, not {repr(text)[:40]}")
     _check_text(text)
     begin = len(text) - len(text.lstrip())
     try:
-        tree = ast.parse(re.sub(r"\s", " ", text).strip(), mode="eval")
+        with warnings.catch_warnings():         # of what is refused anyway
+            warnings.simplefilter("ignore")
+            tree = ast.parse(re.sub(r"\s", " ", text).strip(), mode="eval")
     except SyntaxError as error:
-        at = min((error.offset or 1) + begin, len(text))
+        at = min((error.offset or len(text)) + begin, len(text))
         fail(at, f"is not understood{_near(text, at)}")
     except (RecursionError, MemoryError, ValueError):
         fail(1, f"more than {DEEPEST} operations inside each other; use parameters")
@@ -104,6 +103,13 @@ def parse(text: object, known: Collection[str]) -> Node:
     if count > 3 * MOST_NODES:
         fail(1, f"more than {MOST_NODES} operations")
     return _Reader(known, begin).read(tree.body, 0)
+
+
+def shown(thing: object) -> str:
+    """A thing from a file, short enough for a line; of a collection only what it is."""
+    if thing is None or isinstance(thing, (str, int, float)):
+        return repr(thing[:40] if isinstance(thing, str) else thing)[:44]
+    return f"a {type(thing).__name__}"
 
 
 def fail(column: int, reason: str) -> NoReturn:
@@ -222,6 +228,8 @@ def _number(value: object, at: int) -> Node:
 def _folded(kind: str, parts: tuple[Node, ...], at: int) -> Node:
     """The operation; of numbers alone its value, so that what has none is found here."""
     node = Node(kind, parts, column=at)
+    if kind == "/" and parts[1].kind == "number" and parts[1].number == 0.0:
+        fail(parts[1].column, "a division by zero")
     if any(part.kind != "number" for part in parts):
         return node
     number = float(value(node, {}))
