@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from benchmarks.measured.sources import Array, Columns
-from dfm_stage.model import EFFECTS, Model, Simulator
+from dfm_stage.model import Model, Simulator
 
 FINER = 8
 """Held steps a sample by which an input between its samples is followed: the middle of each is

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.stage import Sampled, sample_model
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 Law = Callable[[Array], Complex]
 _WIDTH = 0.25       # of the cutoff, over which the low-pass falls: a smooth edge rings little

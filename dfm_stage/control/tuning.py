@@ -33,7 +33,7 @@ from dfm_stage.control.stage import (
     sample_model,
 )
 from dfm_stage.control.switching import law_of, response_of
-from dfm_stage.model import EFFECTS, Model, Plant
+from dfm_stage.model import Model, Plant
 
 FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
 # Integral weight in s, at an error weight of _ERROR_M: its pole is then well below the others.

@@ -22,7 +22,7 @@ from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces, Terms
 from dfm_stage.diagnosis.force_setting import Setting, least_squares, settled
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.surface import Surface, binned
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 LINEAR: dict[str, Callable[[RunForces], Array]] = {
     "stiffness": lambda run: run.trajectory.x, "damping": lambda run: run.trajectory.v}

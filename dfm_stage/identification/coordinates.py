@@ -21,7 +21,7 @@ from dfm_stage.identification.identifiability import Identifiability
 from dfm_stage.identification.inference import limit_message
 from dfm_stage.identification.quantity import t95
 from dfm_stage.identification.result import Estimate
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 BASE_LATE = {"amplifier_time_constant": "lag", "delay": "delay", "coil_inductance": "coil"}
 """Base parameters that make the force late, and how; see `Effect.late`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 KNOWN = ("V", "A", "N", "N m")
 _OF_VOLTAGE = ("coil_resistance", "coil_inductance", "back_emf")

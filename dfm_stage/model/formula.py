@@ -29,8 +29,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from dfm_stage.model.conditions import Conditions
-from dfm_stage.model.effect import SMALL, Effect, Parameter, Parameters, Prior, Values
-from dfm_stage.model.formula_code import hooks_of
+from dfm_stage.model.effect import SMALL, STARTS, Effect, Parameter, Parameters, Prior, Values
 from dfm_stage.model.formula_kinks import kinks_of, part_friction
 from dfm_stage.model.formula_text import (
     CONSTANTS,
@@ -142,7 +141,9 @@ class FormulaEffect(Effect):
             start for each in found if (start := self._at_size(each, at)) is not None]
 
     def felt(self, x: float, v: float, actuator: float, p: Values) -> float:
-        """As of any effect; a formula may divide by zero, or overflow."""
+        """As of any effect; a formula may divide by zero, or overflow. None has the actuator's
+        force for a variable."""
+        del actuator
         if self.force is None or self.smooth is None:
             return 0.0
         return float(value(self.smooth, {
@@ -161,8 +162,8 @@ class FormulaEffect(Effect):
         if math.isinf(low) or math.isinf(high):
             return [parameter.default]
         if low > 0.0:
-            return np.geomspace(low, high, 6)[1:-1].tolist()
-        return np.linspace(low, high, 6)[1:-1].tolist()
+            return [float(v) for v in np.geomspace(low, high, STARTS + 2)[1:-1]]
+        return [float(v) for v in np.linspace(low, high, STARTS + 2)[1:-1]]
 
     def _at_size(self, values: Parameters, at: Conditions) -> Parameters | None:
         """`values` with sizes that make a small force (or input, or reading); None where the
@@ -201,7 +202,8 @@ def formula_of(data: Mapping[str, Any]) -> Formula:
     kinds = [kind for kind in KINDS if data.get(kind) is not None]
     name = data.get("name")
     where = f"{name[:40] if isinstance(name, str) else shown(name)}: "
-    if not isinstance(name, str) or not _NAME.fullmatch(name) or name in {*_RESERVED, *BASE_BY_NAME}:
+    if not isinstance(name, str) or not _NAME.fullmatch(name) \
+            or name in {*_RESERVED, *BASE_BY_NAME}:
         raise FormulaError(f"name: {shown(name)} cannot be the name of a formula; take another "
                            "word of letters, digits and _")
     if len(kinds) != 1:
@@ -239,7 +241,7 @@ def _parameter(name: str, given: Any, where: str) -> FormulaParameter:
         raise FormulaError(f"{where}give {{value: ..., unit: ..., range: [..., ...]}}")
     unit, limits = given.get("unit"), given.get("range")
     if limits is not None:
-        if not isinstance(limits, (list, tuple)) or len(limits) != 2:  # noqa: PLR2004
+        if not isinstance(limits, (list, tuple)) or len(limits) != 2:
             raise FormulaError(f"{where}range is [lowest, highest]")
         limits = _finite(limits[0], where), _finite(limits[1], where)
         if not limits[0] < limits[1]:
@@ -262,6 +264,8 @@ def _finite(given: object, where: str) -> float:
 
 
 def _build(formula: Formula) -> FormulaEffect:
+    from dfm_stage.model.formula_code import hooks_of  # needs numba, which takes a second
+
     tree, states, units = _trees(formula)
     given = {p.name: p for p in formula.parameters}
     ranges = {n: p.range or (-math.inf, math.inf) for n, p in given.items()}
@@ -370,7 +374,8 @@ def _sizes(tree: Node, states: Mapping[str, Node], names: Sequence[str]) -> tupl
     for count in range(1, len(names) + 1):
         for chosen in itertools.combinations(names, count):
             if degree(tree, chosen) == 1.0 and all(
-                    degree(rate, chosen) == 0.0 or not {*chosen} & rate.names for rate in states.values()):
+                    degree(rate, chosen) == 0.0 or not {*chosen} & rate.names
+                    for rate in states.values()):
                 return chosen
     return ()
 

@@ -11,12 +11,12 @@ from numba.extending import register_jitable
 from dfm_stage.model.formula_text import Node
 
 
-@register_jitable(error_model="numpy")  # type: ignore[untyped-decorator]
+@register_jitable(error_model="numpy")
 def _sign(number: float) -> float:
     return 1.0 if number > 0.0 else -1.0 if number < 0.0 else 0.0
 
 
-@register_jitable(error_model="numpy")  # type: ignore[untyped-decorator]
+@register_jitable(error_model="numpy")
 def _to_the(base: float, power: int) -> float:
     product = 1.0
     for _ in range(abs(power)):
@@ -115,14 +115,14 @@ def _stamp(tree: Node, states: Mapping[str, Node], place: Mapping[str, str]) -> 
     lines = ["n = a.shape[0]"]
     for own, each in enumerate((None, *states.values())):
         if each is not None:
-            lines += [f"for j in range(n + 1): a[first + {own - 1}, j] += "
-                      f"{coefficient(each, 'x')} * rows[0, j] + "
-                      f"{coefficient(each, 'v')} * rows[1, j]",
+            motion = (f"{coefficient(each, 'x')} * rows[0, j] + "
+                      f"{coefficient(each, 'v')} * rows[1, j]")
+            lines += [f"for j in range(n + 1): a[first + {own - 1}, j] += {motion}",
                       f"a[first + {own - 1}, n] += {coefficient(each, 'u')}"]
             lines += [f"a[first + {own - 1}, first + {k}] += {coefficient(each, n)}"
                       for k, n in enumerate(states)]
-    force = [f"for j in range(n + 1): a[i, j] += rows[3, i] * ({coefficient(tree, 'x')} * "
-             f"rows[0, j] + {coefficient(tree, 'v')} * rows[1, j])",
+    motion = f"{coefficient(tree, 'x')} * rows[0, j] + {coefficient(tree, 'v')} * rows[1, j]"
+    force = [f"for j in range(n + 1): a[i, j] += rows[3, i] * ({motion})",
              f"a[i, n] += rows[3, i] * {coefficient(tree, 'u')}",
              *(f"a[i, first + {k}] += rows[3, i] * {coefficient(tree, n)}"
                for k, n in enumerate(states))]

@@ -1,9 +1,10 @@
 """Kinks and jumps of a formula: where steps must end, and where the force can stick.
 
-Where a force jumps with the speed, the point can stick there. A term `- f * sign(v)` is dry friction, which the simulator knows: it locates every reversal and
-breakaway. Any other such jump is refused, because a point that rests on a jump has no motion that steps
-of time could follow. Jumps are looked for where they can be: at rest, and where the argument of a
-sign or both sides of a comparison meet.
+Where a force jumps with the speed, the point can stick there. A term `- f * sign(v)` is dry
+friction, which the simulator knows: it locates every reversal and breakaway. Any other such jump
+is refused, because a point that rests on a jump has no motion that steps of time could follow.
+Jumps are looked for where they can be: at rest, and where the argument of a sign or both sides of
+a comparison meet.
 """
 
 from __future__ import annotations

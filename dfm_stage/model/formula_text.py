@@ -33,7 +33,7 @@ _OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 _STRANGE = re.compile(r"[^A-Za-z0-9_ \t\n+\-*/().,<>=]")
 _INSTEAD = {"^": "; a power is **", "−": "; use the minus of the keyboard",
-            "·": "; a product is *", "×": "; a product is *"}  # noqa: RUF001
+            "·": "; a product is *", "×": "; a product is *"}
 _WRONG: dict[type[ast.AST], str] = {
     ast.Attribute: "a name has no parts; a dot belongs inside a number",
     ast.IfExp: "write where(condition, a, b)", ast.BoolOp: "write one where() inside another",
@@ -204,10 +204,9 @@ class _Reader:
 
     def _condition(self, tree: ast.expr, depth: int) -> Node:
         at = tree.col_offset + self.begin + 1
-        if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1
-                and type(tree.ops[0]) in COMPARISONS):
+        if not isinstance(tree, ast.Compare) or len(tree.ops) != 1 \
+                or type(tree.ops[0]) not in COMPARISONS:
             fail(at, "where() begins with one comparison such as x > x0")
-        assert isinstance(tree, ast.Compare)
         parts = self.read(tree.left, depth), self.read(tree.comparators[0], depth)
         return Node(COMPARISONS[type(tree.ops[0])], parts, column=at)
 
@@ -215,7 +214,6 @@ class _Reader:
 def _number(value: object, at: int) -> Node:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         fail(at, f"{str(value)[:40]} is no number")
-    assert isinstance(value, (int, float))
     try:
         number = float(value)
     except OverflowError:

@@ -103,7 +103,7 @@ def scale(found: Dimension, at: Conditions) -> float:
     length, ampere = at.motion, max(at.drive, 1e-300)
     time = length / at.speed
     sizes = (length, at.force * time**2 / length, time, ampere)
-    return math.prod(size ** float(e) for size, e in zip(sizes, found, strict=True))
+    return float(math.prod(size ** float(e) for size, e in zip(sizes, found, strict=True)))
 
 
 def measure(node: Node, units: Mapping[str, Dimension | None]) -> Dimension | None:
@@ -167,7 +167,8 @@ def _same(node: Node, found: list[Dimension | None]) -> Dimension | None:
     first, its = known[0]
     for part, other in known[1:]:
         if other != its:
+            place = "sum" if node.kind in "+-" else node.kind if node.kind.isalpha() \
+                else "comparison"
             fail(part.column, f"{part.text()[:40]} is in {words(other)}, "
-                 f"but {first.text()[:40]} in {words(its)}; they stand in one "
-                 f"{'sum' if node.kind in '+-' else node.kind if node.kind.isalpha() else 'comparison'}")
+                 f"but {first.text()[:40]} in {words(its)}; they stand in one {place}")
     return its

@@ -15,7 +15,6 @@ import numpy as np
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.model.description import Model
-from dfm_stage.model.registry import EFFECTS
 
 LARGEST_CONDITION = 1e12
 """Of the scaled matrix of a stage that comes to rest; rounding alone leaves more than 1e15."""

@@ -13,13 +13,12 @@ import numpy as np
 from dfm_stage.model.description import Model, unknown_name
 from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.kernel import slots
-from dfm_stage.model.kernel.events import TERMS
 from dfm_stage.model.kernel.collocated import STAGES
+from dfm_stage.model.kernel.events import TERMS
 from dfm_stage.model.kernel.hooks import address
 from dfm_stage.model.kernel.setup import SMOOTH_LEVELS
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError
-from dfm_stage.model.registry import EFFECTS
 
 SHARP_LEVELS = 19
 """Levels of halving where reversals or kinks are to be located."""

@@ -14,7 +14,6 @@ from dfm_stage.model.kernel.record import DIVERGED, peek, run
 from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.parameter import SimulationError
 from dfm_stage.model.plan import Plan
-from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.simulator import rounding_of
 
 _NONE = np.empty((0, 4))

@@ -19,7 +19,6 @@ from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import Parameter, SimulationError
 from dfm_stage.model.plan import Plan, parameter_table
-from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.scales import typical_size
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 from dfm_stage.model.parameter import Parameter
 from dfm_stage.trajectory.errors import LimitError, place
 from dfm_stage.trajectory.signals import Excitation, Reference

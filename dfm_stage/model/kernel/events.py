@@ -129,8 +129,8 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     t = _root(work, series, 0.0, left) if mode * work[series] < 0.0 else 0.0
     _at(work, n, terms, t, state)
     if t > 0.0:
-        flow_ends(layout, theta, work, x, x, 0.0, 0.0, drive, drive + (drive_end - drive) * t / left,
-                  u, t)
+        flow_ends(layout, theta, work, x, x, 0.0, 0.0, drive,
+                  drive + (drive_end - drive) * t / left, u, t)
         for i in range(layout[KEPT], layout[BRISTLES]):
             work[z + i] = work[moved + i]
     return t, mode

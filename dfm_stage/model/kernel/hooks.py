@@ -105,7 +105,7 @@ def _bristle(advance: Hook, force: Hook, values: Hook) -> Hook:
     return step
 
 
-def one_side(t: float, x: float, v: float, u: float, i: float, z: Any, p: Any) -> float:
+def one_side(*_: Any) -> float:
     """The side of kinks for a flow that has none."""
     return 0.0
 

@@ -138,7 +138,8 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
                 u: float, f0: float, given: Three) -> tuple[
                     float, float, float, float, float, float, float, bool]:
     """Find the forces at the three later points: these, the speeds there, the largest force so
-    far, and whether the iteration has settled on a force without a kink. `given` does not depend on the motion.
+    far, and whether the iteration has settled on a force without a kink. `given` does not depend
+    on the motion.
     """
     n, head, state = at(layout, ORDER), at(layout, AT_HEAD), at(layout, AT_STATE)
     speed = at(layout, USES_SPEED) == 1

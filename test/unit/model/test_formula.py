@@ -13,12 +13,15 @@ import pytest
 from friction_equations import coulomb
 from scipy.integrate import solve_ivp
 
+from benchmarks.formulas import AS_FORMULAS
+from benchmarks.formulas import entry as mine
 from dfm_stage.control.feedforward import EffectInput
 from dfm_stage.model import (
     EFFECTS,
     EffectUse,
     Model,
     ModelError,
+    ParameterError,
     Plant,
     SimulationError,
     Simulator,
@@ -40,13 +43,6 @@ CABLE = {"name": "cable", "force": "-k * max(x - x0, 0)", "parameters": {
     "x0": {"value": 1e-4, "unit": "m", "range": [-0.01, 0.01]}}}
 
 
-def mine(name: str = "mine", *, state: dict[str, str] | None = None, kind: str = "force",
-         text: str, **values: float) -> dict[str, Any]:
-    """The entry of a formula, its parameters without units and ranges."""
-    return {"name": name, kind: text, "parameters": {n: {"value": v} for n, v in values.items()},
-            **({"state": state} if state else {})}
-
-
 def use(entry: dict[str, Any]) -> EffectUse:
     formula = formula_of(entry)
     return EffectUse(formula.name, {p.name: p.value for p in formula.parameters}, None, formula)
@@ -54,42 +50,6 @@ def use(entry: dict[str, Any]) -> EffectUse:
 
 def with_formula(entry: dict[str, Any], base: dict[str, float] = BASE) -> Model:
     return Model("m", H, base, effects=(use(entry),))
-
-
-# Each as an effect of the library, with its values; the same as a formula under other names and
-# with its terms in another order; and its parameters by those names.
-AS_FORMULAS: dict[str, tuple[dict[str, float], dict[str, Any], dict[str, str]]] = {
-    "cubic_stiffness": ({"k3": 3e6}, mine(text="x * -q * x**2", q=3e6), {"q": "k3"}),
-    "quadratic_stiffness": ({"k2": 2e4}, mine(text="-(x * x) * q", q=2e4), {"q": "k2"}),
-    "quadratic_damping": ({"coefficient": 40.0}, mine(text="v * -abs(v) * q", q=40.0),
-                          {"q": "coefficient"}),
-    "coulomb_friction": ({"force": 0.2}, mine(text="-sign(v) * q", q=0.2), {"q": "force"}),
-    "force_offset": ({"force": 0.3}, mine(text="q", q=0.3), {"q": "force"}),
-    "eddy_current_damping": (
-        {"damping": 4.0, "critical_velocity": 0.05},
-        mine(text="-v * c / ((v / w)**2 + 1)", w=0.05, c=4.0),
-        {"c": "damping", "w": "critical_velocity"}),
-    "creep": ({"stiffness": 80.0, "time_constant": 0.12},
-              mine(text="(y - x) * q", state={"y": "x / w - y / w"}, w=0.12, q=80.0),
-              {"q": "stiffness", "w": "time_constant"}),
-    "force_constant_slope": ({"slope": 60.0}, mine(text="i * x * q * 1.3", q=60.0),
-                             {"q": "slope"}),
-    "presliding_friction": (
-        {"force": 0.05, "stiffness": 2e4},
-        mine(text="-y * q", state={"y": "-y * q * abs(v) / w + v"}, w=0.05, q=2e4),
-        {"w": "force", "q": "stiffness"}),
-    "encoder_periodic_error": (
-        {"amplitude": 1e-5, "period": 3e-4, "phase": 0.4},
-        mine(kind="reading", text="sin(b + 2 * pi * x / w) * q", w=3e-4, q=1e-5, b=0.4),
-        {"q": "amplitude", "w": "period", "b": "phase"}),
-    "thermal_drift": ({"rate": 1e-3, "decay": 3.0},
-                      mine(kind="reading", text="(1 - exp(-t * w)) / w * q", q=1e-3, w=3.0),
-                      {"q": "rate", "w": "decay"}),
-    "periodic_disturbance": (
-        {"amplitude": 0.2, "frequency": 37.3, "phase": 0.7},
-        mine(text="sin(b + t * w * 2 * pi) * q", q=0.2, w=37.3, b=0.7),
-        {"q": "amplitude", "w": "frequency", "b": "phase"}),
-}
 
 
 @pytest.mark.parametrize("name", AS_FORMULAS)
@@ -248,7 +208,7 @@ def test_a_model_file_stands_alone(tmp_path: Path) -> None:
     assert again == model
     assert np.array_equal(Simulator(again).run(INPUT).position, moved)
     assert model.parameter("cable.x0").high == 0.01
-    with pytest.raises(ModelError, match="outside"):
+    with pytest.raises(ParameterError, match="outside"):
         model.with_parameters({"cable.x0": 1.0})
 
 
