@@ -273,6 +273,8 @@ class Terms:
         term made of the input would predict itself."""
         t, out = run.trajectory, np.zeros(run.grid.size)
         drive = self.linear.force(t) if reads(effect.force, 2) else np.zeros_like(t.x)
+        if effect.by_current:
+            drive = self.per_newton * drive
         along.forces_along(address("force", [(effect, 0)]), values, t.x, t.v, drive, out)
         return run.filtered(out)
 
@@ -282,10 +284,15 @@ class Terms:
         t, out, gain = run.trajectory, np.zeros(run.grid.size), self.gain or 1.0
         drive = self.linear.force(t) if reads(effect.flow, 3) or reads(effect.flow, 4) \
             else np.zeros_like(t.x)
-        per = 1.0 / (gain * (self.model.base.get("coil_resistance", 0.0) or 1.0))
         along.flows_along(address("flow", [(effect, 0)]), values, len(effect.states), t.x, t.v,
-                          drive, drive / gain, per, run.grid.period, out)
+                          drive, drive / gain, self.per_newton, run.grid.period, out)
         return run.filtered(out)
+
+    @property
+    def per_newton(self) -> float:
+        """The current (A, or V without a resistance) per newton of the actuator."""
+        return 1.0 / ((self.gain or 1.0)
+                      * (self.model.base.get("coil_resistance", 0.0) or 1.0))
 
     def commanded(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """What is added to the command."""

@@ -9,7 +9,8 @@ effect's own parameters, in the order of `parameters`; `x` (m) and `v` (m/s) are
 velocity of the driven point, `actuator` (N) the force of an actuator of constant force constant.
 
 `force(x, v, actuator, p) -> N`
-    A smooth force on the driven point.
+    A smooth force on the driven point. Where it is `by_current`, `actuator` is the current (A; V
+    with a voltage drive and no coil_resistance).
 `advance(z, dx, v0, v1, p) -> z` with `bristle_force(z, v, p) -> N`
     A force with memory: the state `z` after the point moved by `dx` without reversing, while its
     velocity went from `v0` to `v1`; and the force that goes with it.
@@ -173,6 +174,7 @@ class Effect:
     force: Callable[..., float] | None = field(default=None, repr=False)
     advance: Callable[..., float] | None = field(default=None, repr=False)
     bristle_force: Callable[..., float] | None = field(default=None, repr=False)
+    by_current: bool = False
     flow: Callable[..., float] | None = field(default=None, repr=False)
     side_of_kinks: Callable[..., float] | None = field(default=None, repr=False)
     command: Callable[..., float] | None = field(default=None, repr=False)

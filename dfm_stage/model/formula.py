@@ -141,13 +141,11 @@ class FormulaEffect(Effect):
             start for each in found if (start := self._at_size(each, at)) is not None]
 
     def felt(self, x: float, v: float, actuator: float, p: Values) -> float:
-        """As of any effect; a formula may divide by zero, or overflow. None has the actuator's
-        force for a variable."""
-        del actuator
+        """As of any effect; a formula may divide by zero, or overflow."""
         if self.force is None or self.smooth is None:
             return 0.0
         return float(value(self.smooth, {
-            "x": x, "v": v, **{q.name: own for q, own in zip(self.parameters, p, strict=True)}}))
+            "x": x, "v": v, "i": actuator, **{q.name: own for q, own in zip(self.parameters, p, strict=True)}}))
 
     def _values(self, parameter: Parameter, at: Conditions) -> list[float]:
         low, high = parameter.low, parameter.high

@@ -90,8 +90,9 @@ def hooks_of(kind: str, tree: Node, states: Mapping[str, Node], parameters: Sequ
     moving = ("x", "v", "u", *states)
     if all(_power_in(each, moving) == 1 for each in (tree, *states.values())):
         return {"stamp": _stamp(tree, states, place), "stage": "mechanics"}
-    if not states and not kinks and not {"t", "u", "i"} & tree.names:
-        return {"force": function("force", ("x", "v", "actuator", "p"), (), source(tree, place))}
+    if not states and not kinks and not {"t", "u"} & tree.names:
+        return {"force": function("force", ("x", "v", "i", "p"), (), source(tree, place)),
+                "by_current": "i" in tree.names}
     place |= {n: f"z[{k}]" for k, n in enumerate(states)}
     rates = [f"rate[{k}] = {source(each, place)}" for k, each in enumerate(states.values())]
     hooks = {"flow": function("flow", ("t", "x", "v", "u", "i", "z", "rate", "p"), rates,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dfm_stage.model.kernel.collocated import STAGES
+from dfm_stage.model.kernel.collocated import STAGES, SWEEPS
 from dfm_stage.model.kernel.compiled import entry, inlined, pointer
 from dfm_stage.model.kernel.hooks import (
     ONE,
@@ -64,19 +64,22 @@ def flows_along(code: int, p: Array, states: int, x: Array, v: Array, d: Array, 
     forces = np.zeros(3)
     own, first = pointer(p, 0), pointer(z, 0)
     for k in range(x.shape[0]):
-        out[k] = call_flow(code, (
-            k * period, 0.0, x[k], x[k], x[k], x[k], v[k], v[k], v[k], v[k], d[k], d[k], d[k],
-            d[k], u[k], per, first, first, pointer(stages, 0), own, pointer(forces, 0), ONE, 1))
-        if states == 0 or k + 1 == x.shape[0]:
-            continue
         done, size = 0.0, 1.0
         while done < 1.0:
+            x0, v0, d0 = _on(x, k, done), _on(v, k, done), _on(d, k, done)
+            now = call_flow(code, (
+                (k + done) * period, 0.0, x0, x0, x0, x0, v0, v0, v0, v0, d0, d0, d0, d0, u[k],
+                per, first, first, pointer(stages, 0), own, pointer(forces, 0), ONE, 0))
+            if done == 0.0:
+                out[k] = now
+            if states == 0 or k + 1 == x.shape[0]:
+                break
             r1, r2, r3 = done + POINT_1 * size, done + POINT_2 * size, done + size
             call_flow(code, (
-                (k + done) * period, size * period, _on(x, k, done), _on(x, k, r1), _on(x, k, r2),
-                _on(x, k, r3), _on(v, k, done), _on(v, k, r1), _on(v, k, r2), _on(v, k, r3),
-                _on(d, k, done), _on(d, k, r1), _on(d, k, r2), _on(d, k, r3), u[k], per, first,
-                pointer(moved, 0), pointer(stages, 0), own, pointer(forces, 0), THREE, 1))
+                (k + done) * period, size * period, x0, _on(x, k, r1), _on(x, k, r2),
+                _on(x, k, r3), v0, _on(v, k, r1), _on(v, k, r2), _on(v, k, r3), d0,
+                _on(d, k, r1), _on(d, k, r2), _on(d, k, r3), u[k], per, first,
+                pointer(moved, 0), pointer(stages, 0), own, pointer(forces, 0), THREE, -SWEEPS))
             if np.isnan(forces[2]) and size > FINEST:
                 size *= 0.5
                 continue
@@ -88,6 +91,8 @@ def flows_along(code: int, p: Array, states: int, x: Array, v: Array, d: Array, 
 @inlined
 def _on(signal: Array, k: int, part: float) -> float:
     """A signal (N,) at a part of the interval after sample k, on the straight line."""
+    if part == 0.0:
+        return float(signal[k])
     return float(signal[k] + part * (signal[k + 1] - signal[k]))
 
 

@@ -28,6 +28,10 @@ derivatives of the rates by the state there."""
 SWEEPS, PATIENCE, SETTLED = 20, 7, 1e-10
 """Repetitions at most, those after which the derivatives are taken anew, and the change over the
 size of a state at which they end."""
+FEW = 5
+"""Repetitions while the motion itself is not settled."""
+UNSETTLED = 100.0
+"""More than the kinks of all flows."""
 NUDGE = 1e-6
 """Relative change of a state for such a derivative."""
 TINY = 1e-200
@@ -47,8 +51,10 @@ def collocated(hook: Hook, side: Hook, values: Hook, states: int) -> Hook:
 
     It returns the force (N) at the first point. Of THREE points they go to `out`, and the result
     is 1 where not all points are on one side of every kink, else 0; z at the end of the step goes
-    to `moved`. `fresh` begins a new step; else `stages` holds what was found for nearly the same
-    motion. `per` is amperes per newton of the actuator's forces d.
+    to `moved`, and where it has not settled after `sweeps` the result is UNSETTLED. A negative
+    number of sweeps begins a new step, at the point that the force was last asked for; else
+    `stages` holds what was found for nearly the same motion. `per` is amperes per newton of the
+    actuator's forces d.
     """
     return _with_states(hook, side, values, states) if states else _without(hook, side, values)
 
@@ -57,7 +63,7 @@ def _without(hook: Hook, side: Hook, values: Hook) -> Hook:
     def still(t: float, h: float, x0: float, x1: float, x2: float, x3: float, v0: float,
               v1: float, v2: float, v3: float, d0: float, d1: float, d2: float, d3: float,
               u: float, per: float, z: Any, moved: Any, stages: Any, p: Any, out: Any,
-              count: int, fresh: int) -> float:
+              count: int, sweeps: int) -> float:
         own, none = values(p), carray(z, (0,))
         if count == ONE:
             return float(hook(t, x0, v0, u, per * d0, none, none, own))
@@ -79,7 +85,7 @@ def _with_states(hook: Hook, side: Hook, values: Hook, states: int) -> Hook:
     def flow(t: float, h: float, x0: float, x1: float, x2: float, x3: float, v0: float,
              v1: float, v2: float, v3: float, d0: float, d1: float, d2: float, d3: float,
              u: float, per: float, z: Any, moved: Any, stages: Any, p: Any, out: Any,
-             count: int, fresh: int) -> float:
+             count: int, sweeps: int) -> float:
         own, begin, rate = values(p), carray(z, (states,)), carray(moved, (states,))
         kept = carray(stages, (STAGES * states,))
         r0, r1 = kept[:states], kept[states:2 * states]
@@ -88,13 +94,12 @@ def _with_states(hook: Hook, side: Hook, values: Hook, states: int) -> Hook:
         z3 = kept[6 * states:7 * states]
         if count == ONE:
             return float(hook(t, x0, v0, u, per * d0, begin, r0, own))
-        if fresh == 1:
-            hook(t, x0, v0, u, per * d0, begin, r0, own)
+        if sweeps < 0:
             for k in range(states):
                 z1[k] = begin[k] + P1 * h * r0[k]
                 z2[k] = begin[k] + P2 * h * r0[k]
                 z3[k] = begin[k] + h * r0[k]
-        for sweep in range(SWEEPS):
+        for sweep in range(abs(sweeps)):
             out[0] = hook(t + P1 * h, x1, v1, u, per * d1, z1, r1, own)
             out[1] = hook(t + P2 * h, x2, v2, u, per * d2, z2, r2, own)
             out[2] = hook(t + h, x3, v3, u, per * d3, z3, r3, own)
@@ -111,9 +116,9 @@ def _with_states(hook: Hook, side: Hook, values: Hook, states: int) -> Hook:
                 return 1.0 if crossed else 0.0
         for k in range(states):
             moved[k] = z3[k]
-            z1[k] = z2[k] = z3[k] = begin[k]
-        out[0] = out[1] = out[2] = np.nan
-        return 1.0
+        if abs(sweeps) == SWEEPS:
+            out[0] = out[1] = out[2] = np.nan
+        return UNSETTLED
 
     return flow
 

@@ -5,10 +5,11 @@ The time at the beginning of a step and its length stand in the head of `work`.
 
 from __future__ import annotations
 
-from dfm_stage.model.kernel.collocated import ONE, STAGES
+from dfm_stage.model.kernel.collocated import ONE, STAGES, SWEEPS
 from dfm_stage.model.kernel.compiled import at, inlined, pointer
 from dfm_stage.model.kernel.hooks import THREE, call_flow
 from dfm_stage.model.kernel.slots import (
+    AMPERES,
     AT_BRISTLE,
     AT_HEAD,
     AT_SCRATCH,
@@ -17,25 +18,16 @@ from dfm_stage.model.kernel.slots import (
     ENTRY,
     FIRST,
     FLOWS,
-    FORCE_CONSTANT,
     NOW,
     ORDER,
     OUT,
     OWN,
-    RESISTANCE,
     Array,
     Layout,
 )
 from dfm_stage.model.kernel.tables import POINT_1, POINT_2
 
 Four = tuple[float, float, float, float]
-
-
-@inlined
-def _amperes(theta: Array) -> float:
-    """The current (A, or V without a resistance) per newton of the actuator."""
-    gain = theta[FORCE_CONSTANT] * (theta[RESISTANCE] if theta[RESISTANCE] > 0.0 else 1.0)
-    return 1.0 / gain if gain != 0.0 else 0.0
 
 
 @inlined
@@ -50,18 +42,18 @@ def flow_force(layout: Layout, theta: Array, work: Array, x: float, v: float, d:
         states = pointer(work, z + own)
         total += call_flow(at(layout, entry + CODE), (
             at(work, head + NOW) + later, 0.0, x, x, x, x, v, v, v, v, d, d, d, d, u,
-            _amperes(theta), states, states,
+            at(work, head + AMPERES), states, states,
             pointer(work, at(layout, AT_STAGES) + STAGES * own),
-            pointer(theta, at(layout, entry + OWN)), pointer(work, head + OUT), ONE, 1))
+            pointer(theta, at(layout, entry + OWN)), pointer(work, head + OUT), ONE, 0))
     return total
 
 
 @inlined
 def flow_steps(layout: Layout, theta: Array, work: Array, x: Four, v: Four, d: Four, u: float,
-               h: float, fresh: int) -> Four:
+               h: float, sweeps: int) -> Four:
     """Move the states of all flows on by h (s), to scratch; the forces at the three later points
-    of the step, N, and how many flows have a kink in the step. `fresh` is 1 when a step is tried
-    for the first time."""
+    of the step, N, and how many flows have a kink in the step, or more than UNSETTLED. For
+    `sweeps` see `collocated`; `flow_force` at the beginning of the step comes before."""
     g1 = g2 = g3 = crossed = 0.0
     head = at(layout, AT_HEAD)
     z, moved = at(layout, AT_BRISTLE), at(layout, AT_SCRATCH) + at(layout, ORDER)
@@ -69,9 +61,9 @@ def flow_steps(layout: Layout, theta: Array, work: Array, x: Four, v: Four, d: F
         own = at(layout, entry + FIRST)
         crossed += call_flow(at(layout, entry + CODE), (
             at(work, head + NOW), h, x[0], x[1], x[2], x[3], v[0], v[1], v[2], v[3],
-            d[0], d[1], d[2], d[3], u, _amperes(theta), pointer(work, z + own),
+            d[0], d[1], d[2], d[3], u, at(work, head + AMPERES), pointer(work, z + own),
             pointer(work, moved + own), pointer(work, at(layout, AT_STAGES) + STAGES * own),
-            pointer(theta, at(layout, entry + OWN)), pointer(work, head + OUT), THREE, fresh))
+            pointer(theta, at(layout, entry + OWN)), pointer(work, head + OUT), THREE, sweeps))
         g1 += at(work, head + OUT)
         g2 += at(work, head + OUT + 1)
         g3 += at(work, head + OUT + 2)
@@ -89,4 +81,4 @@ def flow_ends(layout: Layout, theta: Array, work: Array, x: float, x_end: float,
     x2 = x + POINT_2 * (s0 + POINT_2 * (c2 + POINT_2 * c3))
     return flow_steps(layout, theta, work, (x, x1, x2, x_end), (
         v, v + POINT_1 * (v_end - v), v + POINT_2 * (v_end - v), v_end), (
-        d, d + POINT_1 * (d_end - d), d + POINT_2 * (d_end - d), d_end), u, h, 1)[2]
+        d, d + POINT_1 * (d_end - d), d + POINT_2 * (d_end - d), d_end), u, h, -SWEEPS)[2]

@@ -36,14 +36,17 @@ from dfm_stage.model.kernel.slots import (
     ENCODES,
     ENTRY,
     FIRST,
+    FORCE_CONSTANT,
     OTHER_FORCES,
     OWN,
+    RESISTANCE,
     ROWS,
     SENSES,
     STARTS,
     Array,
     Layout,
 )
+from dfm_stage.model.parameter import BASE_PARAMETERS
 
 Hook = Callable[..., Any]
 _numba: Any = numba
@@ -52,14 +55,29 @@ _number, _index = types.float64, types.int64
 ONE, THREE = 1, 3
 
 
-def _sum(*parts: tuple[Hook, Hook]) -> Hook:
+def _alone(hook: Hook, values: Hook, slots: Hook | None) -> Hook:
+    """A force at one point; `slots` loads force constant and resistance where it is of the
+    current."""
+    if slots is None:
+        @inlined
+        def own(x: float, v: float, d: float, p: Any) -> float:
+            return float(hook(x, v, d, values(p)))
+    else:
+        @inlined
+        def own(x: float, v: float, d: float, p: Any) -> float:
+            base = slots(p)
+            gain = base[FORCE_CONSTANT]
+            if base[RESISTANCE] > 0.0:
+                gain *= base[RESISTANCE]
+            return float(hook(x, v, d / gain if gain != 0.0 else 0.0, values(p)))
+
+    return own
+
+
+def _sum(*parts: tuple[Hook, Hook, Hook | None]) -> Hook:
     """The sum of forces at one point, as part of the code of whoever calls it."""
-    *others, (hook, values) = parts
-
-    @inlined
-    def own(x: float, v: float, d: float, p: Any) -> float:
-        return float(hook(x, v, d, values(p)))
-
+    *others, last = parts
+    own = _alone(*last)
     if not others:
         return own
     before = _sum(*others)
@@ -71,7 +89,7 @@ def _sum(*parts: tuple[Hook, Hook]) -> Hook:
     return both
 
 
-def _force(*parts: tuple[Hook, Hook]) -> Hook:
+def _force(*parts: tuple[Hook, Hook, Hook | None]) -> Hook:
     total = _sum(*parts)
 
     def force(x1: float, x2: float, x3: float, v1: float, v2: float, v3: float, d1: float,
@@ -180,13 +198,15 @@ def address(kind: str, uses: Sequence[tuple[Effect, int]]) -> int:
     """The address of the machine code of a hook; compiled when first asked for.
 
     `uses` is an effect and where its parameters begin in `theta`; of forces any number of them,
-    whose sum it is. What calls it passes the first one's parameters.
+    whose sum it is. What calls it passes the first one's parameters. Where nothing stands before
+    these, as along a measured motion, a force of the current is given the current itself.
     """
     begin = uses[0][1]
     return int(_code(kind, *(
         ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else []),
           *([effect.side_of_kinks or one_side] if kind == "flow" else [])),
-         first - begin, len(effect.parameters), len(effect.states) if kind == "flow" else 0)
+         first - begin, len(effect.parameters), len(effect.states) if kind == "flow" else
+         -begin if effect.by_current and begin else 0)
         for effect, first in uses)).address)
 
 
@@ -195,8 +215,12 @@ def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int, int]) -> Any:
     signature, make = _KINDS[kind]
     ready = [(*(lean(hook) for hook in hooks), values_at(first, count))
              for hooks, first, count, _ in parts]
-    made = make(*ready) if kind == "force" else make(
-        *ready[0], *([parts[0][-1]] if kind == "flow" else []))
+    further = [each[-1] for each in parts]
+    if kind == "force":
+        made = make(*((*each, values_at(at, len(BASE_PARAMETERS)) if at else None)
+                      for each, at in zip(ready, further, strict=True)))
+    else:
+        made = make(*ready[0], *(further if kind == "flow" else []))
     return callback(made, signature, (kind, parts))
 
 

@@ -20,6 +20,8 @@ from __future__ import annotations
 from math import inf
 
 from dfm_stage.model.kernel.algebra import cubic_at, outside, row_value
+from dfm_stage.model.kernel.collocated import FEW, SWEEPS
+from dfm_stage.model.kernel.collocated import UNSETTLED as UNSETTLED_STATES
 from dfm_stage.model.kernel.compiled import at, inlined, lean, pointer
 from dfm_stage.model.kernel.events import bristle_force, cell, pushed
 from dfm_stage.model.kernel.flows import flow_force, flow_steps
@@ -78,6 +80,7 @@ UNRESOLVED = 2e-3      # cubic part of the force, over the largest force so far
 UNSETTLED = 1e-9      # expected change in the next iteration, over the largest force so far
 FAINT = 1e-5           # forces this small beside the actuator's need not be resolved
 ITERATIONS = 8
+PATIENT = 3            # iterations after which the states of flows are made to settle
 ACCEPTED, TOO_COARSE, REVERSAL = 0, 1, 2
 C0, C1, C2, C3 = CUBIC / 20.0
 _SLOPE = FROM_VALUES[1] + 2.0 * FROM_VALUES[2] + 3.0 * FROM_VALUES[3]
@@ -168,14 +171,16 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
         if flows:
             e1, e2, e3, crossed = flow_steps(
                 layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), (d0, d[0], d[1], d[2]), u,
-                at(work, head + SPAN), int(iteration == 0))
+                at(work, head + SPAN),
+                -FEW if iteration == 0 else FEW if iteration < PATIENT else SWEEPS)
             g1, g2, g3 = g1 + e1, g2 + e2, g3 + e3
         g1, g2, g3 = given[0] + g1, given[1] + g2, given[2] + g3
         change = max(abs(g1 - f1), abs(g2 - f2), abs(g3 - f3))
         f1, f2, f3 = g1, g2, g3
         largest = max(largest, abs(f0), abs(f3))
         allowed = UNSETTLED * largest
-        if change * change <= allowed * before or change <= 10.0 * allowed:
+        if crossed < UNSETTLED_STATES and (change * change <= allowed * before
+                                           or change <= 10.0 * allowed):
             settled = True
             break
         before = change
@@ -291,7 +296,7 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
     if layout[FLOWS] < layout[FLOWS + 1]:
         flowing = flow_steps(layout, theta, work, (x, x, x, x), (0.0, 0.0, 0.0, 0.0),
                              _stuck_drives(layout, theta, work, node, u), u,
-                             work[layout[AT_HEAD] + SPAN], 1)
+                             work[layout[AT_HEAD] + SPAN], -SWEEPS)
     for i in range(3):
         hold = work[node + 6 * n + i] * u
         drive = work[node + 6 * n + 3 + i] * u

@@ -20,6 +20,7 @@ from dfm_stage.model.kernel.algebra import exponential, fill, put_scaled, row_va
 from dfm_stage.model.kernel.compiled import compiled, entry, lean
 from dfm_stage.model.kernel.hooks import stamp, start_states
 from dfm_stage.model.kernel.slots import (
+    AMPERES,
     AMPLIFIER,
     AMPLIFIER_STAMPS,
     AMPLIFIER_STATE,
@@ -176,6 +177,8 @@ def prepare(layout: Layout, theta: Array, work: Array) -> None:
     _discretise(a, rows, period, head[FRACTION], theta[CONSTANT_FORCE], discrete)
     if layout[CURVED] == 0:
         return
+    gain = theta[FORCE_CONSTANT] * (theta[RESISTANCE] if theta[RESISTANCE] > 0.0 else 1.0)
+    head[AMPERES] = 1.0 / gain if gain != 0.0 else 0.0
     hold_row(a, rows)
     held = block(work, layout, AT_HELD, n, n + 1)
     for i in range(n):

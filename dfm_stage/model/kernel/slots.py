@@ -39,7 +39,7 @@ CODE, OWN, FIRST, ENTRY = range(4)
 
 # head of `work`
 PERIOD, SAMPLE, WHOLE, FRACTION, MODE, LEVEL, SCALE, DEPTH, SLOPE, CURVATURE, \
-    CUBIC_PART, STEP, TRIED, STEPS, NOW, SPAN, OUT = range(17)
+    CUBIC_PART, STEP, TRIED, STEPS, NOW, SPAN, AMPERES, OUT = range(18)
 HEAD_SIZE = OUT + 3         # what the hooks return beside their result
 
 # rows of the block AT_ROWS; the last one is filled where friction can hold the point
