@@ -25,7 +25,7 @@ carray: Any = numba.carray  # type: ignore[attr-defined]
 STAGES = 10
 """Numbers kept for each state: its rates at the four points, its values at the last three, and the
 derivatives of the rates by the state there."""
-SWEEPS, PATIENCE, SETTLED = 20, 7, 1e-10
+SWEEPS, PATIENCE, SETTLED = 20, 3, 1e-10
 """Repetitions at most, those after which the derivatives are taken anew, and the change over the
 size of a state at which they end."""
 FEW = 5
