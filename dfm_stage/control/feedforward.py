@@ -145,10 +145,10 @@ class EffectInput:
                                           for p in use.effect.parameters))
                 for use in model.effects]
         self._hooks = [(effect.felt, self._current(base) if effect.by_current else 1.0, values)
-                       for effect, values in used if effect.force]
+                       for effect, values in used if effect.instant]
         self._constant = base.get("constant_force", 0.0)
         self._friction = sum(values[0] for effect, values in used if _rubs(effect))
-        self.covers = tuple(effect.name for effect, _ in used if effect.force or _rubs(effect)
+        self.covers = tuple(effect.name for effect, _ in used if effect.instant or _rubs(effect)
                             or effect.adds_to == "constant_force")
 
     def _current(self, base: Mapping[str, float]) -> float:

@@ -180,7 +180,7 @@ class System(Problem):
         """Whether the output depends on where the point is when it begins to move: a velocity of
         a body without a spring does not, unless a force does."""
         return run.order == 0 or not self.springless or any(
-            reads(use.effect.force, 0) for use in self.model.effects)
+            reads(use.effect.force, 0) or reads(use.effect.flow, 1) for use in self.model.effects)
 
     def _offset(self, run: Run, index: int) -> Iterable[Unknown]:
         """Offset and drift of the output, as far as the run's trend goes; usually of a position

@@ -333,6 +333,11 @@ class Effect:
         felt = abs(self.felt(at.motion, at.speed, at.force, unit))
         return {**values, **dict.fromkeys(self.sizes, wanted / felt if felt else 0.0)}
 
+    @property
+    def instant(self) -> bool:
+        """Whether it is a force that `felt` gives: one of position, speed and actuator alone."""
+        return self.force is not None
+
     def felt(self, x: float, v: float, actuator: float, p: Values) -> float:
         """The smooth force, N, as a plain number; NaN or infinite where it has none."""
         return 0.0 if self.force is None else float(self.force(x, v, actuator, p))

@@ -60,6 +60,8 @@ MOST_PARAMETERS, MOST_STATES = 12, 4
 """More cannot be estimated from a record; and the simulator iterates on all states together."""
 MOST_STARTS = 60
 """Starting points of a search: each costs a simulation."""
+MOST_TOGETHER = 3
+"""Parameters among many that are looked through for those that scale a formula together."""
 RELATIVE = (0.1, 0.3, 1.0, 3.0)
 """Starting values above zero, over the size that their unit has in the records."""
 SMALLEST = 1e-6
@@ -140,12 +142,19 @@ class FormulaEffect(Effect):
         return found if self.searched else [
             start for each in found if (start := self._at_size(each, at)) is not None]
 
+    @property
+    def instant(self) -> bool:
+        """As of any effect; one with kinks is no `force` for the simulator."""
+        return self.smooth is not None and not self.states and not {
+            "t", "u"} & self.smooth.names and (self.force or self.flow) is not None
+
     def felt(self, x: float, v: float, actuator: float, p: Values) -> float:
         """As of any effect; a formula may divide by zero, or overflow."""
-        if self.force is None or self.smooth is None:
+        if self.smooth is None or not self.instant:
             return 0.0
         return float(value(self.smooth, {
-            "x": x, "v": v, "i": actuator, **{q.name: own for q, own in zip(self.parameters, p, strict=True)}}))
+            "x": x, "v": v, "i": actuator,
+            **{q.name: own for q, own in zip(self.parameters, p, strict=True)}}))
 
     def _values(self, parameter: Parameter, at: Conditions) -> list[float]:
         low, high = parameter.low, parameter.high
@@ -158,7 +167,7 @@ class FormulaEffect(Effect):
             if tried:
                 return tried
         if math.isinf(low) or math.isinf(high):
-            return [parameter.default]
+            return [parameter.default or 1.0]
         if low > 0.0:
             return [float(v) for v in np.geomspace(low, high, STARTS + 2)[1:-1]]
         return [float(v) for v in np.linspace(low, high, STARTS + 2)[1:-1]]
@@ -248,6 +257,8 @@ def _parameter(name: str, given: Any, where: str) -> FormulaParameter:
     if limits is not None and not limits[0] <= found <= limits[1]:
         raise FormulaError(f"{where}value {found:g} is outside its range "
                            f"[{limits[0]:g}, {limits[1]:g}]")
+    if unit is not None and not isinstance(unit, (str, int)):
+        raise FormulaError(f"{where}unit is a text such as N/m, not {shown(unit)}")
     return FormulaParameter(name, found, None if unit is None else str(unit), limits)
 
 
@@ -270,6 +281,8 @@ def _build(formula: Formula) -> FormulaEffect:
     spread = {n: (p.value, p.range) for n, p in given.items()}
     with _about(formula, formula.kind):
         rest, rubs = part_friction(tree, spread) if formula.kind == "force" else (tree, "")
+        kinks = [] if rest is None or formula.kind != "force" else kinks_of(
+            (rest, *states.values()), spread, list(states))
     if rubs:
         if ranges[rubs][0] < 0.0 and given[rubs].range is not None:
             raise FormulaError(f"{formula.name}: {rubs} is a friction; its range cannot go below "
@@ -280,8 +293,6 @@ def _build(formula: Formula) -> FormulaEffect:
     first = rubs or (rest.name if constant and rest is not None else "")
     order = sorted(given, key=lambda n: n != first)         # what is added to a slot comes first
     sizes = _sizes(tree, states, order)
-    kinks = [] if rest is None or formula.kind != "force" else kinks_of(
-        (rest, *states.values()), spread, list(states))
     return FormulaEffect(
         name=formula.name, meaning="a formula", equation=f"{formula.kind} = {formula.text}"
         + "".join(f";  {n}' = {rate}" for n, rate in formula.state),
@@ -369,12 +380,12 @@ def _about(formula: Formula, part: str) -> Iterator[None]:
 
 def _sizes(tree: Node, states: Mapping[str, Node], names: Sequence[str]) -> tuple[str, ...]:
     """The fewest parameters that the formula is proportional to; empty where there are none."""
-    for count in range(1, len(names) + 1):
+    for count in sorted({*range(1, MOST_TOGETHER + 1), len(names)}):
         for chosen in itertools.combinations(names, count):
             if degree(tree, chosen) == 1.0 and all(
                     degree(rate, chosen) == 0.0 or not {*chosen} & rate.names
                     for rate in states.values()):
-                return chosen
+                return tuple(chosen)
     return ()
 
 

@@ -95,8 +95,9 @@ def hooks_of(kind: str, tree: Node, states: Mapping[str, Node], parameters: Sequ
                 "by_current": "i" in tree.names}
     place |= {n: f"z[{k}]" for k, n in enumerate(states)}
     rates = [f"rate[{k}] = {source(each, place)}" for k, each in enumerate(states.values())]
-    hooks = {"flow": function("flow", ("t", "x", "v", "u", "i", "z", "rate", "p"), rates,
-                              source(tree, place))}
+    flow = function("flow", ("t", "x", "v", "u", "i", "z", "rate", "p"), rates,
+                    source(tree, place))
+    hooks: dict[str, Any] = {"flow": flow, "by_current": "i" in tree.names}
     if kinks:
         sides = [f"({2.0**k} if {source(each, place)} > 0.0 else 0.0)"
                  for k, each in enumerate(kinks)]

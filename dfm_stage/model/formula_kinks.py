@@ -25,6 +25,8 @@ AT_REST = 1e-200
 """m/s: a speed so small that what is continuous has not changed from zero."""
 JUMP = 1e-6
 """A change over the largest value of a term that is a jump, far above rounding."""
+MOST_PIECES = 30
+"""Places where a formula may change from one piece to another: each is looked at by itself."""
 NEAR, BEND = 1e-3, 1e-5
 """Share of a value over which a slope is taken, and change of the slope over the largest value
 that is a kink: |v| v has none at rest."""
@@ -119,14 +121,17 @@ def kinks_of(nodes: Sequence[Node], given: Given, states: Sequence[str]) -> list
     Of a force with states that at rest is left out: no step crosses a reversal there.
     """
     found: dict[str, Node] = {}
-    for node in nodes:
-        for gap in _gaps(node):
-            if gap.kind == "name" and gap.name == "v" and states:
-                continue
-            for name in sorted({"x", "v", *states} & gap.names):
-                trial = _Trial(node, name, given)
-                if any(trial.bends(*root) for root in trial.roots(gap)):
-                    found[gap.text()] = gap
+    gaps = [(node, gap) for node in nodes for gap in _gaps(node)]
+    if len(gaps) > MOST_PIECES:
+        fail(gaps[MOST_PIECES][1].column, f"more than {MOST_PIECES} places where abs, sign, min, "
+             "max and where change sides")
+    for node, gap in gaps:
+        if gap.kind == "name" and gap.name == "v" and states:
+            continue
+        for name in sorted({"x", "v", *states} & gap.names):
+            trial = _Trial(node, name, given)
+            if any(trial.bends(*root) for root in trial.roots(gap)):
+                found[gap.text()] = gap
     return [*found.values()]
 
 

@@ -175,6 +175,14 @@ def test_feedforward_gives_what_a_formula_takes_even_where_it_has_no_value() -> 
     library = EffectInput(Model("m", H, BASE).with_effect("cubic_stiffness", {"k3": 3e6}))
     assert spring.at(1e-3, 0.01, 0.5) == pytest.approx(library.at(1e-3, 0.01, 0.5), rel=1e-12)
     assert spring.any
+    cable = EffectInput(with_formula(CABLE))
+    assert cable.covers == ("cable",)
+    pull = 900.0 * (1e-3 - 1e-4) / 1.3
+    plain = EffectInput(Model("m", H, BASE))
+    assert cable.at(1e-3, 0.01, 0.5) - plain.at(1e-3, 0.01, 0.5) == pytest.approx(pull)
+    slope = EffectInput(with_formula(AS_FORMULAS["force_constant_slope"][1]))
+    twin = EffectInput(Model("m", H, BASE).with_effect("force_constant_slope", {"slope": 60.0}))
+    assert slope.at(1e-3, 0.01, 0.5) == pytest.approx(twin.at(1e-3, 0.01, 0.5), rel=1e-12)
     assert not np.isfinite(EffectInput(with_formula(mine(text="k / x", k=1.0))).at(0.0, 0.0, 0.0))
 
 
