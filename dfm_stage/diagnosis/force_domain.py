@@ -294,10 +294,10 @@ class Terms:
         return 1.0 / ((self.gain or 1.0)
                       * (self.model.base.get("coil_resistance", 0.0) or 1.0))
 
-    def commanded(self, run: RunForces, effect: Effect, values: Array) -> Array:
+    def added(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """What is added to the command."""
         changed = np.array(run.run.input)
-        along.commands_along(address("command", [(effect, 0)]), values, run.grid.period, changed)
+        along.additions_along(address("added", [(effect, 0)]), values, run.grid.period, changed)
         return run.drive(self.timing, signal=changed - run.run.input) * self.gain
 
     def bristle(self, run: RunForces, effect: Effect, values: Array) -> Array:
@@ -369,7 +369,7 @@ _PARTS: tuple[tuple[Callable[[Effect], bool], _Part], ...] = (
     (lambda e: e.force is not None, Terms.force),
     (lambda e: e.advance is not None, Terms.bristle),
     (lambda e: e.flow is not None, Terms.flow),
-    (lambda e: e.command is not None, Terms.commanded),
+    (lambda e: e.added is not None, Terms.added),
     (lambda e: e.adds_to == "dry_friction", Terms.dry),
     (lambda e: e.adds_to == "constant_force", Terms.constant),
     (lambda e: e.adds_to == "command_limit", Terms.limited),

@@ -22,7 +22,7 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
 `stamp(a, rows, first, p)` with `states`
     A linear part whose states begin at index `first`, see `dfm_stage.model.kernel.setup`;
     `start(state, first, p)` gives them initial values.
-`command(u, t, p) -> V or A`
+`added(u, t, p) -> V or A`
     What is added to the command u, given for time t (s), after dead time and limit.
 `sense(x, t, other, p) -> m`
     What is added to the encoder's reading at time `t` (s); `other` (m) is the position of the
@@ -177,7 +177,7 @@ class Effect:
     by_current: bool = False
     flow: Callable[..., float] | None = field(default=None, repr=False)
     side_of_kinks: Callable[..., float] | None = field(default=None, repr=False)
-    command: Callable[..., float] | None = field(default=None, repr=False)
+    added: Callable[..., float] | None = field(default=None, repr=False)
     stamp: Callable[..., None] | None = field(default=None, repr=False)
     start: Callable[..., None] | None = field(default=None, repr=False)
     sense: Callable[..., float] | None = field(default=None, repr=False)
@@ -252,7 +252,7 @@ class Effect:
     @property
     def on_the_clock(self) -> bool:
         """Whether the motion depends on the time itself, so that none under it is periodic."""
-        return reads(self.flow, 0) or reads(self.command, 1)
+        return reads(self.flow, 0) or reads(self.added, 1)
 
     @property
     def rounds(self) -> bool:

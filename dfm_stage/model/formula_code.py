@@ -84,7 +84,7 @@ def hooks_of(kind: str, tree: Node, states: Mapping[str, Node], parameters: Sequ
     place = {n: n for n in ("x", "v", "u", "i", "t")}
     place |= {n: f"p[{k}]" for k, n in enumerate(parameters)}
     if kind == "input":
-        return {"command": function("command", ("u", "t", "p"), (), source(tree, place))}
+        return {"added": function("added", ("u", "t", "p"), (), source(tree, place))}
     if kind == "reading":
         return {"sense": function("sense", ("x", "t", "other", "p"), (), source(tree, place))}
     moving = ("x", "v", "u", *states)

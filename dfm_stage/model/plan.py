@@ -37,7 +37,7 @@ _TABLES: dict[int, tuple[str, Callable[[Effect], bool]]] = {
     slots.ENCODES: ("encode", lambda _: True),
     slots.OTHER_FORCES: ("other_force", lambda _: True),
     slots.FLOWS: ("flow", lambda _: True),
-    slots.COMMANDS: ("command", lambda _: True)}
+    slots.ADDED: ("added", lambda _: True)}
 """Table of hooks -> the hook, and which of the effects that have it stand in the table."""
 
 

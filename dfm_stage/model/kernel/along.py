@@ -9,8 +9,8 @@ from dfm_stage.model.kernel.compiled import entry, inlined, pointer
 from dfm_stage.model.kernel.hooks import (
     ONE,
     THREE,
+    call_added,
     call_bristle,
-    call_command,
     call_flow,
     call_force,
     call_sense,
@@ -97,6 +97,6 @@ def _on(signal: Array, k: int, part: float) -> float:
 
 
 @entry
-def commands_along(code: int, p: Array, period: float, u: Array) -> None:
+def additions_along(code: int, p: Array, period: float, u: Array) -> None:
     """Add to the commands u (N,) what a hook `command` adds."""
-    call_command(code, (pointer(u, 0), u.shape[0], 0, period, pointer(p, 0)))
+    call_added(code, (pointer(u, 0), u.shape[0], 0, period, pointer(p, 0)))

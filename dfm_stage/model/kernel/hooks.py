@@ -30,9 +30,9 @@ from dfm_stage.model.kernel.compiled import (
     values_at,
 )
 from dfm_stage.model.kernel.slots import (
+    ADDED,
     BRISTLE_STEPS,
     CODE,
-    COMMANDS,
     ENCODES,
     ENTRY,
     FIRST,
@@ -163,14 +163,14 @@ def _encode(hook: Hook, values: Hook) -> Hook:
     return encode
 
 
-def _command(hook: Hook, values: Hook) -> Hook:
-    def command(u: Any, count: int, first: int, period: float, p: Any) -> None:
+def _added(hook: Hook, values: Hook) -> Hook:
+    def added(u: Any, count: int, first: int, period: float, p: Any) -> None:
         """Add to `count` commands, the first of which was given at sample `first`."""
         own = values(p)
         for k in range(count):
             u[k] += hook(u[k], max(first + k, 0) * period, own)
 
-    return command
+    return added
 
 
 def _other_force(hook: Hook, values: Hook) -> Hook:
@@ -190,7 +190,7 @@ _KINDS: dict[str, tuple[Any, Callable[..., Hook]]] = {
     "encode": (types.void(POINTER, _index, _number, POINTER), _encode),
     "other_force": (_number(POINTER), _other_force),
     "flow": (_number(*[_number] * 16, *[POINTER] * 5, _index, _index), collocated),
-    "command": (types.void(POINTER, _index, _index, _number, POINTER), _command)}
+    "added": (types.void(POINTER, _index, _index, _number, POINTER), _added)}
 """Kind of hook -> the signature of its machine code, and what makes that of hooks."""
 
 
@@ -225,9 +225,9 @@ def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int, int]) -> Any:
 
 
 call_force, call_bristle, call_stamp, call_start, call_sense, call_encode, call_other, \
-    call_flow, call_command = (caller(_KINDS[kind][0]) for kind in (
+    call_flow, call_added = (caller(_KINDS[kind][0]) for kind in (
         "force", "advance", "stamp", "start", "sense", "encode", "other_force", "flow",
-        "command"))
+        "added"))
 
 
 @inlined
@@ -303,9 +303,9 @@ def other_stiffness(layout: Layout, theta: Array) -> float:
 
 
 @lean
-def change_commands(layout: Layout, theta: Array, applied: Array, first: int,
+def add_to_commands(layout: Layout, theta: Array, applied: Array, first: int,
                     period: float) -> None:
     """Add to the commands (N,) that act, the first of which was given at sample `first`."""
-    for entry in range(layout[COMMANDS], layout[COMMANDS + 1], ENTRY):
-        call_command(layout[entry + CODE], (pointer(applied, 0), applied.shape[0], first, period,
+    for entry in range(layout[ADDED], layout[ADDED + 1], ENTRY):
+        call_added(layout[entry + CODE], (pointer(applied, 0), applied.shape[0], first, period,
                                             pointer(theta, layout[entry + OWN])))

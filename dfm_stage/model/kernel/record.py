@@ -9,7 +9,7 @@ from dfm_stage.model.kernel.compiled import at, compiled, entry, lean
 from dfm_stage.model.kernel.events import bristle_force
 from dfm_stage.model.kernel.flows import flow_force
 from dfm_stage.model.kernel.hooks import (
-    change_commands,
+    add_to_commands,
     encode_means,
     other_stiffness,
     point_force,
@@ -118,7 +118,7 @@ def peek(layout: Layout, theta: Array, work: Array, other: Array, out: Array) ->
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
     applied = work[layout[AT_HISTORY]:layout[AT_HISTORY] + 1].copy()
     applied[0] = min(max(applied[0], -theta[LIMIT]), theta[LIMIT])
-    change_commands(layout, theta, applied, int(head[SAMPLE] - head[WHOLE]) - 1, head[PERIOD])
+    add_to_commands(layout, theta, applied, int(head[SAMPLE] - head[WHOLE]) - 1, head[PERIOD])
     everything, first = np.arange(len(SIGNALS)), int(layout[ORDER] * 0)
     state = block(work, layout, AT_STATE, n, 1)
     _signals(layout, rows, theta, state, applied, first, 1, everything, out)
@@ -140,7 +140,7 @@ def _applied(layout: Layout, theta: Array, work: Array, inputs: Array) -> Array:
         history[k] = applied[samples + k]
     for k in range(samples + back):
         applied[k] = min(max(applied[k], -theta[LIMIT]), theta[LIMIT])
-    change_commands(layout, theta, applied, int(head[SAMPLE]) - back, head[PERIOD])
+    add_to_commands(layout, theta, applied, int(head[SAMPLE]) - back, head[PERIOD])
     return applied
 
 

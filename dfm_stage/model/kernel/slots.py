@@ -33,7 +33,7 @@ AT_HEAD, AT_STATE, AT_BRISTLE, AT_HISTORY, AT_A, AT_ROWS, AT_DISCRETE, AT_HELD, 
 AT_INITIAL, AMPLIFIER_STATE, COIL_STATE, KEPT, AT_STAGES = range(22, 27)
 # for each table of hooks the index of its first entry; a table ends where the next one begins
 MODE_STAMPS, AMPLIFIER_STAMPS, MECHANICS_STAMPS, STARTS, FORCES, ACTUATOR_FORCES, BRISTLE_STEPS, \
-    SENSES, ENCODES, OTHER_FORCES, FLOWS, COMMANDS, TABLES_END, LAYOUT_FIXED = range(27, 41)
+    SENSES, ENCODES, OTHER_FORCES, FLOWS, ADDED, TABLES_END, LAYOUT_FIXED = range(27, 41)
 # an entry of a table: address of the machine code, its parameters in `theta`, its first state
 CODE, OWN, FIRST, ENTRY = range(4)
 
