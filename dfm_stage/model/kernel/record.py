@@ -164,7 +164,7 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
     """As `linear.steps`, with nonlinear forces; `force` may be empty. The acceleration goes to
     `felt`, which may be empty."""
     n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
-    steps = layout[AT_HEAD] + STEPS
+    steps, now = layout[AT_HEAD] + STEPS, layout[AT_HEAD] + NOW
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
     push = force[0] if force.shape[0] > 0 else theta[:0]
@@ -181,16 +181,16 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
             return
         if force.shape[0] > 0:
             push = force[first + k]
+        number = work[layout[AT_HEAD] + SAMPLE] + first + k
+        work[now] = number * period
         if felt.shape[0] > 0:
-            work[layout[AT_HEAD] + NOW] = (work[layout[AT_HEAD] + SAMPLE] + first + k) * period
             felt[first + k] = _acceleration(layout, theta, work, applied[first + k], push)
         before = at(work, tried)
-        sample = work[layout[AT_HEAD] + SAMPLE] + first + k
         for which in range(2):
             begin = 0.0 if which == 0 else fraction
             span = fraction if which == 0 else 1.0 - fraction
             if span > 0.0:
-                work[layout[AT_HEAD] + NOW] = (sample + begin) * period
+                work[now] = (number + begin) * period
                 advance_piece(layout, theta, work, which, applied[first + k + which], push,
                               begin, span, span * period)
         work[steps] += at(work, tried) - before
