@@ -34,7 +34,8 @@ _AROUND_HOOKS = tuple((_PACKAGE / "kernel" / name).read_bytes() for name in
 
 def compiled(function: F) -> F:
     """`function` as machine code that runs without the interpreter lock, for other such code."""
-    return cast("F", _njit(**_INSIDE)(function))
+    # said outright: else it is as its first caller is, and a lean one cannot return arrays
+    return cast("F", _njit(**_INSIDE, _nrt=True)(function))
 
 
 def lean(function: F) -> F:
