@@ -39,6 +39,7 @@ def _simulator() -> None:
 
 def _along() -> None:
     from dfm_stage.model import EFFECTS
+    from dfm_stage.model.formula import formula_of
     from dfm_stage.model.kernel import along, hooks
 
     def first(kind: str) -> tuple[int, Array]:
@@ -49,6 +50,12 @@ def _along() -> None:
     along.forces_along(*first("force"), rest, rest, rest, np.zeros(8))
     along.bristles_along(*first("advance"), rest, rest, np.zeros(8))
     along.senses_along(*first("sense"), rest, 1e-3, np.empty(0), np.zeros(8))
+    timed = {"name": "compiled", "parameters": {"k": {"value": 1.0}}}
+    flow = formula_of({**timed, "force": "k * x * t"}).effect()
+    along.flows_along(hooks.address("flow", [(flow, 0)]), np.ones(1), 0, rest, rest, rest, rest,
+                      1.0, 1e-3, np.zeros(8))
+    added = formula_of({**timed, "input": "k * u * t"}).effect()
+    along.additions_along(hooks.address("added", [(added, 0)]), np.ones(1), 1e-3, np.zeros(8))
 
 
 def _reader() -> None:

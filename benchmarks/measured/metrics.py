@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from benchmarks.measured.sources import Array, Columns
-from dfm_stage.model import EFFECTS, Model, Simulator
+from dfm_stage.model import Model, Simulator
 
 FINER = 8
 """Held steps a sample by which an input between its samples is followed: the middle of each is
@@ -171,7 +171,7 @@ def force_error(model: Model, columns: Columns, band_hz: float,
     acted = samples if convention.hold != HELD else (samples + np.roll(samples, 1)) / 2.0
     applied = base["force_constant"] * acted
     for use in model.effects:
-        effect = EFFECTS[use.name]
+        effect = use.effect
         if effect.bristle_force is not None:
             raise ValueError(f"{use.name} has a memory")
         if effect.force is not None:

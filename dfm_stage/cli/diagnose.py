@@ -28,6 +28,7 @@ from dfm_stage.cli.progress import steps
 from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
 from dfm_stage.model import EFFECTS, Model, load_model, save_model
+from dfm_stage.model.registry import effects_of
 from dfm_stage.quantity import format_quantity
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ examples:
   ./run diagnose runs/multisine --holdout runs/scan --model found/model.yaml --out diagnosis
   ./run diagnose log.csv --model m.yaml --time t --input iq --output theta --output-unit rad
   ./run diagnose log.csv --model m.yaml --from 2 --to 60 --split 0.75
+  ./run diagnose log.csv --model m.yaml --effect cable.yaml   # a formula of yours
   ./run diagnose runs/multisine --model m.yaml --run stage.yaml   # and the next experiment
 """
 OPTIONS: Options = (
@@ -51,6 +53,9 @@ OPTIONS: Options = (
     option("--out", default="diagnosed", metavar="DIR",
            help="folder for diagnosis.json, model.yaml, report.html, next_experiment.yaml and "
            "missing_force.csv (default: %(default)s)"),
+    option("--effect", action="append", default=[], metavar="FILE",
+           help="formulas (.yaml) or an effect (.py) that may be named beside the library, or a "
+           "folder of such files"),
     option("--axis", metavar="NAME", help="axis, where a record has several"),
     *(option(name, action="append", default=[], metavar="NAME[,NAME]", help=words)
       for name, words in (
@@ -74,6 +79,12 @@ OPTIONS: Options = (
 @command("diagnose", __doc__, EPILOG, OPTIONS, lambda options: options.run)
 def main(options: argparse.Namespace) -> int:
     """Diagnose bags or CSV files; 0 a verdict was reached, 2 unusable input."""
+    with effects_of(options.effect):
+        return _rounds(options)
+
+
+def _rounds(options: argparse.Namespace) -> int:
+    """Diagnose, and again with each further experiment."""
     model = load_model(options.model)
     out = output_folder(options.out)
     fitted, held = list(options.runs), list(options.holdout)

@@ -25,6 +25,7 @@ until the answer has died out, so that the circle closes without a trace.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -140,14 +141,19 @@ class EffectInput:
         self._k, self._gain = base.get("stiffness", 0.0), base["force_constant"]
         stage = linear_stage(model)
         self.ahead_s = stage.delay_s + stage.lag_s + 0.5 * model.sample_period
-        used = [(EFFECTS[use.name], tuple(use.parameters[p.name]
-                                          for p in EFFECTS[use.name].parameters))
+        used = [(use.effect, tuple(use.parameters[p.name]
+                                          for p in use.effect.parameters))
                 for use in model.effects]
-        self._hooks = [(effect.force, values) for effect, values in used if effect.force]
+        self._hooks = [(effect.felt, self._current(base) if effect.by_current else 1.0, values)
+                       for effect, values in used if effect.instant]
         self._constant = base.get("constant_force", 0.0)
         self._friction = sum(values[0] for effect, values in used if _rubs(effect))
-        self.covers = tuple(effect.name for effect, _ in used if effect.force or _rubs(effect)
+        self.covers = tuple(effect.name for effect, _ in used if effect.instant or _rubs(effect)
                             or effect.adds_to == "constant_force")
+
+    def _current(self, base: Mapping[str, float]) -> float:
+        """The current (A, or V without a resistance) per newton of the actuator."""
+        return 1.0 / (self._gain * (base.get("coil_resistance", 0.0) or 1.0))
 
     @property
     def any(self) -> bool:
@@ -160,10 +166,10 @@ class EffectInput:
         linear = self._m * acceleration_m_s2 + self._c * v + self._k * x
         needed, share = linear - self._constant, 1.0
         needed += self._friction * min(1.0, max(-1.0, v / _SLOW_M_S))
-        for force, values in self._hooks:
+        for force, newton, values in self._hooks:
             alone = force(x, v, 0.0, values)
             needed -= alone
-            share += force(x, v, 1.0, values) - alone
+            share += force(x, v, newton, values) - alone
         return (needed / share - linear) / self._gain
 
     def ahead(self, position_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.control.errors import ControlError
 from dfm_stage.control.stage import Sampled, sample_model
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 Law = Callable[[Array], Complex]
 _WIDTH = 0.25       # of the cutoff, over which the low-pass falls: a smooth edge rings little
@@ -120,7 +120,7 @@ def neighbours(model: Model, share: float = 0.1) -> list[Sampled]:
     """
     names = [name for name in ("mass", "stiffness", "damping", "force_constant", "delay")
              if model.base.get(name)]
-    names += [f"{use.name}.{name}" for use in model.effects if EFFECTS[use.name].stamp
+    names += [f"{use.name}.{name}" for use in model.effects if use.effect.stamp
               for name in use.parameters]
     values = model.parameters()
     return [sample_model(model.with_parameters({name: values[name] * factor}))

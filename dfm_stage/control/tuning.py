@@ -33,7 +33,7 @@ from dfm_stage.control.stage import (
     sample_model,
 )
 from dfm_stage.control.switching import law_of, response_of
-from dfm_stage.model import EFFECTS, Model, Plant
+from dfm_stage.model import Model, Plant
 
 FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
 # Integral weight in s, at an error weight of _ERROR_M: its pole is then well below the others.
@@ -213,7 +213,7 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
 def _states_of(model: Model) -> str:
     """Name what is in the design model beside the stage's first mode."""
     *others, last = ["delay", "amplifier lag", *(
-        use.name.replace("_", " ") for use in model.effects if EFFECTS[use.name].stamp)]
+        use.name.replace("_", " ") for use in model.effects if use.effect.stamp)]
     return f"{', '.join(others)} and {last}"
 
 

@@ -17,7 +17,7 @@ def at_upper_end(found: Fit, names: Sequence[str]) -> bool:
         return False
     for use in found.model.effects:
         for parameter, value in use.parameters.items() if use.name in names else ():
-            if value > AT_END * EFFECTS[use.name].search_range(parameter, found.system.at)[1]:
+            if value > AT_END * use.effect.search_range(parameter, found.system.at)[1]:
                 return True
     return False
 
@@ -26,7 +26,7 @@ def same_rounding(model: Model, hit: Hit) -> bool:
     """Whether a hit rounds the reading to steps of which an error in the model is a harmonic."""
     step = next(iter(hit.parameters.values()))
     return EFFECTS[hit.name].rounds and any(
-        EFFECTS[use.name].is_rounding(use.parameters, step) for use in model.effects)
+        use.effect.is_rounding(use.parameters, step) for use in model.effects)
 
 
 def shares_class(first: str, second: str) -> bool:

@@ -230,9 +230,9 @@ class Fits:
                     allowance=min(max(self.most_steps - self.steps, 0.0), STEPS_A_FIT))
         if self.steps > self.most_steps:
             self.not_compared.update(dict.fromkeys(found.system.nonlinear))
-        lost = {f"{use.name}.{n}": EFFECTS[use.name].defaults[n] for use in found.model.effects
+        lost = {f"{use.name}.{n}": use.effect.defaults[n] for use in found.model.effects
                 if found.ok and self.model.effect(use.name) is None
-                for n in EFFECTS[use.name].without_meaning(use.parameters)}
+                for n in use.effect.without_meaning(use.parameters)}
         kept = tuple(n for n in free if n not in lost)
         return found if kept == free else self._fit(
             found.model.with_parameters(lost), kept, found, iterations=iterations,
@@ -252,7 +252,7 @@ class Fits:
         """What is free in a model with effects added: the base and all of theirs."""
         own = [f"{use.name}.{n}" for use in model.effects
                if self.model.effect(use.name) is None
-               for n in EFFECTS[use.name].fittable(use.parameters)]
+               for n in use.effect.fittable(use.parameters)]
         return (*self.free, *own)
 
     def refined(self, found: Fit) -> Fit:

@@ -66,7 +66,7 @@ class Candidates:
         self.setting, self.model = found, model
         self.terms = Terms(found.runs, model, found.linear, found.timing)
         own = [self._term(use.name, use.parameters) for use in model.effects
-               if EFFECTS[use.name].late is None]
+               if use.effect.late is None]
         self.base = np.column_stack((found.columns, *(-c for c in own if c.size)))
         norms = np.maximum(np.linalg.norm(self.base, axis=0), 1e-300)
         left, values, _ = np.linalg.svd(self.base / norms, full_matrices=False)

@@ -145,7 +145,7 @@ def _usable(found: Fit, names: Names) -> bool:
     a curve."""
     return found.ok and not at_upper_end(found, names) and not any(
         use.name in names and (
-            EFFECTS[use.name].yields_within(use.parameters) < PRESLIDING_DISTANCE * found.rms
+            use.effect.yields_within(use.parameters) < PRESLIDING_DISTANCE * found.rms
             or cycles(use.name, use.parameters, found.system.runs) < FEWEST_CYCLES)
         for use in found.model.effects)
 

@@ -22,7 +22,7 @@ from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces, Terms
 from dfm_stage.diagnosis.force_setting import Setting, least_squares, settled
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.surface import Surface, binned
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 LINEAR: dict[str, Callable[[RunForces], Array]] = {
     "stiffness": lambda run: run.trajectory.x, "damping": lambda run: run.trajectory.v}
@@ -93,7 +93,7 @@ class _Plane:
         self.functions = sharp.stacked_features(position_velocity)
         terms = Terms(sharp.runs, candidates.model, found.linear, found.timing)
         parts = [terms.parts(use.name, use.parameters) for use in candidates.model.effects
-                 if EFFECTS[use.name].late is None]
+                 if use.effect.late is None]
         columns = np.column_stack([sharp.stacked(part) for part in (
             *(of for name, of in LINEAR.items() if name in found.names),
             *(part for part in parts if part is not None),

@@ -21,7 +21,7 @@ from dfm_stage.identification.identifiability import Identifiability
 from dfm_stage.identification.inference import limit_message
 from dfm_stage.identification.quantity import t95
 from dfm_stage.identification.result import Estimate
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 BASE_LATE = {"amplifier_time_constant": "lag", "delay": "delay", "coil_inductance": "coil"}
 """Base parameters that make the force late, and how; see `Effect.late`."""
@@ -35,7 +35,7 @@ def late_parameters(model: Model, names: Sequence[str]) -> dict[str, str]:
     """Those free `names` that make the force late -> lag, delay or coil."""
     kinds = dict(BASE_LATE)
     for use in model.effects:
-        effect = EFFECTS[use.name]
+        effect = use.effect
         if effect.late is not None:
             kinds[f"{use.name}.{effect.parameters[0].name}"] = effect.late
     return {n: kinds[n] for n in names if n in kinds}
@@ -69,7 +69,7 @@ def group(model: Model, names: Sequence[str]) -> list[Coordinates]:
         groups.append(_lag_and_delay(lags[0], delays[0], model.sample_period))
     taken = {n for g in groups for n in g.names}
     for use in model.effects:
-        change = EFFECTS[use.name].coordinates
+        change = use.effect.coordinates
         if change is None or any(n not in names or n in taken for n in change.names):
             continue
         count = len(change.names)

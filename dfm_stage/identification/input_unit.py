@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 
 KNOWN = ("V", "A", "N", "N m")
 _OF_VOLTAGE = ("coil_resistance", "coil_inductance", "back_emf")
@@ -21,7 +21,7 @@ def driven_in(model: Model) -> str | None:
         return str(said)
     if model.drive == "current":
         return "A"
-    parts = {EFFECTS[use.name].adds_to for use in model.effects} | {
+    parts = {use.effect.adds_to for use in model.effects} | {
         name for name, value in model.base.items() if value != 0.0}
     if parts.intersection(_OF_VOLTAGE):
         return "V"

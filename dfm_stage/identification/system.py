@@ -47,15 +47,13 @@ def steps_taken() -> float:
 
 def is_nonlinear(name: str) -> bool:
     """Whether an effect makes the simulation nonlinear."""
-    effect = EFFECTS[name]
-    return effect.force is not None or effect.advance is not None \
-        or effect.adds_to == "dry_friction"
+    return EFFECTS[name].curves
 
 
 def rounding_step(model: Model) -> float | None:
     """The step to which an effect of the model rounds the reading, None where there is none."""
     return next((next(iter(use.parameters.values())) for use in model.effects
-                 if EFFECTS[use.name].rounds), None)
+                 if use.effect.rounds), None)
 
 
 class System(Problem):
@@ -90,7 +88,7 @@ class System(Problem):
         self.count = len(self.free)
         self.simulator = Simulator(self.model)
         self.nonlinear = [u.name for u in self.model.effects if is_nonlinear(u.name)]
-        self.slow = any(EFFECTS[n].advance is not None for n in self.nonlinear)
+        self.slow = any(EFFECTS[n].memory for n in self.nonlinear)
         """Whether a simulation follows states with memory, and is worth being spared."""
         self._finer: dict[tuple[int, bool], Simulator] = {}
         self.work = 0.0
@@ -182,7 +180,7 @@ class System(Problem):
         """Whether the output depends on where the point is when it begins to move: a velocity of
         a body without a spring does not, unless a force does."""
         return run.order == 0 or not self.springless or any(
-            reads(EFFECTS[use.name].force, 0) for use in self.model.effects)
+            reads(use.effect.force, 0) or reads(use.effect.flow, 1) for use in self.model.effects)
 
     def _offset(self, run: Run, index: int) -> Iterable[Unknown]:
         """Offset and drift of the output, as far as the run's trend goes; usually of a position
@@ -199,7 +197,7 @@ class System(Problem):
     def _per_run_unknowns(self, index: int) -> Iterable[Unknown]:
         """Coordinates of effects that do not carry over from one run to the next."""
         for use in self.model.effects:
-            if not EFFECTS[use.name].per_run:
+            if not use.effect.per_run:
                 continue
             names, values = self._per_run(use.name)
             size = float(np.linalg.norm(values)) or 1e-9
@@ -377,7 +375,7 @@ class System(Problem):
             elif not unknown.name.startswith(("current.", "velocity.")):
                 extra[unknown.name] = rows[:, k]
         for use in self.model.effects:
-            change = EFFECTS[use.name].coordinates
+            change = use.effect.coordinates
             if change is not None and all(n in extra for n in change.fitted):
                 back = change.backward(np.array([extra.pop(n) for n in change.fitted]))
                 extra.update(zip(change.names, back, strict=True))

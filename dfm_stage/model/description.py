@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
 from typing import Any, Literal, NoReturn, TypeVar
 
+from dfm_stage.model.effect import Effect
+from dfm_stage.model.formula import Formula, FormulaEffect
 from dfm_stage.model.kernel.slots import ABSENT
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import EFFECTS, coupling_effect
@@ -54,16 +56,24 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class EffectUse:
-    """An effect that is on, with the values of all its parameters (SI)."""
+    """An effect that is on, with the values of all its parameters (SI).
+
+    One that is a `formula` carries it, whatever is registered.
+    """
 
     name: str
     parameters: Mapping[str, float]
     origin: Mapping[str, Any] | None = None
+    formula: Formula | None = None
+    _own: FormulaEffect | None = field(init=False, default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        effect = EFFECTS.get(self.name)
+        effect = EFFECTS.get(self.name) if self.formula is None else self.formula.effect()
         if effect is None:
             raise ModelError(unknown_name("effect", self.name, EFFECTS))
+        if isinstance(effect, FormulaEffect):
+            EFFECTS.hold(effect)
+            _set(self, formula=effect.formula, _own=effect)
         known = effect.defaults
         for name in self.parameters:
             if name not in known:
@@ -75,6 +85,20 @@ class EffectUse:
         _set(self, origin=_frozen(self.origin), parameters=Frozen({
             p.name: p.checked(self.parameters.get(p.name, p.default), self.name)
             for p in effect.parameters}))
+
+    @property
+    def effect(self) -> Effect:
+        """The effect: that of the formula, or the one that is registered now."""
+        return EFFECTS[self.name] if self._own is None else self._own
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return EffectUse, (self.name, self.parameters, self.origin, self.formula)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of model.yaml."""
+        own = {"name": self.name, "parameters": dict(self.parameters)} if self.formula is None \
+            else self.formula.to_dict(self.parameters)
+        return own if self.origin is None else {**own, "origin": plain(self.origin)}
 
 
 def _checked_base(base: Mapping[str, float]) -> Frozen:
@@ -104,7 +128,7 @@ class AxisModel:
 
 def _coupled_by(axis: AxisModel) -> str | None:
     """The effect of an axis to which the neighbouring axis counts."""
-    return next((use.name for use in axis.effects if EFFECTS[use.name].couples), None)
+    return next((use.name for use in axis.effects if use.effect.couples), None)
 
 
 def _check_axis(axis: AxisModel | Model) -> None:
@@ -243,7 +267,7 @@ class Model:
         """
         values = {**ABSENT, **self.base}
         for use in self.effects:
-            effect = EFFECTS[use.name]
+            effect = use.effect
             if effect.adds_to is not None:
                 own, so_far = next(iter(use.parameters.values())), values.get(effect.adds_to, 0.0)
                 values[effect.adds_to] = (min(so_far, own) if effect.adds_to == "command_limit"
@@ -276,11 +300,16 @@ class Model:
             found = coupling_effect().parameter(rest.rpartition(".")[2])
         elif address in BASE_BY_NAME:
             found = BASE_BY_NAME[address]
-        elif head in EFFECTS and rest in EFFECTS[head].defaults:
-            found = EFFECTS[head].parameter(rest)
+        elif (effect := self._named(head)) is not None and rest in effect.defaults:
+            found = effect.parameter(rest)
         else:
             raise ModelError(unknown_name("parameter", address, self.parameters()))
         return replace(found, unit=self._unit(found.unit))
+
+    def _named(self, name: str) -> Effect | None:
+        """The effect of this name: the model's own, or a registered one."""
+        use = self.effect(name)
+        return use.effect if use is not None else EFFECTS.get(name)
 
     def _unit(self, unit: str) -> str:
         if self.drive == "current":
@@ -317,7 +346,8 @@ class Model:
                     origin: Mapping[str, Any] | None = None) -> Model:
         """A copy of a one-axis model with an effect added, or replaced where it was on."""
         uses = {use.name: use for use in self.effects}
-        uses[name] = EffectUse(name, parameters, origin)
+        own = uses[name].formula if name in uses else None
+        uses[name] = EffectUse(name, parameters, origin, own)
         return replace(self, effects=tuple(uses.values()))
 
     def without_effect(self, name: str) -> Model:
@@ -369,10 +399,7 @@ def _axis_dict(axis: AxisModel | Model) -> dict[str, Any]:
     if axis.drive != "voltage":
         data["base"]["drive"] = axis.drive
     if axis.effects:
-        data["effects"] = [
-            {"name": use.name, "parameters": dict(use.parameters),
-             **({} if use.origin is None else {"origin": plain(use.origin)})}
-            for use in axis.effects]
+        data["effects"] = [use.to_dict() for use in axis.effects]
     return data
 
 

@@ -23,6 +23,8 @@ from dfm_stage.model.description import (
     plain,
     unknown_name,
 )
+from dfm_stage.model.effect import Effect
+from dfm_stage.model.formula import KINDS, FormulaEffect, formula_of
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import EFFECTS, coupling_effect
 from dfm_stage.share import config_folder
@@ -32,6 +34,7 @@ _AXIS_KEYS = ("base", "effects")
 _TOP_KEYS = ("dfm_model", "name", "sample_period", "position_unit", "drive", *_AXIS_KEYS, "axes",
              "coupling", "origin")
 _EFFECT_KEYS = ("name", "parameters", "origin")
+_FORMULA_KEYS = (*KINDS, "state")
 
 
 def load_model(path_or_name: str | os.PathLike[str]) -> Model:
@@ -166,12 +169,27 @@ def _axis(node: _Node, default_drive: object) -> AxisModel:
 
 
 def _effect(node: _Node) -> EffectUse:
-    node.keys(_EFFECT_KEYS)
+    node.keys((*_EFFECT_KEYS, *_FORMULA_KEYS))
     name = node.data.get("name")
+    if any(key in node.data for key in _FORMULA_KEYS):
+        return _formula(node)
     if name not in EFFECTS:
         node.fail(unknown_name("effect", name, EFFECTS), "name")
     values = _values(node.child("parameters"), str(name)) if "parameters" in node.data else {}
     return node.build(lambda: EffectUse(str(name), values, _origin(node)))
+
+
+def _formula(node: _Node) -> EffectUse:
+    """An effect that brings its own formula."""
+    formula = node.build(lambda: formula_of(plain(node.data)),
+                         next(key for key in _FORMULA_KEYS if key in node.data))
+    if isinstance(EFFECTS.get(formula.name, None), Effect) and not isinstance(
+            EFFECTS[formula.name], FormulaEffect):
+        node.fail(f"{formula.name} is an effect of the library; give the formula another name",
+                  "name")
+    return node.build(lambda: EffectUse(
+        formula.name, {p.name: p.value for p in formula.parameters}, _origin(node), formula),
+        formula.kind)
 
 
 def _values(node: _Node, effect: str) -> dict[str, float]:
@@ -268,6 +286,9 @@ def _merge_effects(old: Any, new: list[dict[str, Any]]) -> None:
         if item["name"] not in present:
             old.append(item)
             continue
+        if any(key in item for key in KINDS):
+            _merge(present[item["name"]], item)
+            continue
         known = EFFECTS[item["name"]]
         given = present[item["name"]].get("parameters") or {}
         _merge(present[item["name"]], {**item, "parameters": {
@@ -298,7 +319,7 @@ def _styled(value: Any, inside: str = "") -> Any:
     """`value` as ruamel data, with parameters, origin and lists of numbers on one line each."""
     if isinstance(value, dict):
         mapped = CommentedMap({k: _styled(v, k) for k, v in value.items()})
-        if inside in ("parameters", "origin"):
+        if inside in ("parameters", "origin", "state"):
             mapped.fa.set_flow_style()
         return mapped
     if isinstance(value, list):

@@ -9,13 +9,21 @@ effect's own parameters, in the order of `parameters`; `x` (m) and `v` (m/s) are
 velocity of the driven point, `actuator` (N) the force of an actuator of constant force constant.
 
 `force(x, v, actuator, p) -> N`
-    A smooth force on the driven point.
+    A smooth force on the driven point. Where it is `by_current`, `actuator` is the current (A; V
+    with a voltage drive and no coil_resistance).
 `advance(z, dx, v0, v1, p) -> z` with `bristle_force(z, v, p) -> N`
     A force with memory: the state `z` after the point moved by `dx` without reversing, while its
     velocity went from `v0` to `v1`; and the force that goes with it.
+`flow(t, x, v, u, i, z, rate, p) -> N` with `states`
+    A force that may depend on the time t (s), the command u that acts (V or A), the current i (A)
+    and states z of its own, whose time derivatives it stores in `rate`. With
+    `side_of_kinks(t, x, v, u, i, z, p)`, a number that is another one on each side of a kink of
+    the force, steps end at the kinks.
 `stamp(a, rows, first, p)` with `states`
     A linear part whose states begin at index `first`, see `dfm_stage.model.kernel.setup`;
     `start(state, first, p)` gives them initial values.
+`added(u, t, p) -> V or A`
+    What is added to the command u, given for time t (s), after dead time and limit.
 `sense(x, t, other, p) -> m`
     What is added to the encoder's reading at time `t` (s); `other` (m) is the position of the
     neighbouring axis.
@@ -166,6 +174,10 @@ class Effect:
     force: Callable[..., float] | None = field(default=None, repr=False)
     advance: Callable[..., float] | None = field(default=None, repr=False)
     bristle_force: Callable[..., float] | None = field(default=None, repr=False)
+    by_current: bool = False
+    flow: Callable[..., float] | None = field(default=None, repr=False)
+    side_of_kinks: Callable[..., float] | None = field(default=None, repr=False)
+    added: Callable[..., float] | None = field(default=None, repr=False)
     stamp: Callable[..., None] | None = field(default=None, repr=False)
     start: Callable[..., None] | None = field(default=None, repr=False)
     sense: Callable[..., float] | None = field(default=None, repr=False)
@@ -230,6 +242,17 @@ class Effect:
         return {parameter.name: parameter for parameter in self.parameters}[name]
 
     # -- what fitting, screening and naming need to know ----------------------------------------
+
+    @property
+    def curves(self) -> bool:
+        """Whether it is a force that makes the motion nonlinear."""
+        return self.adds_to == "dry_friction" or any(
+            hook is not None for hook in (self.force, self.advance, self.flow))
+
+    @property
+    def on_the_clock(self) -> bool:
+        """Whether the motion depends on the time itself, so that none under it is periodic."""
+        return reads(self.flow, 0) or reads(self.added, 1)
 
     @property
     def rounds(self) -> bool:
@@ -307,8 +330,17 @@ class Effect:
         if self.force is None:
             return {**values, **{n: SMALL * values[n] for n in self.sizes}}
         unit = tuple(1.0 if p.name in self.sizes else values[p.name] for p in self.parameters)
-        felt = abs(self.force(at.motion, at.speed, at.force, unit))
+        felt = abs(self.felt(at.motion, at.speed, at.force, unit))
         return {**values, **dict.fromkeys(self.sizes, wanted / felt if felt else 0.0)}
+
+    @property
+    def instant(self) -> bool:
+        """Whether it is a force that `felt` gives: one of position, speed and actuator alone."""
+        return self.force is not None
+
+    def felt(self, x: float, v: float, actuator: float, p: Values) -> float:
+        """The smooth force, N, as a plain number; NaN or infinite where it has none."""
+        return 0.0 if self.force is None else float(self.force(x, v, actuator, p))
 
     def scaled(self, parameters: Parameters, factor: float) -> Parameters:
         """`parameters` at `factor` times the size."""

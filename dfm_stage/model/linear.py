@@ -15,7 +15,6 @@ import numpy as np
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.model.description import Model
-from dfm_stage.model.registry import EFFECTS
 
 LARGEST_CONDITION = 1e12
 """Of the scaled matrix of a stage that comes to rest; rounding alone leaves more than 1e15."""
@@ -164,8 +163,8 @@ def linear_part(model: Model) -> LinearPart:
     for _ in range(n):
         moved |= (a[:, :n] != 0.0) @ moved
     actuator = {"amplifier", "coil", *(
-        name for use in model.effects if EFFECTS[use.name].stage == "amplifier"
-        for name in EFFECTS[use.name].state_names)}
+        name for use in model.effects if use.effect.stage == "amplifier"
+        for name in use.effect.state_names)}
     names = plan.states[:n]
     kept = sorted(np.flatnonzero(moved), key=lambda i: names[i] in actuator)
     motion = sum(names[i] not in actuator for i in kept)

@@ -13,13 +13,15 @@ import numpy as np
 from dfm_stage.model.description import Model, unknown_name
 from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.kernel import slots
+from dfm_stage.model.kernel.collocated import STAGES
 from dfm_stage.model.kernel.events import TERMS
 from dfm_stage.model.kernel.hooks import address
+from dfm_stage.model.kernel.setup import SMOOTH_LEVELS
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError
-from dfm_stage.model.registry import EFFECTS
 
-DIRECTED_LEVELS, SMOOTH_LEVELS = 19, 9
+SHARP_LEVELS = 19
+"""Levels of halving where reversals or kinks are to be located."""
 _LAGS = (("amplifier", slots.AMPLIFIER, slots.AMPLIFIER_STATE),
          ("coil", slots.INDUCTANCE, slots.COIL_STATE))
 """State, the slot that makes it, and where `layout` has its index."""
@@ -33,7 +35,9 @@ _TABLES: dict[int, tuple[str, Callable[[Effect], bool]]] = {
     slots.BRISTLE_STEPS: ("advance", lambda _: True),
     slots.SENSES: ("sense", lambda _: True),
     slots.ENCODES: ("encode", lambda _: True),
-    slots.OTHER_FORCES: ("other_force", lambda _: True)}
+    slots.OTHER_FORCES: ("other_force", lambda _: True),
+    slots.FLOWS: ("flow", lambda _: True),
+    slots.ADDED: ("added", lambda _: True)}
 """Table of hooks -> the hook, and which of the effects that have it stand in the table."""
 
 
@@ -50,11 +54,12 @@ class Plan:
     def of(cls, model: Model, changing: Sequence[str] = (), longest_delay: float = 0.0) -> Plan:
         """The plan of `model`, with room for parameters `changing` from zero."""
         changed = _slots_touched(model, changing)
-        effects = [EFFECTS[use.name] for use in model.effects]
+        effects = [use.effect for use in model.effects]
         theta = np.array([*_slot_values(model.effective_base()), *(
             value for use in model.effects for value in use.parameters.values())])
         dry = any(effect.adds_to == "dry_friction" for effect in effects)
-        memory = [effect for effect in effects if effect.advance is not None]
+        bristles = [effect for effect in effects if effect.advance is not None]
+        memory = [*bristles, *(e for e in effects if e.flow is not None and e.states)]
         forces = [effect.force for effect in effects if effect.force is not None]
         states = ["position", "velocity"]
         head = [-1] * slots.LAYOUT_FIXED
@@ -63,17 +68,21 @@ class Plan:
                 head[at] = len(states)
                 states.append(state)
         for effect in effects:
-            if effect.advance is None:
+            if effect not in memory:
                 states.extend(effect.state_names)
         head[slots.ORDER] = len(states)
         head[slots.HISTORY] = _history(model, max(theta[slots.DELAY], longest_delay))
-        head[slots.CURVED] = dry or bool(memory or forces)
+        head[slots.CURVED] = any(effect.curves for effect in effects)
         head[slots.DIRECTED] = directed = dry or bool(memory)
+        sharp = directed or any(effect.side_of_kinks for effect in effects)
         head[slots.LEVELS] = (0 if not head[slots.CURVED] else
-                              DIRECTED_LEVELS if directed else SMOOTH_LEVELS)
-        head[slots.BRISTLES] = len(memory)
-        head[slots.USES_SPEED] = directed or any(reads(force, 1) for force in forces)
-        head[slots.USES_DRIVE] = any(reads(force, 2) for force in forces)
+                              SHARP_LEVELS if sharp else SMOOTH_LEVELS)
+        head[slots.BRISTLES] = sum(len(effect.state_names) for effect in memory)
+        head[slots.KEPT] = len(bristles)
+        head[slots.USES_SPEED] = directed or any(reads(force, 1) for force in forces) \
+            or any(reads(effect.flow, 2) for effect in effects)
+        head[slots.USES_DRIVE] = any(reads(force, 2) for force in forces) \
+            or any(reads(effect.flow, 4) for effect in effects)
         states.extend(name for effect in memory for name in effect.state_names)
         _place_blocks(head)
         head[slots.AT_INITIAL] = len(theta)
@@ -119,7 +128,8 @@ def _place_blocks(head: list[int]) -> None:
              slots.AT_HELD: n * (n + 1), slots.AT_NODE: 18 * levels * (n + 5),
              slots.AT_END: 2 * levels * n * (n + 5), slots.AT_STICK_NODE: 12 * sticks * (n + 1),
              slots.AT_STICK_END: 2 * sticks * n * (n + 1),
-             slots.AT_SCRATCH: n + bristles + (n + 1) * TERMS, slots.WORK_SIZE: 0}
+             slots.AT_SCRATCH: n + bristles + (n + 1) * TERMS,
+             slots.AT_STAGES: STAGES * bristles, slots.WORK_SIZE: 0}
     for at, first in zip(sizes, accumulate(sizes.values(), initial=0), strict=False):
         head[at] = first
 
@@ -136,7 +146,7 @@ def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: list[in
         for entry in [uses] if hook == "force" and uses else [[use] for use in uses]:
             effect, first = entry[0]
             state = states.index(effect.state_names[0]) if effect.state_names else 0
-            if effect.advance is not None:
+            if state >= head[slots.ORDER]:          # behind the linear ones
                 state -= head[slots.ORDER]
             entries += [address(hook, entry), first, state]
     head[slots.TABLES_END] = slots.LAYOUT_FIXED + len(entries)
@@ -155,7 +165,7 @@ def _history(model: Model, delay: float) -> int:
 def _slots_touched(model: Model, names: Sequence[str]) -> list[str]:
     """The slot that each free parameter is a term of, or its own name."""
     terms = {f"{use.name}.{effect.parameters[0].name}": effect.adds_to for use in model.effects
-             for effect in [EFFECTS[use.name]]}
+             for effect in [use.effect]}
     return [terms.get(name) or name for name in names]
 
 
@@ -163,7 +173,7 @@ def apply_slots(model: Model, theta: Array) -> None:
     """Add the effects that are terms of a slot to it; `theta` has shape (..., size)."""
     own = len(slots.SLOT_NAMES)
     for use in model.effects:
-        effect = EFFECTS[use.name]
+        effect = use.effect
         if effect.adds_to is not None:
             index = slots.SLOT_NAMES.index(effect.adds_to)
             combine = np.minimum if index == slots.LIMIT else np.add

@@ -14,7 +14,6 @@ from dfm_stage.model.kernel.record import DIVERGED, peek, run
 from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.parameter import SimulationError
 from dfm_stage.model.plan import Plan
-from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.simulator import rounding_of
 
 _NONE = np.empty((0, 4))
@@ -178,7 +177,7 @@ class CoupledPlant:
         self._twice = any(
             hook(tuple(use.parameters.values())) != 0.0
             for plant, _ in self._coupled for use in plant.model.effects
-            if (hook := EFFECTS[use.name].other_force) is not None)
+            if (hook := use.effect.other_force) is not None)
 
     def reset(self) -> None:
         """Go back to k = 0 and rest; use the `reset` of single `plants` for another state."""

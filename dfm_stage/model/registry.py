@@ -1,29 +1,105 @@
 """All effects: those of the package `dfm_stage.model.effects`, and those registered at run time.
 
 Whoever needs an effect looks it up here when it is needed, so that one that is registered later,
-or replaced, counts from then on.
+or replaced, counts from then on. A formula that a model holds is found by its name as long as
+somebody holds the formula, but it is no member: what is listed here is what may be named.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import os
 import pkgutil
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
+from weakref import WeakValueDictionary
 
 from dfm_stage.model import effects
 from dfm_stage.model.effect import Effect
+from dfm_stage.model.formula import FormulaEffect
+from dfm_stage.model.formula_file import YAML_ENDINGS, read_formulas
 from dfm_stage.model.parameter import ModelError
 
-EFFECTS: dict[str, Effect] = {}
+
+class Effects(dict[str, Effect]):
+    """The effects by name; formulas of models that are in use are found, and not listed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._of_models: WeakValueDictionary[str, Effect] = WeakValueDictionary()
+
+    def hold(self, effect: Effect) -> None:
+        """Find an effect by its name as long as somebody holds it; of two the newer one."""
+        self._of_models[effect.name] = effect
+
+    def __missing__(self, name: str) -> Effect:
+        return self._of_models[name]
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or name in self._of_models
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """As of any mapping."""
+        return self[name] if name in self else default  # noqa: SIM401 that would be this
+
+
+EFFECTS = Effects()
 
 
 def register(effect: Effect) -> Effect:
     """Add an effect, in the place of one of the same name, and return it."""
     EFFECTS[effect.name] = effect
     return effect
+
+
+def load_effects(path: str | os.PathLike[str]) -> list[Effect]:
+    """Register the effects of a file, or of all files of a folder, and return them.
+
+    A Python file holds one `EFFECT`; a YAML file formulas, see `formula_file`.
+
+    Raises
+    ------
+    ModelError
+        If there is none, or one of them cannot be used.
+    """
+    place = Path(path).expanduser()
+    files = sorted(each for each in place.iterdir() if each.suffix in (".py", *YAML_ENDINGS)) \
+        if place.is_dir() else [place]
+    if not files:
+        raise ModelError(f"{path}: the folder has no .yaml and no .py file")
+    found: list[Effect] = []
+    for file in files:
+        if file.suffix == ".py":
+            found.append(load_effect(file))
+            continue
+        for formula in read_formulas(file):
+            library = EFFECTS.get(formula.name)
+            if isinstance(library, Effect) and not isinstance(library, FormulaEffect):
+                raise ModelError(f"{file}: {formula.name} is an effect of the library; give the "
+                                 "formula another name")
+            found.append(register(formula.effect()))
+    return found
+
+
+@contextlib.contextmanager
+def effects_of(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Effect]]:
+    """The effects of files, registered while the context lasts.
+
+    Raises
+    ------
+    ModelError
+        As `load_effects`.
+    """
+    before = dict(EFFECTS)
+    try:
+        yield [effect for path in paths for effect in load_effects(path)]
+    finally:
+        EFFECTS.clear()
+        EFFECTS.update(before)
 
 
 def load_effect(path: str | os.PathLike[str]) -> Effect:

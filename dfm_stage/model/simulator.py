@@ -19,7 +19,6 @@ from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import Parameter, SimulationError
 from dfm_stage.model.plan import Plan, parameter_table
-from dfm_stage.model.registry import EFFECTS
 from dfm_stage.model.scales import typical_size
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
 
@@ -126,7 +125,7 @@ class Simulator:
             theta[slots.NOISE] = dither
         rows = np.arange(len(slots.SIGNALS))
         rows[slots.ACCELERATION] = -1
-        effects = [EFFECTS[use.name] for use in self.model.effects]
+        effects = [use.effect for use in self.model.effects]
         encoded = any(effect.encode for effect in effects)
         if not encoded:
             rows[slots.OUTPUT] = -1
@@ -283,20 +282,22 @@ class Simulator:
             pushes = np.zeros((len(inputs), 4))
             pushes[:, 0] = _record(force, "external force", len(inputs))
         for use in self.model.effects:
-            effect = EFFECTS[use.name]
+            effect = use.effect
             if effect.couples and other is None:
                 raise SimulationError(f"{use.name} is on: give the position of the other axis as "
                                       "other=")
             if other is not None and effect.couples and not len(others):
                 others = hermite(_record(other, "position of the other axis", len(inputs)),
                                  steady_state)
+            if steady_state and effect.on_the_clock:
+                raise SimulationError(f"there is no periodic motion: {use.name} depends on time")
             if steady_state and effect.frequency is not None:
                 self._check_cycles(use, len(inputs))
         return inputs, pushes, others
 
     def _check_cycles(self, use: EffectUse, samples: int) -> None:
         """Refuse a vibration that does not do whole cycles in a period of the input."""
-        effect = EFFECTS[use.name]
+        effect = use.effect
         cycles = use.parameters[str(effect.frequency)] * samples * self.model.sample_period
         state = np.ones(len(effect.states))
         if effect.start is not None:
@@ -309,7 +310,7 @@ class Simulator:
 def rounding_of(model: Model) -> tuple[Rounding, ...]:
     """What the effects of a one-axis model that round do to one reading."""
     return tuple(partial(hook, dither=0.0, p=tuple(use.parameters.values()))
-                 for use in model.effects if (hook := EFFECTS[use.name].encode) is not None)
+                 for use in model.effects if (hook := use.effect.encode) is not None)
 
 
 def _simulate(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,

@@ -38,6 +38,7 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
     def after_period(point: Array, which: Layout) -> Array:
         work[at_state:at_state + len(point)] = point
         work[at_history:at_history + back] = past
+        work[layout[slots.AT_HEAD] + slots.SAMPLE] = 0.0
         restart(layout, work)
         run(which, theta, work, inputs, force, other, _NOWHERE, nothing)
         reached: Array = work[at_state:at_state + len(point)].copy()

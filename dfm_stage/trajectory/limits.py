@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 from dfm_stage.model.parameter import Parameter
 from dfm_stage.trajectory.errors import LimitError, place
 from dfm_stage.trajectory.signals import Excitation, Reference
@@ -197,7 +197,7 @@ def _driven(voltage: Array, limits: Limits, model: Model) -> list[Candidate]:
 def uncoupled(model: Model) -> Model:
     """Return a one-axis model without what the motion of its neighbour does to it."""
     return replace(model, effects=tuple(use for use in model.effects
-                                        if not EFFECTS[use.name].couples))
+                                        if not use.effect.couples))
 
 
 def _larger(stated: Array, difference: Array) -> Array:

@@ -28,12 +28,13 @@ _SOURCES = [*(_PACKAGE / "kernel").glob("*.py"), _PACKAGE / "parameter.py"]
 _keep = machine_code.keeper("simulator", _SOURCES, takes="half a minute")
 _INSIDE: dict[str, Any] = {**machine_code.INSIDE, "error_model": "numpy"}
 _AROUND_HOOKS = tuple((_PACKAGE / "kernel" / name).read_bytes() for name in
-                      ("hooks.py", "compiled.py", "slots.py"))
+                      ("collocated.py", "hooks.py", "compiled.py", "slots.py"))
 
 
 def compiled(function: F) -> F:
     """`function` as machine code that runs without the interpreter lock, for other such code."""
-    return cast("F", _njit(**_INSIDE)(function))
+    # said outright: else it is as its first caller is, and a lean one cannot return arrays
+    return cast("F", _njit(**_INSIDE, _nrt=True)(function))
 
 
 def lean(function: F) -> F:

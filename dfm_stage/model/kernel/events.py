@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dfm_stage.model.kernel.algebra import outside, row_value
 from dfm_stage.model.kernel.compiled import inlined, lean
+from dfm_stage.model.kernel.flows import flow_ends, flow_force
 from dfm_stage.model.kernel.hooks import bristle_steps, point_force
 from dfm_stage.model.kernel.slots import (
     AT_A,
@@ -18,6 +19,8 @@ from dfm_stage.model.kernel.slots import (
     DRY_FRICTION,
     FORCE_CONSTANT,
     FORCES,
+    KEPT,
+    NOW,
     ORDER,
     OUT,
     ROW_DRIVE,
@@ -50,6 +53,7 @@ def pushed(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
     push: float = (theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0)
             + point_force(layout, theta, FORCES, x, 0.0, drive)
+            + flow_force(layout, theta, work, x, 0.0, drive, u, 0.0, layout[AT_BRISTLE])
             - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u)) + outside(force, r)
     return push
 
@@ -62,7 +66,7 @@ def cell(layout: Layout, theta: Array, work: Array, u: float, force: Array, r0: 
     `force` and [r0, r0 + dr] as in `motion.slip`. Returns the mode at its end.
     """
     n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
-    steps, rate = layout[AT_HEAD] + STEPS, dr / length
+    steps, now, rate = layout[AT_HEAD] + STEPS, layout[AT_HEAD] + NOW, dr / length
     done = 0.0
     for event in range(EVENTS):
         left = length - done
@@ -73,9 +77,11 @@ def cell(layout: Layout, theta: Array, work: Array, u: float, force: Array, r0: 
         if mode == 0:
             taken, mode = _held(layout, theta, work, u, force, start, rate, left, last)
             done += taken
+            work[now] += taken
             continue
         taken = _moving(layout, theta, work, u, force, start, rate, left, mode, last)
         done += taken
+        work[now] += taken
         if taken < left:
             _halt(work, n, rows, state, u)
             push = pushed(layout, theta, work, u, force, r0 + rate * done)
@@ -100,12 +106,14 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     _scalar(work, n, rows + ROW_HOLD * (n + 1), terms, u, series)
     _at(work, n, terms, left, end)
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
-    gain = theta[FORCE_CONSTANT]
-    drive, drive_end = (row_value(work, drive_row, state, n, u),
-                        row_value(work, drive_row, end, n, u))
-    f = point_force(layout, theta, FORCES, x, 0.0, gain * drive) + outside(force, start)
-    f_end = (point_force(layout, theta, FORCES, x, 0.0, gain * drive_end)
-             + outside(force, start + rate * left))
+    drive = theta[FORCE_CONSTANT] * row_value(work, drive_row, state, n, u)
+    drive_end = theta[FORCE_CONSTANT] * row_value(work, drive_row, end, n, u)
+    z, moved = layout[AT_BRISTLE], end + n
+    f = (point_force(layout, theta, FORCES, x, 0.0, drive) + outside(force, start)
+         + flow_force(layout, theta, work, x, 0.0, drive, u, 0.0, z))
+    f_end = (point_force(layout, theta, FORCES, x, 0.0, drive_end)
+             + outside(force, start + rate * left)
+             + flow_ends(layout, theta, work, x, x, 0.0, 0.0, drive, drive_end, u, left))
     for k in range(TERMS):
         work[series + k] = -work[series + k]
     work[series] += theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0) + f
@@ -113,11 +121,18 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     push = _value(work, series, left)
     if abs(push) <= theta[DRY_FRICTION] or last:
         _at(work, n, terms, left, state)
+        for i in range(layout[KEPT], layout[BRISTLES]):
+            work[z + i] = work[moved + i]
         return left, 0
     mode = 1 if push > 0.0 else -1
     work[series] -= mode * theta[DRY_FRICTION]
     t = _root(work, series, 0.0, left) if mode * work[series] < 0.0 else 0.0
     _at(work, n, terms, t, state)
+    if t > 0.0:
+        flow_ends(layout, theta, work, x, x, 0.0, 0.0, drive,
+                  drive + (drive_end - drive) * t / left, u, t)
+        for i in range(layout[KEPT], layout[BRISTLES]):
+            work[z + i] = work[moved + i]
     return t, mode
 
 
@@ -135,18 +150,20 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     gain = theta[FORCE_CONSTANT]
     plain = theta[CONSTANT_FORCE] - mode * theta[DRY_FRICTION]
     x, v = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
+    d = gain * row_value(work, d_row, state, n, u)
     f = (plain + bristle_force(layout, theta, work, v)
-         + point_force(layout, theta, FORCES, x, v, gain * row_value(work, d_row, state, n, u))
-         + outside(force, start))
+         + point_force(layout, theta, FORCES, x, v, d) + outside(force, start)
+         + flow_force(layout, theta, work, x, v, d, u, 0.0, z))
     slope = 0.0
     for _ in range(2):
         _series(work, n, layout[AT_A], push_row, state, u, f, slope, terms)
         _at(work, n, terms, left, end)
         x_end, v_end = row_value(work, x_row, end, n, u), row_value(work, v_row, end, n, u)
+        d_end = gain * row_value(work, d_row, end, n, u)
         f_end = (plain + bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, out)
-                 + point_force(layout, theta, FORCES, x_end, v_end,
-                               gain * row_value(work, d_row, end, n, u))
-                 + outside(force, start + rate * left))
+                 + point_force(layout, theta, FORCES, x_end, v_end, d_end)
+                 + outside(force, start + rate * left)
+                 + flow_ends(layout, theta, work, x, x_end, v, v_end, d, d_end, u, left))
         slope = (f_end - f) / left
     t = left
     if mode * v_end < 0.0 and not last:
@@ -163,6 +180,8 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
         _at(work, n, terms, t, state)
         x_end, v_end = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
         bristle_steps(layout, theta, work, z, x_end - x, v, v_end, moved, out)
+        flow_ends(layout, theta, work, x, x_end, v, v_end, d,
+                  gain * row_value(work, d_row, state, n, u), u, t)
         for i in range(layout[BRISTLES]):
             work[z + i] = work[moved + i]
     return t

@@ -17,6 +17,7 @@ from typing import Any
 import numba
 
 from dfm_stage.model.effect import Effect
+from dfm_stage.model.kernel.collocated import collocated
 from dfm_stage.model.kernel.compiled import (
     POINTER,
     at,
@@ -29,19 +30,23 @@ from dfm_stage.model.kernel.compiled import (
     values_at,
 )
 from dfm_stage.model.kernel.slots import (
+    ADDED,
     BRISTLE_STEPS,
     CODE,
     ENCODES,
     ENTRY,
     FIRST,
+    FORCE_CONSTANT,
     OTHER_FORCES,
     OWN,
+    RESISTANCE,
     ROWS,
     SENSES,
     STARTS,
     Array,
     Layout,
 )
+from dfm_stage.model.parameter import BASE_PARAMETERS
 
 Hook = Callable[..., Any]
 _numba: Any = numba
@@ -50,14 +55,29 @@ _number, _index = types.float64, types.int64
 ONE, THREE = 1, 3
 
 
-def _sum(*parts: tuple[Hook, Hook]) -> Hook:
+def _alone(hook: Hook, values: Hook, slots: Hook | None) -> Hook:
+    """A force at one point; `slots` loads force constant and resistance where it is of the
+    current."""
+    if slots is None:
+        @inlined
+        def own(x: float, v: float, d: float, p: Any) -> float:
+            return float(hook(x, v, d, values(p)))
+    else:
+        @inlined
+        def own(x: float, v: float, d: float, p: Any) -> float:
+            base = slots(p)
+            gain = base[FORCE_CONSTANT]
+            if base[RESISTANCE] > 0.0:
+                gain *= base[RESISTANCE]
+            return float(hook(x, v, d / gain if gain != 0.0 else 0.0, values(p)))
+
+    return own
+
+
+def _sum(*parts: tuple[Hook, Hook, Hook | None]) -> Hook:
     """The sum of forces at one point, as part of the code of whoever calls it."""
-    *others, (hook, values) = parts
-
-    @inlined
-    def own(x: float, v: float, d: float, p: Any) -> float:
-        return float(hook(x, v, d, values(p)))
-
+    *others, last = parts
+    own = _alone(*last)
     if not others:
         return own
     before = _sum(*others)
@@ -69,7 +89,7 @@ def _sum(*parts: tuple[Hook, Hook]) -> Hook:
     return both
 
 
-def _force(*parts: tuple[Hook, Hook]) -> Hook:
+def _force(*parts: tuple[Hook, Hook, Hook | None]) -> Hook:
     total = _sum(*parts)
 
     def force(x1: float, x2: float, x3: float, v1: float, v2: float, v3: float, d1: float,
@@ -101,6 +121,11 @@ def _bristle(advance: Hook, force: Hook, values: Hook) -> Hook:
         return z
 
     return step
+
+
+def one_side(*_: Any) -> float:
+    """The side of kinks for a flow that has none."""
+    return 0.0
 
 
 def _stamp(hook: Hook, values: Hook) -> Hook:
@@ -138,6 +163,16 @@ def _encode(hook: Hook, values: Hook) -> Hook:
     return encode
 
 
+def _added(hook: Hook, values: Hook) -> Hook:
+    def added(u: Any, count: int, first: int, period: float, p: Any) -> None:
+        """Add to `count` commands, the first of which was given at sample `first`."""
+        own = values(p)
+        for k in range(count):
+            u[k] += hook(u[k], max(first + k, 0) * period, own)
+
+    return added
+
+
 def _other_force(hook: Hook, values: Hook) -> Hook:
     def other_force(p: Any) -> float:
         return float(hook(values(p)))
@@ -153,7 +188,9 @@ _KINDS: dict[str, tuple[Any, Callable[..., Hook]]] = {
     "sense": (types.void(POINTER, POINTER, _index, _index, _number, POINTER, _index, POINTER),
               _sense),
     "encode": (types.void(POINTER, _index, _number, POINTER), _encode),
-    "other_force": (_number(POINTER), _other_force)}
+    "other_force": (_number(POINTER), _other_force),
+    "flow": (_number(*[_number] * 16, *[POINTER] * 5, _index, _index), collocated),
+    "added": (types.void(POINTER, _index, _index, _number, POINTER), _added)}
 """Kind of hook -> the signature of its machine code, and what makes that of hooks."""
 
 
@@ -161,26 +198,36 @@ def address(kind: str, uses: Sequence[tuple[Effect, int]]) -> int:
     """The address of the machine code of a hook; compiled when first asked for.
 
     `uses` is an effect and where its parameters begin in `theta`; of forces any number of them,
-    whose sum it is. What calls it passes the first one's parameters.
+    whose sum it is. What calls it passes the first one's parameters. Where nothing stands before
+    these, as along a measured motion, a force of the current is given the current itself.
     """
     begin = uses[0][1]
     return int(_code(kind, *(
-        ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else [])),
-         first - begin, len(effect.parameters)) for effect, first in uses)).address)
+        ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else []),
+          *([effect.side_of_kinks or one_side] if kind == "flow" else [])),
+         first - begin, len(effect.parameters), len(effect.states) if kind == "flow" else
+         -begin if effect.by_current and begin else 0)
+        for effect, first in uses)).address)
 
 
 @cache
-def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int]) -> Any:
+def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int, int]) -> Any:
     signature, make = _KINDS[kind]
     ready = [(*(lean(hook) for hook in hooks), values_at(first, count))
-             for hooks, first, count in parts]
-    return callback(make(*ready) if kind == "force" else make(*ready[0]), signature,
-                    (kind, parts))
+             for hooks, first, count, _ in parts]
+    further = [each[-1] for each in parts]
+    if kind == "force":
+        made = make(*((*each, values_at(at, len(BASE_PARAMETERS)) if at else None)
+                      for each, at in zip(ready, further, strict=True)))
+    else:
+        made = make(*ready[0], *(further if kind == "flow" else []))
+    return callback(made, signature, (kind, parts))
 
 
-call_force, call_bristle, call_stamp, call_start, call_sense, call_encode, call_other = (
-    caller(_KINDS[kind][0])
-    for kind in ("force", "advance", "stamp", "start", "sense", "encode", "other_force"))
+call_force, call_bristle, call_stamp, call_start, call_sense, call_encode, call_other, \
+    call_flow, call_added = (caller(_KINDS[kind][0]) for kind in (
+        "force", "advance", "stamp", "start", "sense", "encode", "other_force", "flow",
+        "added"))
 
 
 @inlined
@@ -253,3 +300,12 @@ def other_stiffness(layout: Layout, theta: Array) -> float:
     for entry in range(layout[OTHER_FORCES], layout[OTHER_FORCES + 1], ENTRY):
         total += call_other(layout[entry + CODE], (pointer(theta, layout[entry + OWN]),))
     return total
+
+
+@lean
+def add_to_commands(layout: Layout, theta: Array, applied: Array, first: int,
+                    period: float) -> None:
+    """Add to the commands (N,) that act, the first of which was given at sample `first`."""
+    for entry in range(layout[ADDED], layout[ADDED + 1], ENTRY):
+        call_added(layout[entry + CODE], (pointer(applied, 0), applied.shape[0], first, period,
+                                            pointer(theta, layout[entry + OWN])))

@@ -20,8 +20,11 @@ from __future__ import annotations
 from math import inf
 
 from dfm_stage.model.kernel.algebra import cubic_at, outside, row_value
+from dfm_stage.model.kernel.collocated import FEW, SWEEPS
+from dfm_stage.model.kernel.collocated import UNSETTLED as UNSETTLED_STATES
 from dfm_stage.model.kernel.compiled import at, inlined, lean, pointer
 from dfm_stage.model.kernel.events import bristle_force, cell, pushed
+from dfm_stage.model.kernel.flows import flow_force, flow_steps
 from dfm_stage.model.kernel.hooks import THREE, call_bristle, call_force, point_force
 from dfm_stage.model.kernel.slots import (
     AT_BRISTLE,
@@ -44,11 +47,14 @@ from dfm_stage.model.kernel.slots import (
     DRY_FRICTION,
     ENTRY,
     FIRST,
+    FLOWS,
     FORCE_CONSTANT,
     FORCES,
+    KEPT,
     LEVEL,
     LEVELS,
     MODE,
+    NOW,
     ORDER,
     OUT,
     OWN,
@@ -57,6 +63,7 @@ from dfm_stage.model.kernel.slots import (
     ROW_VELOCITY,
     SCALE,
     SLOPE,
+    SPAN,
     STEP,
     TRIED,
     USES_DRIVE,
@@ -73,6 +80,7 @@ UNRESOLVED = 2e-3      # cubic part of the force, over the largest force so far
 UNSETTLED = 1e-9      # expected change in the next iteration, over the largest force so far
 FAINT = 1e-5           # forces this small beside the actuator's need not be resolved
 ITERATIONS = 8
+PATIENT = 3            # iterations after which the states of flows are made to settle
 ACCEPTED, TOO_COARSE, REVERSAL = 0, 1, 2
 C0, C1, C2, C3 = CUBIC / 20.0
 _SLOPE = FROM_VALUES[1] + 2.0 * FROM_VALUES[2] + 3.0 * FROM_VALUES[3]
@@ -121,8 +129,10 @@ def _force_now(layout: Layout, theta: Array, work: Array, x: float, v: float, u:
         row = at(layout, AT_ROWS) + ROW_DRIVE * (n + 1)
         drive = theta[FORCE_CONSTANT] * row_value(work, row, at(layout, AT_STATE), n, u)
     force = point_force(layout, theta, FORCES, x, v, drive)
-    if at(layout, BRISTLES) > 0:
+    if at(layout, KEPT) > 0:
         force += bristle_force(layout, theta, work, v)
+    if at(layout, FLOWS) < at(layout, FLOWS + 1):
+        force += flow_force(layout, theta, work, x, v, drive, u, 0.0, at(layout, AT_BRISTLE))
     return force
 
 
@@ -131,7 +141,8 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
                 u: float, f0: float, given: Three) -> tuple[
                     float, float, float, float, float, float, float, bool]:
     """Find the forces at the three later points: these, the speeds there, the largest force so
-    far, and whether the iteration has settled. `given` does not depend on the motion.
+    far, and whether the iteration has settled on a force without a kink. `given` does not depend
+    on the motion.
     """
     n, head, state = at(layout, ORDER), at(layout, AT_HEAD), at(layout, AT_STATE)
     speed = at(layout, USES_SPEED) == 1
@@ -142,8 +153,12 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
     f3 = f0 + (slope + curvature)
     largest, settled, before = at(work, head + SCALE), False, 0.0
     p, q, w = node + 9 * (n + 2), node + 9 * (n + 3), node + 9 * (n + 4)
-    v1 = v2 = v3 = 0.0
-    for _ in range(ITERATIONS):
+    v1 = v2 = v3 = d0 = crossed = 0.0
+    flows = at(layout, FLOWS) < at(layout, FLOWS + 1)
+    if flows and at(layout, USES_DRIVE) == 1:
+        d0 = theta[FORCE_CONSTANT] * row_value(
+            work, at(layout, AT_ROWS) + ROW_DRIVE * (n + 1), state, n, u)
+    for iteration in range(ITERATIONS):
         x1 = xa + (at(work, p) * f1 + at(work, q) * f2 + at(work, w) * f3)
         x2 = xb + (at(work, p + 2) * f1 + at(work, q + 2) * f2 + at(work, w + 2) * f3)
         x3 = xc + (at(work, p + 4) * f1 + at(work, q + 4) * f2 + at(work, w + 4) * f3)
@@ -153,16 +168,23 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
             v3 = vc + (at(work, p + 5) * f1 + at(work, q + 5) * f2 + at(work, w + 5) * f3)
         d = _drives(layout, work, node + 6, u, (f0, f1, f2, f3))
         g1, g2, g3 = _three_forces(layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), d)
+        if flows:
+            e1, e2, e3, crossed = flow_steps(
+                layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), (d0, d[0], d[1], d[2]), u,
+                at(work, head + SPAN),
+                -FEW if iteration == 0 else FEW if iteration < PATIENT else SWEEPS)
+            g1, g2, g3 = g1 + e1, g2 + e2, g3 + e3
         g1, g2, g3 = given[0] + g1, given[1] + g2, given[2] + g3
         change = max(abs(g1 - f1), abs(g2 - f2), abs(g3 - f3))
         f1, f2, f3 = g1, g2, g3
         largest = max(largest, abs(f0), abs(f3))
         allowed = UNSETTLED * largest
-        if change * change <= allowed * before or change <= 10.0 * allowed:
+        if crossed < UNSETTLED_STATES and (change * change <= allowed * before
+                                           or change <= 10.0 * allowed):
             settled = True
             break
         before = change
-    return f1, f2, f3, v1, v2, v3, largest, settled
+    return f1, f2, f3, v1, v2, v3, largest, settled and crossed == 0.0
 
 
 @inlined
@@ -270,6 +292,11 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
     end = layout[AT_STICK_END] + n * (n + 1) * table
     x = row_value(work, layout[AT_ROWS] + ROW_POSITION * (n + 1), state, n, u)
     rest = theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0)
+    flowing = (0.0, 0.0, 0.0, 0.0)
+    if layout[FLOWS] < layout[FLOWS + 1]:
+        flowing = flow_steps(layout, theta, work, (x, x, x, x), (0.0, 0.0, 0.0, 0.0),
+                             _stuck_drives(layout, theta, work, node, u), u,
+                             work[layout[AT_HEAD] + SPAN], -SWEEPS)
     for i in range(3):
         hold = work[node + 6 * n + i] * u
         drive = work[node + 6 * n + 3 + i] * u
@@ -277,8 +304,8 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
             hold += work[node + 6 * j + i] * work[state + j]
             drive += work[node + 6 * j + 3 + i] * work[state + j]
         push = (rest + point_force(layout, theta, FORCES, x, 0.0, drive) - hold
-                + outside(force, r0 + dr * POINTS[i]))
-        if abs(push) > theta[DRY_FRICTION]:
+                + flowing[i] + outside(force, r0 + dr * POINTS[i]))
+        if not abs(push) <= theta[DRY_FRICTION]:        # not a number is no answer
             return REVERSAL
     for i in range(n):
         total = work[end + n * n + i] * u
@@ -286,6 +313,20 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
             total += work[end + n * j + i] * work[state + j]
         work[scratch + i] = total
     return ACCEPTED
+
+
+@inlined
+def _stuck_drives(layout: Layout, theta: Array, work: Array, node: int, u: float) -> Four:
+    """The actuator's force (N) at the four points of a step of sticking."""
+    n, state = layout[ORDER], layout[AT_STATE]
+    row = layout[AT_ROWS] + ROW_DRIVE * (n + 1)
+    d0 = theta[FORCE_CONSTANT] * row_value(work, row, state, n, u)
+    d1, d2, d3 = work[node + 6 * n + 3] * u, work[node + 6 * n + 4] * u, work[node + 6 * n + 5] * u
+    for j in range(n):
+        d1 += work[node + 6 * j + 3] * work[state + j]
+        d2 += work[node + 6 * j + 4] * work[state + j]
+        d3 += work[node + 6 * j + 5] * work[state + j]
+    return d0, d1, d2, d3
 
 
 @lean
@@ -307,8 +348,10 @@ def advance_piece(layout: Layout, theta: Array, work: Array, which: int, u: floa
     if h != at(work, head + STEP):
         _rescale(work, head, h / at(work, head + STEP) if at(work, head + STEP) > 0.0 else 0.0)
     dr = span * (h / length)
+    begin = work[head + NOW]
     while position < units:
         work[head + TRIED] += 1.0
+        work[head + NOW], work[head + SPAN] = begin + length * position / units, h
         r = r0 + span * position / units if force.shape[0] > 0 else r0
         table = which * layout[LEVELS] + level
         if directed and mode == 0:
@@ -342,8 +385,10 @@ def advance_piece(layout: Layout, theta: Array, work: Array, which: int, u: floa
 def _accept(layout: Layout, work: Array, mode: int) -> None:
     """Go to the end of the step that was tried; the bristles stay where the point sticks."""
     state, scratch = at(layout, AT_STATE), at(layout, AT_SCRATCH)
-    moved = at(layout, ORDER) + (at(layout, BRISTLES) if mode != 0 else 0)
-    for i in range(moved):                          # the bristles stand behind the state
+    n, kept = at(layout, ORDER), at(layout, KEPT)
+    for i in range(n + (kept if mode != 0 else 0)):     # the bristles stand behind the state
+        work[state + i] = at(work, scratch + i)
+    for i in range(n + kept, n + at(layout, BRISTLES)):     # and the states of flows behind them
         work[state + i] = at(work, scratch + i)
 
 

@@ -7,7 +7,14 @@ import numpy as np
 from dfm_stage.model.kernel.algebra import outside, row_value
 from dfm_stage.model.kernel.compiled import at, compiled, entry, lean
 from dfm_stage.model.kernel.events import bristle_force
-from dfm_stage.model.kernel.hooks import encode_means, other_stiffness, point_force, sense_errors
+from dfm_stage.model.kernel.flows import flow_force
+from dfm_stage.model.kernel.hooks import (
+    add_to_commands,
+    encode_means,
+    other_stiffness,
+    point_force,
+    sense_errors,
+)
 from dfm_stage.model.kernel.linear import steps
 from dfm_stage.model.kernel.motion import advance_piece
 from dfm_stage.model.kernel.setup import block
@@ -15,6 +22,7 @@ from dfm_stage.model.kernel.slots import (
     ACCELERATION,
     ACTUATOR_FORCES,
     AT_A,
+    AT_BRISTLE,
     AT_DISCRETE,
     AT_HEAD,
     AT_HISTORY,
@@ -33,6 +41,7 @@ from dfm_stage.model.kernel.slots import (
     LIMIT,
     MODE,
     NOISE,
+    NOW,
     ORDER,
     OUTPUT,
     PERIOD,
@@ -109,6 +118,7 @@ def peek(layout: Layout, theta: Array, work: Array, other: Array, out: Array) ->
     rows = block(work, layout, AT_ROWS, ROWS, n + 1)
     applied = work[layout[AT_HISTORY]:layout[AT_HISTORY] + 1].copy()
     applied[0] = min(max(applied[0], -theta[LIMIT]), theta[LIMIT])
+    add_to_commands(layout, theta, applied, int(head[SAMPLE] - head[WHOLE]) - 1, head[PERIOD])
     everything, first = np.arange(len(SIGNALS)), int(layout[ORDER] * 0)
     state = block(work, layout, AT_STATE, n, 1)
     _signals(layout, rows, theta, state, applied, first, 1, everything, out)
@@ -118,8 +128,8 @@ def peek(layout: Layout, theta: Array, work: Array, other: Array, out: Array) ->
 @compiled
 def _applied(layout: Layout, theta: Array, work: Array, inputs: Array) -> Array:
     """The limited inputs; number k acts before the switch inside sample k, k + 1 after it."""
-    samples = inputs.shape[0]
-    back = int(work[layout[AT_HEAD] + WHOLE]) + 1
+    samples, head = inputs.shape[0], work[layout[AT_HEAD]:]
+    back = int(head[WHOLE]) + 1
     history = work[layout[AT_HISTORY]:layout[AT_HISTORY] + back]
     applied = np.empty(samples + back)
     for k in range(back):
@@ -130,6 +140,7 @@ def _applied(layout: Layout, theta: Array, work: Array, inputs: Array) -> Array:
         history[k] = applied[samples + k]
     for k in range(samples + back):
         applied[k] = min(max(applied[k], -theta[LIMIT]), theta[LIMIT])
+    add_to_commands(layout, theta, applied, int(head[SAMPLE]) - back, head[PERIOD])
     return applied
 
 
@@ -153,7 +164,7 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
     """As `linear.steps`, with nonlinear forces; `force` may be empty. The acceleration goes to
     `felt`, which may be empty."""
     n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
-    steps = layout[AT_HEAD] + STEPS
+    steps, now = layout[AT_HEAD] + STEPS, layout[AT_HEAD] + NOW
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
     push = force[0] if force.shape[0] > 0 else theta[:0]
@@ -170,6 +181,8 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
             return
         if force.shape[0] > 0:
             push = force[first + k]
+        number = work[layout[AT_HEAD] + SAMPLE] + first + k
+        work[now] = number * period
         if felt.shape[0] > 0:
             felt[first + k] = _acceleration(layout, theta, work, applied[first + k], push)
         before = at(work, tried)
@@ -177,6 +190,7 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
             begin = 0.0 if which == 0 else fraction
             span = fraction if which == 0 else 1.0 - fraction
             if span > 0.0:
+                work[now] = (number + begin) * period
                 advance_piece(layout, theta, work, which, applied[first + k + which], push,
                               begin, span, span * period)
         work[steps] += at(work, tried) - before
@@ -193,6 +207,7 @@ def _acceleration(layout: Layout, theta: Array, work: Array, u: float, force: Ar
     drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
     push = (theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, v)
             + point_force(layout, theta, FORCES, x, v, drive)
+            + flow_force(layout, theta, work, x, v, drive, u, 0.0, layout[AT_BRISTLE])
             - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u)) + outside(force, 0.0)
     if layout[DIRECTED] == 1:
         mode, dry = at(work, layout[AT_HEAD] + MODE), theta[DRY_FRICTION]

@@ -20,6 +20,7 @@ from dfm_stage.model.kernel.algebra import exponential, fill, put_scaled, row_va
 from dfm_stage.model.kernel.compiled import compiled, entry, lean
 from dfm_stage.model.kernel.hooks import stamp, start_states
 from dfm_stage.model.kernel.slots import (
+    AMPERES,
     AMPLIFIER,
     AMPLIFIER_STAMPS,
     AMPLIFIER_STATE,
@@ -32,6 +33,7 @@ from dfm_stage.model.kernel.slots import (
     AT_INITIAL,
     AT_NODE,
     AT_ROWS,
+    AT_STAGES,
     AT_STATE,
     AT_STICK_END,
     AT_STICK_NODE,
@@ -72,6 +74,7 @@ from dfm_stage.model.kernel.slots import (
     STIFFNESS,
     TRIED,
     WHOLE,
+    WORK_SIZE,
     Array,
     Layout,
 )
@@ -79,6 +82,8 @@ from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
 
 SHORTEST = 0.2
 """The shortest step times the fastest rate, for which the Taylor series of events are exact."""
+SMOOTH_LEVELS = 9
+"""Levels of halving where no force has a kink or a reversal to come close to."""
 INSTANT = 1e-6
 """A lag shorter than this part of a sample period is taken as none."""
 
@@ -172,13 +177,15 @@ def prepare(layout: Layout, theta: Array, work: Array) -> None:
     _discretise(a, rows, period, head[FRACTION], theta[CONSTANT_FORCE], discrete)
     if layout[CURVED] == 0:
         return
+    gain = theta[FORCE_CONSTANT] * (theta[RESISTANCE] if theta[RESISTANCE] > 0.0 else 1.0)
+    head[AMPERES] = 1.0 / gain if gain != 0.0 else 0.0
     hold_row(a, rows)
     held = block(work, layout, AT_HELD, n, n + 1)
     for i in range(n):
         for j in range(n + 1):
             held[i, j] = a[i, j] + rows[ROW_FORCE_IN, i] * rows[ROW_HOLD, j]
     rate = period * fastest_rate(a, n) / SHORTEST
-    depth = max(12 if layout[DIRECTED] == 1 else 8, int(np.ceil(np.log2(rate))))
+    depth = max(12 if layout[LEVELS] > SMOOTH_LEVELS else 8, int(np.ceil(np.log2(rate))))
     head[DEPTH] = min(depth, layout[LEVELS] - 1)
     node, end, stick_node, stick_end = tables(work, layout)
     for piece in range(2):
@@ -243,3 +250,5 @@ def restart(layout: Layout, work: Array) -> None:
     head[MODE] = np.sign(row_value(work, speed_row, layout[AT_STATE], n, 0.0))
     head[LEVEL] = head[SCALE] = head[SLOPE] = head[CURVATURE] = head[STEP] = 0.0
     head[TRIED] = 0.0
+    for i in range(layout[AT_STAGES], layout[WORK_SIZE]):
+        work[i] = 0.0

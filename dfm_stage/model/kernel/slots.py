@@ -26,18 +26,20 @@ ABSENT = {"force_constant": 1.0, "command_limit": math.inf}
 
 # layout: numbers, first indices into `work`, first indices into `theta`, indices of states or -1
 ORDER, HISTORY, CURVED, DIRECTED, LEVELS, BRISTLES, USES_SPEED, USES_DRIVE = range(8)
+# BRISTLES counts the states behind the linear ones; the first KEPT of them rest where the point
+# rests, the others are those of flows
 AT_HEAD, AT_STATE, AT_BRISTLE, AT_HISTORY, AT_A, AT_ROWS, AT_DISCRETE, AT_HELD, AT_NODE, AT_END, \
     AT_STICK_NODE, AT_STICK_END, AT_SCRATCH, WORK_SIZE = range(8, 22)
-AT_INITIAL, AMPLIFIER_STATE, COIL_STATE = range(22, 25)
+AT_INITIAL, AMPLIFIER_STATE, COIL_STATE, KEPT, AT_STAGES = range(22, 27)
 # for each table of hooks the index of its first entry; a table ends where the next one begins
 MODE_STAMPS, AMPLIFIER_STAMPS, MECHANICS_STAMPS, STARTS, FORCES, ACTUATOR_FORCES, BRISTLE_STEPS, \
-    SENSES, ENCODES, OTHER_FORCES, TABLES_END, LAYOUT_FIXED = range(25, 37)
+    SENSES, ENCODES, OTHER_FORCES, FLOWS, ADDED, TABLES_END, LAYOUT_FIXED = range(27, 41)
 # an entry of a table: address of the machine code, its parameters in `theta`, its first state
 CODE, OWN, FIRST, ENTRY = range(4)
 
 # head of `work`
 PERIOD, SAMPLE, WHOLE, FRACTION, MODE, LEVEL, SCALE, DEPTH, SLOPE, CURVATURE, \
-    CUBIC_PART, STEP, TRIED, STEPS, OUT = range(15)
+    CUBIC_PART, STEP, TRIED, STEPS, NOW, SPAN, AMPERES, OUT = range(18)
 HEAD_SIZE = OUT + 3         # what the hooks return beside their result
 
 # rows of the block AT_ROWS; the last one is filled where friction can hold the point
