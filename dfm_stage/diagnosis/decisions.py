@@ -107,6 +107,9 @@ BLOCK_MARGIN = decision(
 NAMED_SHARE = decision(
     "NAMED_SHARE", 0.95, "1", meaning="Share of the predictable held-out gap from which effects "
     "that leave a remainder are named.", set_on=REAL)
+LEAST_PREDICTABLE = decision(
+    "LEAST_PREDICTABLE", 0.8, "1", meaning="Share of the held-out gap that counts as predictable "
+    "at least, whatever a black box predicts of it.", set_on=PARTS)
 PARTIAL_SHARE = decision(
     "PARTIAL_SHARE", 0.3, "1", meaning="The same from which they are told as a part.",
     set_on=REAL)
@@ -310,7 +313,9 @@ MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps after whic
                      "where it is.", BOUND)
 GRADING_STEPS = _search("GRADING_STEPS", 50e6, "steps", "Integration steps of the search for "
                         "effects that explain a part.", BOUND)
-LEAST_STEPS = _search("LEAST_STEPS", 25e6, "steps", "Integration steps that are left to it, and "
+FIRST_SHARE = _search("FIRST_SHARE", 0.5, "1", "Share of MOST_STEPS after which the first effects "
+                     "must be found: the rest is for what follows.", BOUND)
+LEAST_STEPS = _search("LEAST_STEPS", 15e6, "steps", "Integration steps that are left to it, and "
                       "to the search to the noise after it, at least.", BOUND)
 STEPS_A_FIT = _search("STEPS_A_FIT", 24e6, "steps", "Integration steps of one fit at most.", BOUND)
 

@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.decisions import (
     INCONSTANT,
     JOINT_LOSS,
     LEAST_HEARD,
+    LEAST_PREDICTABLE,
     MARGIN,
     MARGIN_OVER_LARGER,
     NAMED_SHARE,
@@ -234,12 +235,13 @@ def above(e: Evidence, power: float) -> float:
 
 
 def _predictable(e: Evidence) -> float:
-    """Share of the held-out gap that a black box predicts; never below what the effects do."""
+    """Share of the held-out gap that a black box predicts; never below what the effects do, and
+    not below LEAST_PREDICTABLE: a black box knows no slow memory."""
     limit = e.judged.predictable
     if limit is None:
         return 1.0
     best = max(above(e, limit**2), above(e, e.extended.held_out.power))
-    return min(max(best, 0.0), 1.0)
+    return min(max(best, LEAST_PREDICTABLE), 1.0)
 
 
 def _graded_class(effect: EffectEvidence) -> tuple[str, ...]:

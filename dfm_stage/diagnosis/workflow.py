@@ -10,10 +10,12 @@ import numpy as np
 
 from dfm_stage.diagnosis.decisions import (
     FAR_BEHIND,
+    FIRST_SHARE,
     GROSS_GAP,
     GROSS_REMAINDER,
     LEAST_STEPS,
     MOST_STEPS,
+    PARTIAL_SHARE,
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
@@ -146,6 +148,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
         if stays_open(part[2]):
             return part
     search = trial.search
+    search.begin_work(FIRST_SHARE * MOST_STEPS)
     names, found = search.grown((), first, rounds=1)
     if part is None and leaves_gross(found):
         part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
@@ -153,8 +156,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
             return part
         if part[0] is trial and part[1].names:
             names, found = part[1].names, part[1].fit
-    if part is not None:
-        search.begin_work(max(MOST_STEPS - (steps_taken() - begun), LEAST_STEPS))
+    search.begin_work(max(MOST_STEPS - (steps_taken() - begun), LEAST_STEPS))
     h = trial.no_worse(trial.run(*search.grown(names, found)))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
@@ -166,8 +168,10 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
             h = h.without(name, search)
         evidence = gather(trial, h, warnings, split)
     if needs_grading(evidence):
-        if part is None or not part[1].names:
+        if part is None:
             part = _explaining(trial, h, warnings, split)
+        elif h.names and not part[1].names:
+            part = trial, *graded(trial, h, warnings, split)
         if part[1].names:
             return part
         evidence = replace(evidence, witness=part[2].witness, judged=part[2].judged)
@@ -181,9 +185,11 @@ def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     found = trial, *graded(trial, h, warnings, split)
     seen = trial.witness
     if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare) \
+            or seen.best.share < PARTIAL_SHARE \
             or explained_share(found[2]) > FAR_BEHIND * seen.best.share:
         return found
     own = _in_windows(trial)
+    own.search.begin_work(LEAST_STEPS)
     bare = own.search.begin()
     other = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
     return other if other[1].names else found
