@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,15 +37,16 @@ def starts(name: str, at: Conditions) -> list[Parameters]:
                    for n, v in found.items())]
 
 
-def cycles(name: str, values: Mapping[str, float], runs: Sequence[Run]) -> float:
+def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
     """Cycles that a sine makes in the longest run, or over the widest motion of one; infinite for
     other effects."""
     wave = EFFECTS[name].wave
     if wave is None:
         return math.inf
+    value = model.parameters()[f"{name}.{wave.parameter}"]
     if wave.over == "time":
-        return values[wave.parameter] * max(r.input.size * r.sample_period for r in runs)
-    return max(float(np.ptp(r.output)) for r in runs) / max(values[wave.parameter], 1e-300)
+        return value * max(r.input.size * r.sample_period for r in runs)
+    return max(float(np.ptp(r.output)) for r in runs) / max(value, 1e-300)
 
 
 def late_splits(model: Model, free: tuple[str, ...]) -> list[Parameters]:

@@ -146,7 +146,7 @@ def _usable(found: Fit, names: Names) -> bool:
     return found.ok and not at_upper_end(found, names) and not any(
         use.name in names and (
             use.effect.yields_within(use.parameters) < PRESLIDING_DISTANCE * found.rms
-            or cycles(use.name, use.parameters, found.system.runs) < FEWEST_CYCLES)
+            or cycles(use.name, found.model, found.system.runs) < FEWEST_CYCLES)
         for use in found.model.effects)
 
 

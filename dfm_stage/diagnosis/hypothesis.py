@@ -202,11 +202,9 @@ class Trial:
         show but a part."""
         values = h.fit.quantities
         for name in reversed(h.names):
-            own = {address.removeprefix(f"{name}."): q for address, q in values.items()
-                   if address.startswith(f"{name}.")}
-            few = cycles(name, {n: q.value for n, q in own.items()}, self.search.runs)
-            if few < FEWEST_CYCLES or any(q.ci95 is None or not all(map(math.isfinite, q.ci95))
-                                          for q in own.values()):
+            own = [q for address, q in values.items() if address.startswith(f"{name}.")]
+            if cycles(name, h.fit.model, self.search.runs) < FEWEST_CYCLES or any(
+                    q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own):
                 self.dropped[name] = DropReason.AT_BOUND
                 return self.at_bound(h.without(name, self.search))
         return h

@@ -26,7 +26,7 @@ SIZE = 6000
 SPRING_LIBRARY = ("cubic_stiffness", "quadratic_stiffness", "coulomb_friction",
                   "quadratic_damping", "second_mode")
 CUBIC = 1e9  # N/m^3: a quarter of the spring at the largest travel
-SHEARED = 2e4  # N s/m^2: damping that grows to one side, about 8 % of such a gap's power
+SHEARED = 1e4  # N s/m^2: damping that grows to one side, about 2 % of such a gap's power
 
 
 def springs(extra):
@@ -53,7 +53,7 @@ def test_a_remainder_stays_beside_a_cubic_spring(with_remainder):
     assert (found.verdict, found.names, found.complete) == ("named", ("cubic_stiffness",), False)
     (cubic,) = found.effects
     assert cubic.members == ("cubic_stiffness",)
-    assert 0.8 < cubic.gap_share < 0.98
+    assert 0.95 < cubic.gap_share < 0.995
     assert cubic.parameters["k3"].value == pytest.approx(CUBIC, rel=0.15)
     assert found.gap.judged == "position"
     assert found.gap.window_s is None
@@ -68,6 +68,12 @@ def test_the_gap_shrinks_and_the_model_has_what_was_named(with_remainder):
 
 def test_the_floor_that_is_told_is_the_noise_and_not_the_remainder(with_remainder):
     assert with_remainder.gap.noise_floor == pytest.approx(1e-7, rel=0.2)
+
+
+def test_beside_a_larger_remainder_it_is_told_as_a_part():
+    found = spring_diagnosis(lambda x, v: -CUBIC * x**3 - 2.0 * SHEARED * x * v)
+    assert (found.verdict, found.names, found.complete) == ("partial", ("cubic_stiffness",), False)
+    assert 0.8 < found.effects[0].gap_share < 0.95
 
 
 def test_without_a_remainder_the_same_spring_is_complete():
@@ -89,17 +95,12 @@ def test_a_wrong_second_effect_that_takes_little_is_not_told():
     assert found.effects[0].gap_share > 0.98
 
 
-NARROW = ("near its resonance quadratic damping moves a stage as damping that grows with travel "
-          "does, and in the force domain nothing of so small a force can be predicted")
-
-
 def test_damping_that_grows_with_travel_is_no_second_effect():
     found = spring_diagnosis(lambda x, v: -CUBIC * x**3 - 1e7 * x * x * v)
     assert found.names == ("cubic_stiffness",)
     assert not found.complete
 
 
-@pytest.mark.xfail(reason=NARROW, strict=True)
 def test_damping_that_grows_with_travel_alone_is_at_most_a_part_of_a_relative():
     found = spring_diagnosis(lambda x, v: -3e7 * x * x * v)
     assert found.verdict in ("unknown", "partial")
