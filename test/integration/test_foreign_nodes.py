@@ -72,12 +72,11 @@ def test_a_model_comes_out_of_two_fields(bag: Path, tmp_path: Path, drive: str,
                           "--no-report", "--out", str(out)]) == 0
     found = json.loads((out / "identify.json").read_text())
     for name, true in TRUTH.items():
-        given = found[name]
-        if joint == "arm":
-            assert given["value"] == pytest.approx(true, rel=0.03 if "damping" in name else 0.01)
-        else:  # without a stamp the accuracy hangs on when a command is delivered
-            low, high = given["ci95"]
-            assert abs(given["value"] - true) < high - low
+        low, high = found[name]["ci95"]
+        within = 0.03 if "damping" in name else 0.01
+        if joint == "elbow":  # without a stamp it hangs on when each command is delivered
+            within = max(5.0 * within, (high - low) / true)
+        assert found[name]["value"] == pytest.approx(true, rel=within)
     if joint == "arm":
         assert found["held_out"]["fit_percent"] > 98.0
     assert any("by header times" in text for text in found["warnings"])
