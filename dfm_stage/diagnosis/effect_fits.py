@@ -169,7 +169,7 @@ class Fits:
         are the same motion (`Effect.twins`)."""
         use = current.model.effect(name)
         assert use is not None  # noqa: S101 (who calls has found it)
-        typical = starts(twin, self.conditions(current.model))[0]
+        typical = next(iter(starts(twin, self.conditions(current.model))), EFFECTS[twin].defaults)
         begin = Hit.at(twin, {**typical, **EFFECTS[name].twins[twin](use.parameters)})
         found = self._from(current.model, names, current, [begin], math.inf,
                            limit=STEPS_BEFORE_LINEAR)

@@ -16,7 +16,7 @@ from dfm_stage.diagnosis.decisions import MARGIN
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
-from dfm_stage.diagnosis.screen import Screen
+from dfm_stage.diagnosis.screen import Hit, Screen
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verification import SurrogateTest, weights_like
@@ -321,3 +321,19 @@ def test_friction_without_a_stribeck_term_has_no_parameters_of_it_to_lose_an_int
     assert effect.told(own) == ("force", "stiffness", "damping")
     assert effect.told({**own, "breakaway_ratio": 1.2}) == tuple(p.name for p in effect.parameters)
     assert all(np.all(np.isfinite(q.ci95)) for q in found.quantities.values())
+
+
+def test_a_twin_to_which_the_data_give_no_size_begins_where_it_is_the_same_loop(monkeypatch):
+    monkeypatch.setattr("dfm_stage.diagnosis.effect_fits.starts", lambda name, at: [])
+    feed = np.zeros(3000)
+    feed[:200] = 1.0
+    out = truth.move(feed)[200:]
+    search = Search(truth.believed(), [observe(truth.record(feed[200:], out, 3, "decay"),
+                                               truth.believed())], ("damping", "stiffness"),
+                    library=("hysteresis", "presliding_friction"))
+    first = search.begin()
+    looped = search.fitted(("hysteresis",), first, [Hit.at("hysteresis", {
+        **EFFECTS["hysteresis"].defaults, "stiffness": 40.0, "yield_displacement": 1e-5})])
+    assert looped.ok
+    assert search.in_place_of("hysteresis", "presliding_friction", ("presliding_friction",),
+                              looped).ok
