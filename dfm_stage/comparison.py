@@ -109,8 +109,7 @@ def simulate(model: Model, record: Record, *, axis: str | None = None,
     ComparisonError, DiagnosisError, IdentificationError, ModelError, RecordError
         If the record does not suit the model, or the model cannot be simulated on it.
     """
-    chosen = axis if axis is not None or not model.axes else "x" if "x" in model.axes else None
-    one = model.axis(chosen)
+    one = model.axis(model.usual_axis(axis))
     run = replace(observe(record, one, axis, name), current=None, velocity=None)
     first = run
     if initial is not None:

@@ -19,8 +19,8 @@ examples:
 OPTIONS: Options = (
     option("model", metavar="MODEL", help="model.yaml as identify or diagnose writes it"),
     RECORD_NAMES,
-    option("--factor", type=float, default=1.5, metavar="F",
-           help="the gap may be so many times the stored one (default: %(default)s)"),
+    option("--factor", type=float, metavar="F",
+           help="the gap may be so many times the stored one (the answer tells the default)"),
     option("--gap", type=float, metavar="RMS",
            help="hold the model to this gap instead of the stored one"),
     AXIS,
@@ -32,14 +32,14 @@ OPTIONS: Options = (
 @command("check", __doc__, EPILOG, OPTIONS)
 def main(options: argparse.Namespace) -> int:
     """Check; 0 the model holds, 1 it does not, 2 unusable input."""
-    if options.factor <= 0.0 or (options.gap is not None and options.gap <= 0.0):
+    if any(each is not None and each <= 0.0 for each in (options.factor, options.gap)):
         raise DfmError("--factor and --gap are numbers above zero")
     model = load_model(options.model)
     records = read_all(options, [model], options.records)
-    from dfm_stage.comparison import check
+    from dfm_stage.comparison import FACTOR, check
 
     found = check(model, list(records.values()), axis=options.axis, gap=options.gap,
-                  factor=options.factor, names=list(records))
+                  factor=options.factor or FACTOR, names=list(records))
     if options.json:
         print(json_text(found.to_dict()), end="")
         return 0 if found.holds else 1

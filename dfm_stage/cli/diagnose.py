@@ -110,7 +110,7 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
             raise DfmError(f"--without {name}: there is no such effect among "
                            f"{', '.join(library)}")
         library.remove(name)
-    one = model.axis(options.axis or ("x" if "x" in model.axes else None))
+    one = model.axis(model.usual_axis(options.axis))
     with steps("diagnose", options.json) as step:
         step("reading")
         records, holdout = divided(options, *([

@@ -82,8 +82,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     tell = step or (lambda _: None)
     if not records:
         raise DiagnosisError("no record was given; name at least one")
-    chosen = axis if axis is not None or not model.axes else \
-        ("x" if "x" in model.axes else None)
+    chosen = model.usual_axis(axis)
     one = model.axis(chosen)
     known = tuple(EFFECTS) if library is None else tuple(library)
     for name in known:

@@ -213,6 +213,10 @@ class Model:
         """Unit of the input: V, or A with a current drive."""
         return "A" if self.drive == "current" else "V"
 
+    def usual_axis(self, axis: str | None = None) -> str | None:
+        """`axis` where one is named, else x where there are several and one is called so."""
+        return axis if axis is not None or "x" not in self.axes else "x"
+
     def axis(self, name: str | None = None) -> Model:
         """The model of one axis; its coupling has become an effect.
 
