@@ -134,8 +134,9 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
             split: bool) -> tuple[Trial, Hypothesis, Evidence]:
     """The effects that bring the gap to the noise; where none do, those that explain most.
 
-    Without a spring the latter come first where a gross force is missed and the force domain can
-    tell: positions say nothing then.
+    The latter come first where the first effects found leave a gross remainder. Without a spring
+    they come before any search where a gross force is missed and the force domain can tell:
+    positions say nothing then.
     """
     begun = steps_taken()
     part: tuple[Trial, Hypothesis, Evidence] | None = None
