@@ -97,10 +97,11 @@ def test_nothing_is_energised_before_configure_activate_and_arm_in_that_order():
         assert values["device"].startswith("Copley drive")
         assert {"output rate", "age of last command", "malformed_lines", "retries", "current",
                 "current limit", "latched faults", "bus voltage", "encoder"} <= values.keys()
-        values = told(heard, "encoder_driver")
-        assert values["device"] == "QSB-D serial 00E5A firmware 2A"
-        assert {"sample rate", "age of last sample", "malformed_lines", "resets_seen",
-                "travel limit", "referenced"} <= values.keys()
+        graph.spin_until(lambda: {"device", "sample rate", "age of last sample", "malformed_lines",
+                                  "resets_seen", "travel limit", "referenced"}
+                         <= told(heard, "encoder_driver").keys(), 30.0,
+                         "what the encoder says in diagnostics")
+        assert told(heard, "encoder_driver")["device"] == "QSB-D serial 00E5A firmware 2A"
         assert graph.transition("amplifier_driver", "deactivate")
         assert outputs(graph)[-1] == (0.0, "off")
         assert graph.transition("amplifier_driver", "cleanup")
