@@ -202,6 +202,10 @@ LOST_EXPLAINED = decision(
 LOST_OTHERWISE = decision(
     "LOST_OTHERWISE", 0.4, "1", meaning="The same over what a spike of the reading or a push on "
     "the stage leaves.", set_on=DROPS)
+LOST_CURVED = decision(
+    "LOST_CURVED", 3.0, "1", meaning="Distance of a reading put in from the line between its "
+    "neighbours, over what the motion around it allows.", set_on="derivation: the motion around "
+    "it is known by some twenty samples only")
 LOST_IN_A_ROW = decision(
     "LOST_IN_A_ROW", 3, "samples", meaning="Samples that are looked for in one place.",
     set_on="derivation: more are seldom lost without a trace, and each frees two values")

@@ -16,6 +16,7 @@ from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import (
     LOST_AT_MOST,
     LOST_CLEAR,
+    LOST_CURVED,
     LOST_EXPLAINED,
     LOST_IN_A_ROW,
     LOST_OTHERWISE,
@@ -28,7 +29,7 @@ EARLIER = 3
 AROUND = 12
 """Samples on either side that a missing input is interpolated from."""
 SHORTEST = 120
-"""Samples, for the 14 coefficients of the predictor."""
+"""Samples, for the 13 coefficients of the predictor."""
 SINGLE = 0.3
 """Share of what several errors must come to that one of them has at least: of six, 0.41."""
 OUTLYING = 5.0
@@ -130,7 +131,20 @@ class _Predictor:
         others = [_left(plain, self._changes(y.size, place, which))
                   for place in range(ORDER + 1, ORDER + EARLIER + 3) for which in range(2)]
         is_loss = cost < LOST_EXPLAINED * before and cost < LOST_OTHERWISE * min(others)
-        return loss if is_loss else None
+        return loss if is_loss and self._continues(loss) else None
+
+    def _continues(self, loss: Loss) -> bool:
+        """Whether the readings put in continue the motion: a controller's law, which predicts a
+        reading from the input without error, puts in what no stage can follow.
+
+        Between samples that are `steps` apart a line errs by steps^2 / 8 of the second difference.
+        """
+        steps = loss.input.size + 1
+        curve = np.abs(np.concatenate([np.diff(part, 2) for part in (
+            self.y[loss.at - AROUND:loss.at], self.y[loss.at:loss.at + AROUND])]))
+        line = np.linspace(self.y[loss.at - 1], self.y[loss.at], steps + 1)[1:-1]
+        allowed = LOST_CURVED * steps**2 / 8 * curve.max()
+        return bool(np.max(np.abs(loss.output - line)) <= allowed)
 
     def _changes(self, size: int, place: int, which: int) -> Array:
         """How errors change with one sample of the reading, or of the input (n, 1)."""
@@ -160,10 +174,13 @@ class _Predictor:
 
 
 def _rows(u: Array, y: Array) -> Array:
-    """(N - ORDER, 2 ORDER + 2): past readings, present and past inputs, and one."""
+    """(N - ORDER, 2 ORDER + 1): past readings and inputs, and one.
+
+    Not the present input: a controller computes it from the present reading, exactly.
+    """
     size = y.size - ORDER
     past = [y[ORDER - i:ORDER - i + size] for i in range(1, ORDER + 1)]
-    fed = [u[ORDER - i:ORDER - i + size] for i in range(ORDER + 1)]
+    fed = [u[ORDER - i:ORDER - i + size] for i in range(1, ORDER + 1)]
     return np.asarray(np.array([*past, *fed, np.ones(size)]).T)
 
 

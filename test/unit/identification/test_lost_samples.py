@@ -69,6 +69,26 @@ def test_a_healthy_record_lacks_nothing(seed):
         assert find_lost(feed, stale) == []
 
 
+@pytest.mark.parametrize("early", [0, 1])
+@pytest.mark.parametrize("gap", [1e-12, 5e-7])
+def test_a_controllers_law_is_no_predictor(gap, early):
+    """A controller computes its input from the reading without an error of its own. Where the
+    acceleration of the reference steps, its law alone seems broken."""
+    held = cont2discrete((np.array([[0.0, 1.0], [-4000.0, -4.0]]), np.array([[0.0], [1.0]]),
+                          np.eye(2), np.zeros((2, 1))), DT)
+    push = 0.05 * np.select([(TIME // 0.05) % 20 == 0, (TIME // 0.05) % 20 == 10], [1.0, -1.0])
+    wanted = np.cumsum(np.cumsum(push)) * DT**2
+    noise = NOISE * np.random.default_rng(3).standard_normal(SIZE)
+    state, total, feed, read = np.zeros(2), 0.0, np.zeros(SIZE), np.zeros(SIZE)
+    for k in range(SIZE):
+        read[k] = gap * np.rint((state[0] + noise[k]) / gap)
+        error = wanted[k] - read[k]
+        total += 200.0 * error
+        feed[k] = 4e4 * error - 100.0 * (read[k] - read[k - 1]) / DT + total
+        state = held[0] @ state + held[1][:, 0] * feed[k]
+    assert find_lost(feed[early:], read[:SIZE - early]) == []
+
+
 def test_three_samples_in_a_row_are_found():
     feed = inputs(1)["multisine"]
     position = stage(feed, 51)
