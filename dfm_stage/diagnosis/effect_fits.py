@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from dfm_stage.diagnosis.decisions import (
     FURTHER,
     GRADED_FALL,
     GRADED_ITERATIONS,
+    HALVINGS,
     MOST_STEPS,
     NOISE_SHARES,
     PER_PARAMETER,
@@ -123,7 +124,8 @@ class Fits:
         key = frozenset(names), self.weighing
         if key in self.fits:
             return self.fits[key]
-        found = self._from(start.model, names, start, hits, worth)
+        found = self._weaker(hits, lambda weaker: self._from(start.model, names, start, weaker,
+                                                             worth))
         expected = start.chi2 - PROMISED * sum(h.gain for h in hits[:1])
         if start.system.springless:  # its base bends far to stand in for what is missing
             expected = -math.inf
@@ -146,17 +148,34 @@ class Fits:
         key = frozenset(names), self.weighing
         if key in self.fits:
             return self.fits[key]
+        return self.keep(names, self._weaker(
+            hits, lambda weaker: self._once(names, start, weaker, base or {})))
+
+    def _once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit],
+              base: Parameters) -> Fit:
         model, later = self._with(start.model, names, hits)
         given = {n: min(max(v, model.parameter(n).low), model.parameter(n).high)
-                 for n, v in (base or {}).items() if n in self.free}
+                 for n, v in base.items() if n in self.free}
         if given:
             other = model.with_parameters(given)
             if self._fit(other, (), start, iterations=0).chi2 < self._fit(
                     model, (), start, iterations=0).chi2:
                 model = other
         free = tuple(n for n in self.parameters(model) if n not in later)
-        return self.keep(names, self._fit(model, free, start, iterations=GRADED_ITERATIONS,
-                                          tolerance=GRADED_FALL * start.white.size))
+        return self._fit(model, free, start, iterations=GRADED_ITERATIONS,
+                         tolerance=GRADED_FALL * start.white.size)
+
+    def _weaker(self, hits: Sequence[Hit], begin: Callable[[Sequence[Hit]], Fit]) -> Fit:
+        """The fit that begins with the effects of `hits`, at half their sizes where the motion
+        escapes: states that suit the model without a softening spring lie beyond its summit."""
+        found = begin(hits)
+        for _ in range(HALVINGS):
+            if found.ok or not hits or self.steps > self.most_steps:
+                break
+            hits = [Hit.at(h.name, {n: 0.5 * v if n in EFFECTS[h.name].sizes else v
+                                    for n, v in h.parameters.items()}) for h in hits]
+            found = begin(hits)
+        return found
 
     def settled(self, names: Sequence[str], found: Fit) -> Fit:
         """A fit made `once` at its minimum, for the values that are told."""

@@ -119,7 +119,8 @@ class Candidates:
         if (effect.adds_to == "constant_force" and not self.setting.offset
                 and self.model.effect(name) is None):
             why = None          # an encoder's zero is no force without a spring
-        why = why or not_judged(effect, self.terms.linear.stiffness > 0.0)
+        why = why or not_judged(effect, self.terms.linear.stiffness > 0.0,
+                                any(run.run.driven for run in self.setting.runs))
         found = [] if why else [c for p in starts(name, self.at)
                                 if (c := self._candidate(name, p)) is not None]
         if not found:

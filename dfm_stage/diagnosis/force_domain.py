@@ -379,8 +379,10 @@ _PARTS: tuple[tuple[Callable[[Effect], bool], _Part], ...] = (
 """Which effects have a part, and the force of it."""
 
 
-def not_judged(effect: Effect, spring: bool = True) -> str | None:
+def not_judged(effect: Effect, spring: bool = True, driven: bool = True) -> str | None:
     """Why an effect has no term in the equation of forces, in words; None where it has."""
+    if not driven and effect.stamp is not None and effect.wave is None:
+        return "without an input it is not to be told from the stage's own linear part"
     if effect.late is not None and effect.stamp is None:
         return "the timing of the input is free: it stands for every slight delay"
     if effect.sense is not None and not (spring or effect.couples or reads(effect.sense, 0)):

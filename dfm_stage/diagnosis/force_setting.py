@@ -48,6 +48,9 @@ class Setting:
     """Filtered `runs` with their `timing`; the base columns (n, k) and their `names`, the target
     (n,), and the linear part that they give.
 
+    The target is the actuator's force; of a stage that nothing drives, the force that its given
+    mass shows by its acceleration.
+
     With `offset` every record has an offset of its own: all columns are taken off their means, or
     off their slow drift where the position is integrated.
     """
@@ -89,18 +92,28 @@ def _without_drift(run: RunForces, part: Array) -> Array:
 
 def setting(runs: Sequence[RunForces], model: Model, timing: Timing) -> Setting:
     """Compute base columns and target, and fit the linear part."""
-    gain = model.base.get("force_constant", 1.0)
+    gain, mass = model.base.get("force_constant", 1.0), model.base["mass"]
     spring = model.base.get("stiffness", 0.0) > 0.0
     offset = spring and ("encoder_zero" not in model.base or runs[0].run.order > 0)
-    orders = {"mass": 2, "damping": 1, **({"stiffness": 0} if spring else {})}
-    columns = _stacked(runs, offset, lambda run: np.array([
-        *(run.derivative(order) for order in orders.values()), gain * run.drive(timing, 1)]))
-    target = _stacked(runs, offset, lambda run: gain * run.drive(timing))
-    values = least_squares(columns, target)
-    linear = Linear(float(values[0]), float(values[1]), float(values[2]) if spring else 0.0)
+    driven = any(run.run.driven for run in runs)
+    orders = {**({"mass": 2} if driven else {}), "damping": 1, **(
+        {"stiffness": 0} if spring else {})}
+    terms = _stacked(runs, offset, lambda run: np.array([
+        run.derivative(order) for order in orders.values()]))
+    if driven:
+        names: tuple[str, ...] = (*orders, "late")
+        columns = np.column_stack((terms, _stacked(
+            runs, offset, lambda run: gain * run.drive(timing, 1))))
+        target = _stacked(runs, offset, lambda run: gain * run.drive(timing))
+    else:
+        names, columns = tuple(orders), terms
+        target = _stacked(runs, offset, lambda run: -mass * run.derivative(2))
+    found = {"mass": mass, "stiffness": 0.0, **dict(zip(
+        names, least_squares(columns, target).tolist(), strict=True))}
+    linear = Linear(found["mass"], found["damping"], found["stiffness"])
     if linear.mass <= 0.0 or linear.stiffness < 0.0:    # a gap so gross says nothing of them
-        linear = Linear(*(model.base.get(n, 0.0) for n in ("mass", "damping", "stiffness")))
-    return Setting(runs, timing, (*orders, "late"), columns, target, linear, offset)
+        linear = Linear(mass, *(model.base.get(n, 0.0) for n in ("damping", "stiffness")))
+    return Setting(runs, timing, names, columns, target, linear, offset)
 
 
 def least_squares(columns: Array, target: Array) -> Array:
@@ -125,9 +138,11 @@ def settled(runs: Sequence[RunForces], model: Model) -> tuple[Setting, float,
     timing = Timing(model.effective_base().get("delay", 0.0) + 0.5 * period,
                     linear_part(model).lag_s, True)
     found, clear = _filtered(runs, model, timing)
+    if "late" not in found.names:
+        return found, _noise_share(found) if clear else 1.0, (timing.late / period, 0.0)
     inertia = model.base["mass"] * float(np.std(found.columns[:, 0]))
     if float(np.std(found.target)) <= NO_FORCE * inertia:
-        raise DiagnosisError("the input does nothing: a look at forces needs a driven motion")
+        raise DiagnosisError("the input does next to nothing: a look at forces cannot use it")
     timing, error = _timed(found, model)
     found = setting(found.runs, model, timing)
     return found, _noise_share(found) if clear else 1.0, (timing.late / period, error / period)

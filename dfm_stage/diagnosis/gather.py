@@ -172,7 +172,7 @@ def _errors(seen: Prediction, judged: Judged) -> Errors:
 
 def _motion(runs: Sequence[Observation]) -> Motion:
     return Motion(max(float(np.std(r.output)) for r in runs),
-                  all(float(np.ptp(r.input)) == 0.0 for r in runs))
+                  not any(r.driven for r in runs))
 
 
 def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,

@@ -265,8 +265,9 @@ class _Figures:
         return self._in_scale({**given, "force_constant": candidates.terms.gain, **values})
 
     def _in_scale(self, values: dict[str, float]) -> dict[str, float]:
-        """The same with all forces in the scale of the given mass, unless it is free."""
-        if self.keep_gain or values["mass"] <= 0.0:
+        """The same with all forces in the scale of the given mass, unless it is free or is that
+        scale already."""
+        if self.keep_gain or values.get("mass", 0.0) <= 0.0:
             return values
         factor = self.candidates.model.base["mass"] / values["mass"]
         for address in values:

@@ -135,12 +135,13 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
     """The effects that bring the gap to the noise; where none do, those that explain most.
 
     The latter come first where the first effects found leave a gross remainder. Without a spring
-    they come before any search where a gross force is missed and the force domain can tell:
-    positions say nothing then.
+    or an input they come before any search where a gross force is missed and the force domain can
+    tell: positions, or phases, are carried away then.
     """
     begun = steps_taken()
     part: tuple[Trial, Hypothesis, Evidence] | None = None
-    if first.system.springless and is_gross(first) and (
+    free = first.system.springless or not any(run.driven for run in first.system.runs)
+    if free and is_gross(first) and (
             trial.witness is not None and not trial.witness.cannot_tell):
         own = _in_windows(trial)
         bare = own.search.begin()

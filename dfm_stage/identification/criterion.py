@@ -7,9 +7,10 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from dfm_stage.arrays import Array
-from dfm_stage.identification.least_squares import STUCK, Solution, minimise
+from dfm_stage.identification.least_squares import STUCK, Jacobian, Solution, minimise
 from dfm_stage.identification.noise import whiten
 from dfm_stage.identification.problem import Problem, Signals
 from dfm_stage.identification.weights import Weights
@@ -59,6 +60,8 @@ class Criterion:
 
     def jacobian(self, z: Array, *_: Array, exact: bool = False) -> Array:
         """The derivative (N, len(z)) of the residual; `exact` by central differences."""
+        if self._in_windows:
+            return np.asarray(self.derivative(z, exact=exact).toarray())
         count = self.problem.start.size
         gaps = self.problem.residuals(z[:count]) if self.joint else None
         blocks = []
@@ -75,6 +78,38 @@ class Criterion:
                     block[self.noise[i][s]] = lagged[:, ::-1].T
                 blocks.append(block.T / weights[s].sigma)
         return np.vstack(blocks)
+
+    @property
+    def _in_windows(self) -> bool:
+        return any(u.part is not None for u in self.problem.unknowns)
+
+    def derivative(self, z: Array, *_: Array, exact: bool = False) -> Jacobian:
+        """The same, by its entries alone where unknowns act on parts of a run."""
+        problem = self.problem
+        if not self._in_windows:
+            return self.jacobian(z, exact=exact)
+        entries: list[list[Array]] = [[] for _ in problem.unknowns]
+        rows: list[list[Array]] = [[] for _ in problem.unknowns]
+        before = 0
+        for i, weights in enumerate(self.weights):
+            for s, (columns, weight) in enumerate(zip(self.slopes(i, z, exact), weights,
+                                                      strict=True)):
+                polynomial = self.polynomial(i, s, z)
+                order = polynomial.size - 1
+                for k in problem.active(i):
+                    first, last, _ = problem.shown(k, i).indices(columns.shape[1])
+                    lead = min(order, first)
+                    column = np.concatenate((
+                        np.zeros(lead), columns[problem.rows[k], first:last],
+                        np.zeros(min(order, columns.shape[1] - last))))
+                    if last > first and np.isfinite(column).all():
+                        entries[k].append(-whiten(column, polynomial) / weight.sigma)
+                        rows[k].append(before + first - lead + np.arange(entries[k][-1].size))
+                before += columns.shape[1] - order
+        ends = np.cumsum([0, *(sum(e.size for e in parts) for parts in entries)])
+        return csc_array((np.concatenate([e for parts in entries for e in parts]),
+                          np.concatenate([r for parts in rows for r in parts]), ends),
+                         shape=(before, z.size))
 
     def minimise(self, x: Array, max_iterations: int, tolerance: float) -> Solution:
         """Search from `x`; by central differences where one-sided ones lead no further."""

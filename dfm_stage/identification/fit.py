@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import issparse
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.decisions import FORETOLD, IN_A_ROW, NEAR, RANK_TOLERANCE
 from dfm_stage.identification.inference import assemble
-from dfm_stage.identification.least_squares import Solution, minimise
+from dfm_stage.identification.least_squares import Jacobian, Solution, minimise
 from dfm_stage.identification.problem import Signals
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.result import Estimate
@@ -27,8 +28,8 @@ from dfm_stage.model import Model
 class Fit:
     """`model` with fitted values, what it leaves of each run and signal, and its chi-square.
 
-    `jacobian` (N, n) and `white` (N,) are weighted, all runs in a row; `x` (n,) are the unknowns
-    of `system`, weighted by `weights`.
+    `slopes` (N, n) and `white` (N,) are weighted, all runs in a row; `x` (n,) are the unknowns of
+    `system`, weighted by `weights`.
     """
 
     model: Model
@@ -37,9 +38,14 @@ class Fit:
     x: Array
     residuals: list[list[Array]]
     white: Array
-    jacobian: Array
+    slopes: Jacobian
     chi2: float
     converged: bool
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """The slopes (N, n) with all that is zero."""
+        return self.slopes.toarray() if issparse(self.slopes) else self.slopes
 
     @property
     def rms(self) -> float:
@@ -115,13 +121,14 @@ def search(system: System, weights: Weights, start: Array, *, iterations: int = 
     def residual(z: Array) -> Array:
         return np.array([math.inf]) if spent() else criterion.residual(z)
 
-    def minimum(jacobian: Callable[[Array, Array], Array], x: Array, most: int) -> Solution:
+    def minimum(jacobian: Callable[[Array, Array], Jacobian], x: Array, most: int) -> Solution:
         return minimise(residual, jacobian, x, system.scale, system.low, system.high,
                         max_iterations=most, tolerance=tolerance)
 
-    chord = _Chord(criterion.jacobian) if system.nonlinear and (
+    in_windows = any(u.part is not None for u in system.unknowns)
+    chord = _Chord(criterion.jacobian) if system.nonlinear and not in_windows and (
         not light or system.slow) else None
-    found = minimum(chord or criterion.jacobian, start, iterations)
+    found = minimum(chord or criterion.derivative, start, iterations)
     if chord is not None and chord.stale and not spent():
         found = minimum(criterion.jacobian, found.x, max(iterations // 2, 3))
     if not math.isfinite(found.cost):
@@ -140,6 +147,7 @@ class _KeptSlopes:
         self.system, self.light = system, light
         self.own = np.array([k for k, u in enumerate(system.unknowns) if system.is_own(u)],
                             dtype=np.int64)
+        self.rows = [system.rows[k] for k in self.own]
         self.useful = light and self.own.size > 0
         self.at: Array | None = None
         self.columns: dict[int, list[Array]] = {}
@@ -152,9 +160,9 @@ class _KeptSlopes:
         found = self.system.sensitivities(index, x, exact, self.light, own=not known)
         if known:
             for columns, before in zip(found, self.columns[index], strict=True):
-                columns[self.own] = before
+                columns[self.rows] = before
         elif self.useful:
-            self.columns[index] = [columns[self.own].copy() for columns in found]
+            self.columns[index] = [columns[self.rows].copy() for columns in found]
         return found
 
     def _near(self, x: Array) -> bool:

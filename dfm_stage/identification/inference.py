@@ -109,7 +109,8 @@ def closest(criterion: Criterion, index: int, z: Array) -> Array:
     own = [k for k, u in enumerate(problem.unknowns) if u.run == index]
     if criterion.polynomial(index, 0, z).size == 1 or not own:
         return gap
-    columns = problem.sensitivities(index, x)[0][own]
+    slopes = problem.sensitivities(index, x)[0]
+    columns = np.array([problem.slope(slopes, k, index) for k in own])
     norms = np.linalg.norm(columns, axis=1)
     if not np.all(norms > 0.0):
         return gap

@@ -14,14 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, issparse
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import ACCEPTED, CREEP, CREPT, NEARLY, RANK_TOLERANCE, SEEN
 
-SPARSE = 0.2
-"""Share of entries that are not zero, up to which a product by entries is quicker."""
 STUCK = "no step lowers the cost"
+
+Jacobian = Array | csc_array
+"""The derivative (N, n) of a residual; sparse where windows have states of their own."""
+
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Solution:
 
     x: Array
     residual: Array
-    jacobian: Array
+    jacobian: Jacobian
     cost: float
     iterations: int
     converged: bool
@@ -38,7 +40,7 @@ class Solution:
     reason: str
 
 
-def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Array], Array],
+def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Array], Jacobian],
              start: Array, scale: Array, low: Array, high: Array, *,
              max_iterations: int = 60, tolerance: float = 1e-5) -> Solution:
     """Minimise sum(residual(x)^2) for low <= x <= high.
@@ -59,19 +61,23 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
     damping, growth = 1e-3, 2.0
     held = np.zeros(x.size, bool)
     history = [cost]
+
+    def ended(iterations: int, converged: bool, reason: str) -> Solution:
+        return Solution(x, r, j, cost, iterations, converged, held, reason)
+
     for iteration in range(1, max_iterations + 1):
-        if not np.all(np.isfinite(j)):
-            return Solution(x, r, j, cost, iteration, False, held, "the sensitivities overflow")
+        if not np.all(np.isfinite(j.data if issparse(j) else j)):
+            return ended(iteration, False, "the sensitivities overflow")
         held = _pushed_out(x, j.T @ r, low, high, scale)
         variance = cost / max(r.size - x.size, 1)
         if variance == 0.0:
-            return Solution(x, r, j, cost, iteration, True, held, "exact")
+            return ended(iteration, True, "exact")
         quadratic = _Quadratic(j, r, scale, low - x, high - x)
         for _ in range(12):
             step, expected = quadratic.step(damping, held)
             trial = np.clip(x + step, low, high)
             if expected <= tolerance * variance:
-                return Solution(x, r, j, cost, iteration, True, held, "converged")
+                return ended(iteration, True, "converged")
             new = residual(trial)
             new_cost = _cost(new)
             ratio = (cost - new_cost) / expected
@@ -81,17 +87,16 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
             growth *= 2.0
         else:
             small = expected <= NEARLY * variance
-            return Solution(x, r, j, cost, iteration, small, held,
-                            "converged" if small else STUCK)
+            return ended(iteration, small, "converged" if small else STUCK)
         damping *= max(1.0 / 9.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
         growth = 2.0
         x, r, cost = trial, new, new_cost
         j = jacobian(x, r)
         history.append(cost)
         if len(history) > CREEP and history[-1 - CREEP] - cost < CREPT * tolerance * variance:
-            return Solution(x, r, j, cost, iteration, True, held, "converged slowly")
-    return Solution(x, r, j, cost, max_iterations, False,
-                    _pushed_out(x, j.T @ r, low, high, scale), "iterations used up")
+            return ended(iteration, True, "converged slowly")
+    held = _pushed_out(x, j.T @ r, low, high, scale)
+    return ended(max_iterations, False, "iterations used up")
 
 
 def _cost(residual: Array) -> float:
@@ -106,20 +111,13 @@ def _pushed_out(x: Array, gradient: Array, low: Array, high: Array,
     return ((x <= low + tiny) & (gradient > 0.0)) | ((x >= high - tiny) & (gradient < 0.0))
 
 
-def column_norms(jacobian: Array, scale: Array) -> Array:
+def column_norms(jacobian: Jacobian, scale: Array) -> Array:
     """Return the norms by which columns are divided; a column of nothing gets infinity."""
-    norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
+    squares = jacobian.power(2).sum(axis=0) if issparse(jacobian) \
+        else np.einsum("ij,ij->j", jacobian, jacobian)
+    norms = np.sqrt(squares)
     strongest = float(np.max(norms * scale, initial=0.0))
     return np.where(norms * scale > SEEN * strongest, norms, math.inf)
-
-
-def gram_of(jacobian: Array) -> Array:
-    """J^T J (n, n); of a Jacobian that is mostly zero, as windows with states of their own make
-    it, by its entries alone."""
-    if np.count_nonzero(jacobian) > SPARSE * jacobian.size:
-        return np.asarray(jacobian.T @ jacobian)
-    entries = csr_array(jacobian)
-    return np.asarray((entries.T @ entries).todense())
 
 
 def spectral(gram: Array) -> tuple[Array, Array]:
@@ -135,12 +133,13 @@ def spectral(gram: Array) -> tuple[Array, Array]:
 class _Quadratic:
     """The local model of the cost, |r + J d|^2, and its damped minimum inside a box."""
 
-    def __init__(self, jacobian: Array, residual: Array, scale: Array, low: Array,
+    def __init__(self, jacobian: Jacobian, residual: Array, scale: Array, low: Array,
                  high: Array) -> None:
         norms = column_norms(jacobian, scale)
         self.norms = np.where(np.isfinite(norms), norms, 1.0)
         seen = np.isfinite(norms)
-        self.gram = gram_of(jacobian) / np.outer(self.norms, self.norms)
+        gram = jacobian.T @ jacobian
+        self.gram = (gram.toarray() if issparse(gram) else gram) / np.outer(self.norms, self.norms)
         self.gradient = (jacobian.T @ residual) / self.norms
         self.gradient[~seen] = 0.0
         self.low, self.high = low * self.norms, high * self.norms

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -25,7 +26,8 @@ class Unknown:
 
     An unknown that belongs to one run only (an initial state) names its index in `run`. `step` is
     that of a difference, over its size. `column` (N,) is the response of the output to it where
-    that is fixed: of an offset or a drift.
+    that is fixed: of an offset or a drift. `part` are the samples of the run that it acts on; None
+    for all.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Unknown:
     run: int | None = None
     step: float = STEP
     column: Array | None = None
+    part: slice | None = None
 
 
 Simulate = Callable[[int, Array], "Array | Signals"]
@@ -79,15 +82,16 @@ class Problem:
                 if u.run == index or (u.run is None and u.name not in own)]
 
     def sensitivities(self, index: int, x: Array, exact: bool = True) -> Signals:
-        """Derivatives of one run's signals, each (n, N - skip), by all unknowns; with `exact` by
-        central differences, which inference wants."""
+        """Derivatives of one run's signals by all unknowns, each (r, N - skip) in the order of
+        `rows`; with `exact` by central differences, which inference wants."""
         out = self.no_slopes(index)
         self.differences(index, x, self.fixed(index, out), exact, out)
         return out
 
     def no_slopes(self, index: int) -> Signals:
         """Room for the derivatives of one run's signals, zero everywhere."""
-        return [np.zeros((len(self.unknowns), m.size)) for m in self.runs[index].measured]
+        return [np.zeros((max(self.rows, default=-1) + 1, m.size))
+                for m in self.runs[index].measured]
 
     def fixed(self, index: int, out: Signals) -> list[int]:
         """Fill in what is fixed, and return the unknowns of a run that are left."""
@@ -97,35 +101,72 @@ class Problem:
             if column is None:
                 left.append(k)
             else:
-                out[0][k] = column[self.runs[index].skip:]
+                out[0][self.rows[k]] = column[self.runs[index].skip:]
         return left
+
+    @cached_property
+    def rows(self) -> list[int]:
+        """The row in which the derivatives by each unknown stand: unknowns that act on different
+        parts of a run share one."""
+        found, ends = [], list[tuple[int | None, int]]()
+        for u in self.unknowns:
+            end = sys.maxsize if u.part is None else u.part.stop
+            row = len(ends) if u.part is None else next((
+                i for i, (run, e) in enumerate(ends) if run == u.run and e <= u.part.start),
+                len(ends))
+            ends[row:row + 1] = [(u.run, end)]
+            found.append(row)
+        return found
+
+    def slope(self, slopes: Array, k: int, index: int) -> Array:
+        """The derivative (N - skip,) by one unknown among `slopes` (r, N - skip) of a run."""
+        found, part = np.zeros(slopes.shape[1]), self.shown(k, index)
+        found[part] = slopes[self.rows[k], part]
+        return found
+
+    def shown(self, k: int, index: int) -> slice:
+        """The samples compared that an unknown acts on."""
+        part, skip = self.unknowns[k].part, self.runs[index].skip
+        return slice(0, None) if part is None else slice(max(part.start - skip, 0),
+                                                         max(part.stop - skip, 0))
 
     def differences(self, index: int, x: Array, chosen: Sequence[int], central: bool,
                     out: Signals, simulate: Simulate | None = None) -> None:
         """Fill the derivatives by the unknowns `chosen` at `x` (n,) into `out`, all simulated in
-        one batch; where a side cannot be simulated, from the other one."""
+        one batch; where a side cannot be simulated, from the other one. Unknowns that act on
+        different parts of the run are moved together."""
         if not chosen:
             return
-        rows: list[Array] = [] if central else [x]
-        widths = []
+        together: dict[int, list[int]] = {}
         for k in chosen:
-            unknown, up, down = self.unknowns[k], x.copy(), x.copy()
-            step = unknown.step * max(unknown.scale, TINY)
-            up[k], down[k] = min(x[k] + step, unknown.high), max(x[k] - step, unknown.low)
-            if not central and up[k] > x[k]:
-                down[k] = x[k]
-            rows += [up, down] if central else [up if up[k] > x[k] else down]
-            widths.append((up[k] - x[k], x[k] - down[k]))
+            together.setdefault(self.rows[k], []).append(k)
+        groups = list(together.values())
+        rows: list[Array] = [] if central else [x]
+        widths = {}
+        for members in groups:
+            up, down = x.copy(), x.copy()
+            for k in members:
+                unknown = self.unknowns[k]
+                step = unknown.step * max(unknown.scale, TINY)
+                up[k], down[k] = min(x[k] + step, unknown.high), max(x[k] - step, unknown.low)
+                if not central:
+                    down[k], up[k] = (x[k], up[k]) if up[k] > x[k] else (down[k], down[k])
+                widths[k] = (max(up[k] - x[k], 0.0), x[k] - down[k])
+            rows += [up, down] if central else [up]
         found = self.signals(index, np.array(rows), simulate)
+        parts = {k: self.shown(k, index) for members in groups for k in members}
         # between two finite sides the centre is not looked at, and need not be simulated
         centre = [f[0] for f in found] if not central or all(
-            np.isfinite(f[:, -1]).all() for f in found) else [
+            np.isfinite(f[:, part][:, -1:]).all() for f in found for part in
+            {p.stop: p for p in parts.values()}.values()) else [
             f[0] for f in self.signals(index, x[None, :], simulate)]
         for slopes, outputs, here in zip(out, found, centre, strict=True):
-            for j, (k, width) in enumerate(zip(chosen, widths, strict=True)):
-                up, down = (outputs[2 * j], outputs[2 * j + 1]) if central else \
-                    (outputs[j + 1], here) if width[0] else (here, outputs[j + 1])
-                slopes[k] = _slope(up, down, here, width)
+            for j, members in enumerate(groups):
+                for k in members:
+                    part = parts[k]
+                    up, down = (outputs[2 * j], outputs[2 * j + 1]) if central else \
+                        (outputs[j + 1], here) if widths[k][0] else (here, outputs[j + 1])
+                    slopes[self.rows[k], part] = _slope(up[part], down[part], here[part], widths[k])
 
 
 TINY = 1e-300
@@ -135,9 +176,9 @@ TINY = 1e-300
 def _slope(up: Array, down: Array, centre: Array, width: tuple[float, float]) -> Array:
     """The derivative (N,) from the two sides of `centre`, or from the one that is finite."""
     whole = width[0] + width[1]
-    if not np.isfinite(down[-1]):
+    if not np.isfinite(down[-1:]).all():
         down, whole = centre, width[0]
-    elif not np.isfinite(up[-1]):
+    elif not np.isfinite(up[-1:]).all():
         up, whole = centre, width[1]
     return np.asarray((up - down) / whole) if whole else np.zeros(up.size)
 

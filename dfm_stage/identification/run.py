@@ -78,6 +78,11 @@ class Run:
         return [slice(a, b) for a, b in zip(starts, ends, strict=True)]
 
     @property
+    def driven(self) -> bool:
+        """Whether the input changes at all."""
+        return float(np.ptp(self.input)) > 0.0
+
+    @property
     def order(self) -> int:
         """Of which order in the position's time derivatives the output is."""
         return ORDER[self.measures]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextvars import ContextVar
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +36,8 @@ PARALLEL = 1_000_000
 SHORTEST_LAG = 1e-6
 """Least lag, in samples, for which a periodic motion is looked for."""
 
+
+Indices = NDArray[np.int64]
 
 _TAKEN: ContextVar[float] = ContextVar("steps", default=0.0)
 
@@ -93,7 +95,6 @@ class System(Problem):
         self._finer: dict[tuple[int, bool], Simulator] = {}
         self.work = 0.0
         """Integration steps that simulations with nonlinear forces have taken."""
-        self._apart: dict[int, list[tuple[slice, Run, float | None]]] = {}
         self.noise = noise
         self.states = [s for s in self.simulator.states if _is_mechanical(s)] \
             if states is None else list(states)
@@ -153,7 +154,8 @@ class System(Problem):
                     run.window or state == run.measures) else 0.0
                 yield Unknown(_at_window(f"initial.{state}", run, part), first,
                               (run.speed or 1e-9) if moving else run.travelled or 1e-9,
-                              unit=f"{unit}/s" if moving else unit, run=index)
+                              unit=f"{unit}/s" if moving else unit, run=index,
+                              part=part if run.window else None)
         yield from self._offset(run, index)
         if self.push:
             yield Unknown(self.push, 0.0, 1e-3 * self._force(run), unit="N", run=index)
@@ -282,31 +284,34 @@ class System(Problem):
         return out
 
     def _run(self, run: Run, names: Sequence[str], table: Array, signal: str,
-             light: bool, before: float | None = None) -> Array:
-        """One signal (P, N) of one run for rows (P, m) of parameters; `before` is the step of the
-        input that acted before it, by default its first."""
-        if run.window:
-            return self._by_window(run, names, table, signal, light)
+             light: bool) -> Array:
+        """One signal (P, N) of one run for rows (P, m) of parameters."""
         drive = Drive(run.input) if run.drive is None else run.drive
         simulator = self._stepping(drive.factor, light)
         periodic = run.start == "periodic" and run.period is not None
         driven = drive.values[:drive.factor * (run.period or 0)] if periodic else drive.values
         other = run.other if run.other is None or drive.factor == 1 else interpolated(
             run.other, drive.factor, periodic=periodic)[:driven.size]
-        names, table = self._with_delay(names, table, drive.delay)
-        steps = np.zeros(len(table), dtype=np.int64)
+        windows = self._windows_of(run, names, table) \
+            if run.window and run.start == "free" else None
+        rows, own_names, parts = (table, names, None) if windows is None else (
+            windows.rows, windows.names, [slice(drive.factor * w.start, drive.factor * w.stop)
+                                          for w in windows.parts])
+        own_names, rows = self._with_delay(own_names, rows, drive.delay)
+        steps = np.zeros(len(rows), dtype=np.int64)
         try:
             found = simulator.run_many(
-                driven, names, table, signal=signal, other=other, steady_state=periodic,
-                past_input=0.0 if run.start == "rest" else (
-                    float(driven[0]) if before is None else before), partial=periodic,
-                dither=self.dither or None, steps=steps,
+                driven, own_names, rows, signal=signal, other=other, steady_state=periodic,
+                past_input=0.0 if run.start == "rest" else float(driven[0]), partial=periodic,
+                dither=self.dither or None, steps=steps, parts=parts,
                 threads=1 if driven.size * len(table) < PARALLEL else None)[:, ::drive.factor]
         except SimulationError:
             return np.full((len(table), run.input.size), np.nan)
         if self.nonlinear and not light:
             self.work += float(steps.sum())
             _TAKEN.set(_TAKEN.get() + float(steps.sum()))
+        if windows is not None:
+            return windows.put_together(found, len(table))
         return np.tile(found, (1, run.input.size // found.shape[1])) if periodic else found
 
     def _stepping(self, factor: int, light: bool) -> Simulator:
@@ -333,32 +338,25 @@ class System(Problem):
         table[:, list(names).index("delay")] += longer
         return names, table
 
-    def _windows_of(self, run: Run) -> list[tuple[slice, Run, float | None]]:
-        """The windows of a run as runs of their own, with the input that acted before each."""
-        if id(run) not in self._apart:
-            drive = Drive(run.input) if run.drive is None else run.drive
-            self._apart[id(run)] = [
-                (part, replace(run.sliced(part), window=0),
-                 float(drive.values[drive.factor * part.start - 1]) if part.start else None)
-                for part in run.windows]
-        return self._apart[id(run)]
-
-    def _by_window(self, run: Run, names: Sequence[str], table: Array, signal: str,
-                   light: bool) -> Array:
-        """The same, window by window: one that a row does not move is simulated once for all."""
-        out = np.empty((len(table), run.input.size))
+    def _windows_of(self, run: Run, names: Sequence[str], table: Array) -> _Windows:
+        """What is to be simulated of each window: the rows that leave one alone once."""
         place = {n: k for k, n in enumerate(names)}
         shared = [k for n, k in place.items() if WINDOW not in n]
-        for part, alone, before in self._windows_of(run):
-            own = {place[n]: f"initial.{s}" for s in self.states
-                   if (n := _at_window(f"initial.{s}", run, part)) in place}
-            rows = table[:, [*shared, *own]]
-            moved = np.any(rows != rows[0], axis=1)
-            moved[0] = True
-            found = self._run(alone, [*(names[k] for k in shared), *own.values()], rows[moved],
-                              signal, light, before)
-            out[:, part] = found[np.where(moved, np.cumsum(moved) - 1, 0)]
-        return out
+        states = [s for s in self.states if any(
+            n.startswith(f"initial.{s}{WINDOW}") for n in names)]
+        differ = table != np.median(table, axis=0)
+        moved = np.any(differ[:, shared], axis=1)
+        rows, parts, shown = [], [], []
+        for part in run.windows:
+            own = [place[_at_window(f"initial.{s}", run, part)] for s in states]
+            alone = moved | np.any(differ[:, own], axis=1)
+            still = np.flatnonzero(~alone)
+            chosen = np.concatenate((np.flatnonzero(alone), still[:1]))
+            rows.append(table[np.ix_(chosen, [*shared, *own])])
+            parts += [part] * chosen.size
+            shown.append((part, chosen, still))
+        return _Windows([*(names[k] for k in shared), *(f"initial.{s}" for s in states)],
+                        np.concatenate(rows), parts, shown)
 
     def _table(self, index: int, rows: Array) -> tuple[list[str], Array, NDArray[np.bool_]]:
         """Names and values (P, m) of the simulator's parameters for one run, and which rows are
@@ -440,6 +438,28 @@ def _ready(model: Model, names: Iterable[str]) -> Model:
     absent = {n: 1.0 if n == "force_constant" else 0.0 for n in names
               if "." not in n and n not in model.base}
     return model.with_parameters(absent) if absent else model
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Rows (R, m) of parameters by `names` (m), each for one of `parts`; `shown` says of each
+    window which rows of the whole table they stand for, and which are as its last."""
+
+    names: Sequence[str]
+    rows: Array
+    parts: Sequence[slice]
+    shown: Sequence[tuple[slice, Indices, Indices]]
+
+    def put_together(self, found: Array, count: int) -> Array:
+        """A signal (count, N) from those of the windows, `found` (R, longest)."""
+        out = np.empty((count, self.parts[-1].stop))
+        at = 0
+        for part, chosen, still in self.shown:
+            size = part.stop - part.start
+            out[chosen, part] = found[at:at + chosen.size, :size]
+            at += chosen.size
+            out[still[1:], part] = found[at - 1, :size]
+        return out
 
 
 WINDOW = "@"

@@ -170,8 +170,8 @@ class Simulator:
                  past_input: float = 0.0, external_force: ArrayLike | None = None,
                  other: ArrayLike | None = None, dither: float | None = None,
                  steady_state: bool = False, partial: bool = False,
-                 threads: int | None = None,
-                 steps: Layout | None = None) -> Array:
+                 threads: int | None = None, steps: Layout | None = None,
+                 parts: Sequence[slice] | None = None) -> Array:
         """One signal for each row of `parameter_matrix` (P, n); returns (P, N).
 
         `signal` is one of those of a result, or the `acceleration` of the driven point, m/s^2.
@@ -184,6 +184,10 @@ class Simulator:
         `steps` (P,) is filled with the integration steps that each row took, the same in every
         run: one a sample for a linear model; for others all that were tried, also those that were
         then halved, and the events inside the shortest ones.
+
+        With `parts` (P of them) each row begins at the first of some samples and ends with them,
+        in the first columns of its row; the step before is that of the input, of the very first
+        one `past_input`.
 
         Raises
         ------
@@ -199,15 +203,23 @@ class Simulator:
         plan, table = parameter_table(self._plan, parameter_names, matrix)
         if dither is not None:
             table[:, slots.NOISE] = dither
-        out, chosen = np.empty((len(table), len(inputs))), np.full(len(slots.SIGNALS), -1)
+        spans = [part.indices(len(inputs))[:2] for part in parts] if parts is not None else \
+            [(0, len(inputs))] * len(table)
+        if len(spans) != len(table):
+            raise SimulationError(f"{len(spans)} parts for {len(table)} rows; give one a row")
+        out = np.empty((len(table), max((b - a for a, b in spans), default=0)))
+        chosen = np.full(len(slots.SIGNALS), -1)
         chosen[slots.SIGNALS.index(signal)] = 0
         status = np.zeros(len(table), dtype=np.int64)
 
         def part(rows: range) -> None:
             work = plan.work()
             for row in rows:
-                status[row] = _simulate(plan, table[row], work, float(past_input), inputs, force,
-                                        neighbour, steady_state, chosen, out[row:row + 1])
+                a, b = spans[row]
+                status[row] = _simulate(plan, table[row], work,
+                                        float(inputs[a - 1]) if a else float(past_input),
+                                        inputs[a:b], force[a:b], neighbour[a:b], steady_state,
+                                        chosen, out[row:row + 1, :b - a])
                 if steps is not None:
                     steps[row] = work[plan.layout[slots.AT_HEAD] + slots.STEPS]
 

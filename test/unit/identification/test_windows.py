@@ -84,11 +84,12 @@ def test_a_state_moves_its_own_window_and_nothing_else():
     for start in STARTS:
         stop = SIZE if start == STARTS[-1] else start + WINDOW
         for name in ("position", "velocity"):
-            slope = slopes[at[f"initial.{name}@{start}"]]
+            slope = system.slope(slopes, at[f"initial.{name}@{start}"], 0)
             assert not np.any(slope[:start])
             assert not np.any(slope[stop:])
-        assert slopes[at[f"initial.position@{start}"]][start:stop] == pytest.approx(1.0)
-        moved = slopes[at[f"initial.velocity@{start}"]][start:start + WINDOW]
+        assert system.slope(slopes, at[f"initial.position@{start}"], 0)[start:stop] \
+            == pytest.approx(1.0)
+        moved = system.slope(slopes, at[f"initial.velocity@{start}"], 0)[start:start + WINDOW]
         assert moved == pytest.approx(-np.expm1(-rate * time) / rate, abs=1e-7)
 
 
