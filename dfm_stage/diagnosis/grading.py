@@ -58,7 +58,8 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     bare = search.once((), bare)
     trial.held_weights = weights_like(trial.held, search.weights)
     names, found = _largest(search, bare, [
-        *_found_before(trial, h, bare), *((bare, *each) for each in _proposed(search, seen))])
+        *_found_before(trial, h, bare), *((bare, *each) for each in _proposed(search, seen))],
+        frozenset(seen.best.names if seen is not None and not seen.cannot_tell else ()))
     if not _proposes_alone(seen, search):
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
@@ -126,15 +127,21 @@ def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
             yield bare, {hit.name: hit.parameters}, {}
 
 
-def _largest(search: Search, bare: Fit, begins: Sequence[Begin]) -> tuple[Names, Fit]:
-    """The set that leaves the least power, a further effect paid for by what it must take."""
+def _largest(search: Search, bare: Fit, begins: Sequence[Begin],
+             paid: frozenset[str]) -> tuple[Names, Fit]:
+    """The set that leaves the least power, a further effect paid for by what it must take; that
+    of `paid` has been, on held-out blocks in the force domain."""
     best: tuple[Names, Fit] = (), bare
+
+    def score(names: Names, found: Fit) -> float:
+        return _score(names[:1] if set(names) == paid else names, found)
+
     for start, new, base in begins:
         names = (*(use.name for use in start.model.effects
                    if search.model.effect(use.name) is None), *new)
         search.step(f"fitting {' and '.join(names)}")
         found = search.once(names, start, [Hit.at(n, p) for n, p in new.items()], base)
-        if _usable(found, names) and _score(names, found) < _score(*best):
+        if _usable(found, names) and score(names, found) < score(*best):
             best = names, found
     return best
 
