@@ -80,7 +80,7 @@ record | [records.md](records.md#from-a-table)
 `diagnosis.json` | diagnose | programs | `schema` `verdict` `effects` `base` `rejected` `gap` \
 `description` `next_experiment` `warnings` ...
 `missing_force.csv` | diagnose | programs | [the force that is missing]\
-(diagnose.md#the-force-that-is-missing) over position and velocity
+(diagnosis_reference.md#the-missing-force) over position and velocity
 `simulation.json`, `response.csv` | simulate | programs | `rms` `unit` `fit_percent` `samples` \
 `skipped`, [simulate.md](simulate.md)
 `comparison.json` | compare | programs | the same of each model, [simulate.md](simulate.md)
