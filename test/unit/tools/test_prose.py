@@ -75,14 +75,6 @@ def test_only_what_the_package_exports_is_read(tmp_path: Path) -> None:
     assert found == ["Public.", "A class.", "A method."]
 
 
-def test_what_is_exempt_exists_and_still_needs_it() -> None:
-    places = {page.name: page for page in prose.pages()}
-    for name in prose.NOT_YET:
-        assert name in places or name.removeprefix("dfm_stage/") in prose.PUBLIC
-        assert prose.of_page(places[name]) if name in places else prose.of_package(
-            name.removeprefix("dfm_stage/")), f"{name} keeps to the rules: take it off the list"
-
-
 def test_the_exit_code_says_whether_the_pages_keep_to_the_rules(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     for text, code in (("A short sentence.", 0), ("word " * 41 + ".", 1)):
