@@ -21,10 +21,10 @@ INTERFACES = Path(__file__).resolve().parents[1] / "dfm_interfaces"
 HEAD = """\
 # Reference: topics, parameters, messages, files
 
-Written from the code (`./run exec python tools/reference_page.py > docs/reference.md`),
-and compared with it and with a running graph by the tests. Units are SI (REP-103). Names are
+This page is generated from the code (`./run exec python tools/reference_page.py > docs/reference.md`).
+Tests compare it with the code and with a running graph. Units are SI (REP-103). Names are
 relative to the namespace of an axis (`/stage/x`) unless they begin with `/`.
-[How it fits together](nodes.md).
+[The node graph](nodes.md) shows how the nodes work together.
 """
 
 
@@ -37,8 +37,8 @@ def _rows(text: str) -> dict[str, tuple[str, ...]]:
 PARAMETERS = """\
 ## Parameters
 
-Given as `--ros-args -p name:=value` or in a file; a real number with its point (`1.0`). Those that
-are *live* may change while the node runs.
+Give parameters as `--ros-args -p name:=value` or in a file. Write a real number with its point
+(`1.0`). Parameters marked *live* may change while the node runs.
 """
 FURTHER_TOPICS = _rows("""
 joint_states | sensor_msgs/JointState | encoder_driver | position at 20 Hz, for viewers
