@@ -21,9 +21,10 @@ INTERFACES = Path(__file__).resolve().parents[1] / "dfm_interfaces"
 HEAD = """\
 # Reference: topics, parameters, messages, files
 
-This page is generated from the code (`./run exec python tools/reference_page.py > docs/reference.md`).
-Tests compare it with the code and with a running graph. Units are SI (REP-103). Names are
-relative to the namespace of an axis (`/stage/x`) unless they begin with `/`.
+This page is generated from the code, by
+`./run exec python tools/reference_page.py > docs/reference.md`. Tests compare it with the code and
+with a running graph. Units are SI (REP-103). Names are relative to the namespace of an axis
+(`/stage/x`) unless they begin with `/`.
 [The node graph](nodes.md) shows how the nodes work together.
 """
 
