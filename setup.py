@@ -33,7 +33,7 @@ DEPENDENCIES = [
 ]
 EXTRAS = {
     "cluster": ["distributed>=2024.1"],
-    "docs": ["mkdocs-material>=9.5", "mkdocstrings[python]>=0.26"],
+    "docs": ["furo>=2024.8", "latex2mathml>=3.77", "myst-parser>=4", "sphinx>=8"],
     "test": [
         "hypothesis>=6.90",
         "pytest>=7.4,<9",

@@ -55,7 +55,7 @@ class Simulation:
 
     @property
     def fit_percent(self) -> float | None:
-        """100 (1 - |residual| / |measured - mean|) (Ljung, System Identification, 1999); None of
+        """`100 (1 - |residual| / |measured - mean|)` (Ljung, System Identification, 1999); None of
         what does not move."""
         measured = self.measured[self.skipped:]
         spread = float(np.linalg.norm(measured - measured.mean()))
@@ -99,10 +99,13 @@ def simulate(model: Model, record: Record, *, axis: str | None = None,
 
     Parameters
     ----------
-    model : of one axis, or of several with `axis` naming one.
-    initial : find state and offset from so many first samples, which the figures then leave out.
-        By default they are fitted to the whole record, as `diagnose` does.
-    name : of the record, by default its source.
+    model
+        Of one axis, or of several with `axis` naming one.
+    initial
+        Find state and offset from so many first samples, which the figures then leave out. By
+        default they are fitted to the whole record, as `diagnose` does.
+    name
+        Of the record, by default its source.
 
     Raises
     ------
@@ -151,9 +154,11 @@ def check(model: Model, records: Sequence[Record], *, axis: str | None = None,
 
     Parameters
     ----------
-    gap : RMS to hold it to; by default the held-out one that `identify` or `diagnose` stored with
+    gap
+        RMS to compare with, by default the held-out one that `identify` or `diagnose` stored with
         the model.
-    factor : how many times that is still right.
+    factor
+        How many times that RMS is allowed.
 
     Raises
     ------

@@ -19,11 +19,13 @@ ROOT = Path(__file__).resolve().parent.parent
 PRIVATE = ROOT / ".dfm"
 OWN_COMMANDS = {
     "test": "the whole test suite; arguments go to pytest",
-    "lint": "ruff and mypy",
+    "lint": "ruff, mypy and the rules of prose",
+    "docs": "the manual as a site, in out/site",
     "shell": "a shell with everything sourced; -c COMMAND runs one command",
     "exec": "one command in the environment: ./run exec CMD ...",
     "setup": "prepare everything and stop",
 }
+TOOLS_HERE = {"lint": "lint.py", "docs": "manual.py"}
 PYTEST = ["-m", "pytest", "-p", "no:launch_testing", "-p", "no:launch_ros"]
 MOST_TEST_PROCESSES = 4
 
@@ -103,9 +105,9 @@ def command_for(name: str, rest: list[str], folder: Path, variables: dict[str, s
         os.chdir(ROOT)
         variables["ROS_PYTHON_CHECK_FIELDS"] = "1"
         return [python, *PYTEST, *side_by_side(rest), *rest]
-    if name == "lint":
+    if name in TOOLS_HERE:
         os.chdir(ROOT)
-        return [python, str(ROOT / "tools/lint.py"), *rest]
+        return [python, str(ROOT / "tools" / TOOLS_HERE[name]), *rest]
     current_folder_not_first = [] if folder.name.endswith("py3.10") else ["-P"]
     return [python, *current_folder_not_first, "-m", "dfm_stage", name, *rest]
 

@@ -1,18 +1,29 @@
-"""./run lint: ruff and mypy over the checkout, both always run; exit 1 if either complains."""
+"""./run lint: ruff, mypy and the rules of prose; all always run; exit 1 if any complains."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
+
+CHECKS = {
+    "ruff": ["-m", "ruff", "check", "."],
+    "mypy": ["-m", "mypy"],
+    "prose": [str(Path(__file__).with_name("prose.py"))],
+}
 
 
 def main() -> int:
-    """Run both checkers with this interpreter."""
-    python = sys.executable
-    checks = ([python, "-m", "ruff", "check", "."], [python, "-m", "mypy"])
-    failed = [command[2] for command in checks if subprocess.run(command, check=False).returncode]
+    """Run every check with this interpreter."""
+    failed = [
+        name
+        for name, command in CHECKS.items()
+        if subprocess.run([sys.executable, *command], check=False).returncode
+    ]
     print(
-        f"lint: {' and '.join(failed)} complained" if failed else "lint: ruff and mypy are content"
+        f"lint: {' and '.join(failed)} complained"
+        if failed
+        else "lint: ruff, mypy and prose are content"
     )
     return 1 if failed else 0
 

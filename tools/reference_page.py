@@ -21,10 +21,11 @@ INTERFACES = Path(__file__).resolve().parents[1] / "dfm_interfaces"
 HEAD = """\
 # Reference: topics, parameters, messages, files
 
-Written from the code (`./run exec python tools/reference_page.py > docs/reference.md`),
-and compared with it and with a running graph by the tests. Units are SI (REP-103). Names are
-relative to the namespace of an axis (`/stage/x`) unless they begin with `/`.
-[How it fits together](nodes.md).
+This page is generated from the code, by
+`./run exec python tools/reference_page.py > docs/reference.md`. Tests compare it with the code and
+with a running graph. Units are SI (REP-103). Names are relative to the namespace of an axis
+(`/stage/x`) unless they begin with `/`.
+[The node graph](nodes.md) shows how the nodes work together.
 """
 
 
@@ -37,8 +38,8 @@ def _rows(text: str) -> dict[str, tuple[str, ...]]:
 PARAMETERS = """\
 ## Parameters
 
-Given as `--ros-args -p name:=value` or in a file; a real number with its point (`1.0`). Those that
-are *live* may change while the node runs.
+Give parameters as `--ros-args -p name:=value` or in a file. Write a real number with its point
+(`1.0`). Parameters marked *live* may change while the node runs.
 """
 FURTHER_TOPICS = _rows("""
 joint_states | sensor_msgs/JointState | encoder_driver | position at 20 Hz, for viewers
@@ -80,7 +81,7 @@ record | [records.md](records.md#from-a-table)
 `diagnosis.json` | diagnose | programs | `schema` `verdict` `effects` `base` `rejected` `gap` \
 `description` `next_experiment` `warnings` ...
 `missing_force.csv` | diagnose | programs | [the force that is missing]\
-(diagnose.md#the-force-that-is-missing) over position and velocity
+(diagnosis_reference.md#the-missing-force) over position and velocity
 `simulation.json`, `response.csv` | simulate | programs | `rms` `unit` `fit_percent` `samples` \
 `skipped`, [simulate.md](simulate.md)
 `comparison.json` | compare | programs | the same of each model, [simulate.md](simulate.md)

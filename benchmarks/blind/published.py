@@ -1,19 +1,22 @@
-"""The tables of rates in the docs, made from the answers that are kept with the project.
+"""The tables of rates in docs/benchmarks_diagnosis.md, made from the kept answers.
 
     ./run exec python -m benchmarks.blind.published
 
-prints them. `benchmarks/kept` holds a .tar.xz for each seed, the folder that `./run bench
-diagnose --keep` writes; unpacked into such a folder, `--resume` goes on from there.
+prints the tables and writes the wrong answers to `benchmarks/kept/misses.csv`. That folder holds a
+.tar.xz for each seed: the folder that `./run bench diagnose --keep` writes. Unpacked into such a
+folder, `--resume` goes on from there.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import statistics
 import sys
 import tarfile
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +24,10 @@ import numpy as np
 
 from benchmarks.blind.rates import LARGE, large_effects, limits
 from benchmarks.blind.scoring import Score, judge, wilson
+from dfm_stage.files import write_whole
 
 KEPT = Path(__file__).resolve().parents[1] / "kept"
+MISSES = KEPT / "misses.csv"
 Row = tuple[str, Sequence[bool], str, Callable[[float], bool]]
 
 
@@ -90,16 +95,19 @@ def rates(scores: Sequence[Score]) -> list[str]:
     return table
 
 
-def failures(scores: Sequence[Score]) -> str:
-    """What went wrong, in one paragraph, each with its severity."""
-    wrong: dict[str, int] = defaultdict(int)
-    for s in scores:
-        if s.counted and not s.exact and (s.kind != "effect" or s.severity >= LARGE):
-            size = f" ({s.severity:g})" if s.severity else ""
-            label = s.label.replace("+", " with ")
-            wrong[f"{label}{size}: {s.answer}{' ' + s.notes[0] if s.notes else ''}"] += 1
-    return "; ".join(text + (f" ({n} times)" if n > 1 else "")
-                     for text, n in sorted(wrong.items()))
+def misses(seeds: Mapping[str, Sequence[Score]]) -> str:
+    """CSV of what went wrong: seed, case, severity, answer, and how often."""
+    wrong: Counter[tuple[str, ...]] = Counter()
+    for seed, scores in seeds.items():
+        for s in scores:
+            if s.counted and not s.exact and (s.kind != "effect" or s.severity >= LARGE):
+                answer = " ".join([s.answer, *s.notes[:1]])
+                wrong[seed, s.label, f"{s.severity:g}" if s.severity else "", answer] += 1
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(("seed", "case", "severity", "answer", "times"))
+    rows.writerows((*which, times) for which, times in sorted(wrong.items()))
+    return out.getvalue()
 
 
 def by_severity(scores: Sequence[Score]) -> list[str]:
@@ -118,14 +126,13 @@ def by_severity(scores: Sequence[Score]) -> list[str]:
 
 
 def main() -> int:
-    """Print every table."""
-    scores: list[Score] = []
-    for archive in archives():
-        found = kept_scores(archive)
-        scores += found
-        print(f"{archive.name}: {len(found)} cases", *rates(found), failures(found), "",
-              sep="\n")
-    print(*by_severity(scores), sep="\n")
+    """Print every table, and write the list of misses."""
+    seeds = {archive.name.split(".")[0].removeprefix("seed_"): kept_scores(archive)
+             for archive in archives()}
+    for seed, found in seeds.items():
+        print(f"seed {seed}: {len(found)} cases", *rates(found), "", sep="\n")
+    print(*by_severity([s for found in seeds.values() for s in found]), sep="\n")
+    write_whole(MISSES, misses(seeds))
     return 0
 
 

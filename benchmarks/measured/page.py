@@ -62,7 +62,7 @@ def answers(results: Mapping[str, Result],
     rows = ["| record | expected | answered | | held-out RMS left | processor time |",
             "|---|---|---|---|---|---|"]
     for name, record in (table or load_records()).items():
-        mark = " (used to set rules)" if record.development else ""
+        mark = " (set rules)" if record.development else ""
         row = [f"[`{name}`](#{name}){mark}", _expected(record, MOST_NAMES)]
         result = results.get(name)
         if result is None:
@@ -89,8 +89,8 @@ def _expected(record: MeasuredRecord, most: int | None = None) -> str:
     if not expected.first:
         return verdicts
     if most is not None and len(expected.first) > most:
-        return f"{verdicts}; of names a relative first{open_end}"
-    return (f"{verdicts}; of names {' or '.join(f'`{each}`' for each in expected.first)} first"
+        return f"{verdicts}; first name: a relative{open_end}"
+    return (f"{verdicts}; first name: {' or '.join(f'`{each}`' for each in expected.first)}"
             f"{open_end}")
 
 
@@ -129,7 +129,7 @@ def sources(table: Mapping[str, MeasuredRecord] | None = None) -> str:
     """What each record is, where it is from, how it is split, what was said of it before."""
     parts = []
     for name, r in (table or load_records()).items():
-        used = " Used to set rules." if r.development else ""
+        used = " This record set rules." if r.development else ""
         held = ", ".join(f"`{part}` ({words})" for part, words in r.hold.items())
         fitted = ", ".join(f"`{part}` ({words})" for part, words in r.fit.items())
         parts += [f"### {name}", f"{r.what[0].upper()}{r.what[1:]}.{used}", "",
@@ -137,9 +137,10 @@ def sources(table: Mapping[str, MeasuredRecord] | None = None) -> str:
                   f"- Files, in `DIR/{r.folder or name}`: "
                   + ", ".join(f"`{file}`" for file in r.files) + ".",
                   f"- Given: {r.rate}.",
-                  f"- Fitted: {fitted}. Held out: {held or 'by the command itself'}.",
+                  f"- Fitted: {fitted}. Held out: {held or 'the last 30 %'}.",
                   f"- Started from: {_start(r)}.",
-                  f"- Expected: {_expected(r)}{_also(r)}. {r.expected.why}",
+                  f"- Expected: {_expected(r)}.", *_also(r),
+                  f"- Reason: {r.expected.why.strip()}",
                   *(f"- Published: {each}." for each in r.published),
                   f"- `./run bench real --data DIR --only {name}`", ""]
     return "\n".join(parts).rstrip()
@@ -151,10 +152,10 @@ def _start(record: MeasuredRecord) -> str:
     return f"{model}; `{' '.join(record.options)}`" if record.options else model
 
 
-def _also(record: MeasuredRecord) -> str:
+def _also(record: MeasuredRecord) -> list[str]:
     others = [name for name in dict.fromkeys(record.expected.also)
               if name not in record.expected.first]
-    return f"; beside it not wrong: {', '.join(f'`{name}`' for name in others)}" if others else ""
+    return [f"- Also accepted: {', '.join(f'`{name}`' for name in others)}."] if others else []
 
 
 def with_tables(text: str, results: Mapping[str, Result]) -> str:

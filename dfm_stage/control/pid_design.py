@@ -321,9 +321,9 @@ def ultimate_from_relays(found: Sequence[Oscillation]) -> Ultimate:
     """Return the ultimate gain from oscillations under relays that switch early and late.
 
     A relay (Astrom and Hagglund, Automatica 20 (1984), 645-651) holds the loop at its ultimate
-    period, but a sampled one switches up to a sample late; on a lightly damped stage, whose phase
-    hardly depends on frequency, that alone is 20 % of K_u. So gain and frequency are interpolated
-    over the lead to where it is zero, with as many runs as there are (one: taken as it is).
+    period, but a sampled one switches up to a sample late. The phase of a lightly damped stage
+    hardly depends on frequency, so that alone is 20 % of K_u. So gain and frequency are
+    interpolated over the lead to where it is zero. A single run is taken as it is.
 
     Raises
     ------

@@ -149,9 +149,9 @@ class Margins:
     """Distances of a loop from instability.
 
     `modulus` is the smallest distance of the loop's frequency response from -1 (the inverse of
-    the largest sensitivity), `gain` the smallest factor by which the gain may grow, `phase_deg`
-    the smallest phase that may be lost at a crossover, `crossover_hz` the highest frequency where
-    the loop gain is one. Infinite or NaN where there is no such crossing.
+    the largest sensitivity). `gain` is the smallest factor by which the gain may grow. `phase_deg`
+    is the smallest phase that may be lost at a crossover. `crossover_hz` is the highest frequency
+    where the loop gain is one. Infinite or NaN where there is no such crossing.
     """
 
     stable: bool

@@ -78,10 +78,11 @@ def tune_pid(model: Model, modulus_margin: float = 0.5, output_limit_v: float = 
     model_name : str
         What the controller node is to load where its feedforward comes from the model.
     feedforward : str
-        "gains": three numbers, the inverse of the model's linear part. "model": the node also
-        counts the effects of `model_name`. "inverse": none here; the whole reference is inverted
-        ahead by the trajectory generator (`inverse_model`), and the feedback acts on the error
-        alone. "auto": model where the model has effects that count and a name, else gains.
+        With "gains", three numbers: the inverse of the model's linear part. With "model", the
+        node also counts the effects of `model_name`. With "inverse", none here: the trajectory
+        generator inverts the whole reference ahead (`inverse_model`), and the feedback acts on the
+        error alone. With "auto", "model" where the model has a name and effects that count, else
+        "gains".
     notch : bool
         Take the highest mode out of the feedback.
 
@@ -165,10 +166,10 @@ def tune_lqr(model: Model, model_name: str, modulus_margin: float = 0.5,
              output_limit_v: float = 10.0, **switches: bool) -> Tuned:
     """Return the fastest LQR with Kalman filter that keeps the modulus margin.
 
-    Of several speeds of the filter, each with the fastest weights that keep the margin, the one
-    is taken that keeps most of it with any parameter of the model 10 % off: a slow filter trusts
-    the model, a fast one is near its own limit. `model_name` is what the controller node is to
-    load; `switches` are those of `LqrSpec`.
+    Several speeds of the filter are tried, each with the fastest weights that keep the margin.
+    The one is taken that keeps most of it with any parameter of the model 10 % off. A slow filter
+    trusts the model, a fast one is near its own limit. `model_name` is what the controller node is
+    to load. `switches` are those of `LqrSpec`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The table of decisions in docs/diagnose.md: `python -m dfm_stage.diagnosis.decision_table`."""
+"""The table of decisions in docs/decisions.md: `python -m dfm_stage.diagnosis.decision_table`."""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partia
 class NamedEffect:
     """An effect that was found, and why.
 
-    Shares are of the held-out gap's power above the noise, of all of it and of what is
-    predictable; `margins` are those over its rivals in block standard errors, `constancy` is the
+    Shares are of the held-out gap's power above the noise: of all of it, and of what is
+    predictable. `margins` are those over its rivals in block standard errors. `constancy` is the
     gain of another size for every size of motion.
     """
 
@@ -100,10 +100,10 @@ class Gap:
 @dataclass(frozen=True)
 class Diagnosis:
     """What was found. `model` is the extended model, `next_experiment` a mapping that
-    `load_experiment` takes, or None. `detection_limits` are, where nothing was found, the sizes at
-    which each effect would have been named in half of such records, `conventions` what the input
-    of each record does between its samples, `shown` which of the models compared is the one
-    after. `complete` says that the model explains all but noise, `witness` is what the force
+    `load_experiment` takes, or None. Where nothing was found, `detection_limits` are the sizes at
+    which each effect would have been named in half of such records. `conventions` say what the
+    input of each record does between its samples. `shown` says which of the models compared is the
+    one after. `complete` says that the model explains all but noise. `witness` is what the force
     domain says by itself, `surface` the force that is still missing, where clear of noise."""
 
     verdict: Kind

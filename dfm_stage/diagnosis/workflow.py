@@ -63,15 +63,24 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
 
     Parameters
     ----------
-    records : to fit; `holdout` : to predict and never to fit. Without one, the last 30 % of each
-        record are held out, and a warning says so.
-    model : of one axis, or of several with `axis` naming one.
-    library : effects that may be named, by default all of `dfm_stage.model.EFFECTS`.
-    free : base parameters to re-estimate (default: damping, stiffness, force constant, lag and
-        delay where the model has them, and the effects it has), without those in `fixed`.
-    names : of the records, for the report; held-out ones follow the fitted ones.
-    seed : fixes what is shuffled.
-    step : called with the name of each step as it begins.
+    records
+        To fit.
+    model
+        Of one axis, or of several with `axis` naming one.
+    holdout
+        Records to predict and never to fit. Without one, the last 30 % of each record are held
+        out, and a warning says so.
+    library
+        Effects that may be named, by default all of `dfm_stage.model.EFFECTS`.
+    free
+        Base parameters to re-estimate, without those in `fixed`. By default damping, stiffness,
+        force constant, lag and delay where the model has them, and the effects it has.
+    names
+        Of the records, for the report; held-out ones follow the fitted ones.
+    seed
+        Fixes what is shuffled.
+    step
+        Called with the name of each step as it begins.
 
     Raises
     ------

@@ -103,9 +103,9 @@ class FrequencyResponse:
         return self.measured_unit or self.output_unit
 
     def integrated(self, times: int, output_unit: str) -> FrequencyResponse:
-        """The response of the position, in `output_unit`, where this is that of its derivative of
-        order `times`: good for what is slow beside the sampling; the acceleration, sampled before
-        a held input steps, is late by half a sample more where no lag stands between them."""
+        """The response of the position, in `output_unit`, from that of its derivative of order
+        `times`. It is good for what is slow beside the sampling. An acceleration is sampled before
+        a held input steps. Where no lag stands between them, it is late by half a sample more."""
         if times == 0:
             return self
         return replace(self, response=self.response / (1j * self.omega) ** times,

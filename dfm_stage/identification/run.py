@@ -22,17 +22,18 @@ AnyRun = TypeVar("AnyRun", bound="Run")
 class Run:
     """One axis of one record: `input` (N,) and `output` (N,), which is sampled before it acts.
 
-    The output is what `measures` says; beside a position a measured `velocity` (N,) is compared as
-    well.
+    The output is what `measures` says. A `velocity` (N,) measured beside a position is compared
+    too.
 
     The first `skip` samples are simulated but not compared. `start` says how the state at sample
     0 is found: "free" estimates position and velocity, "rest" takes zero, "periodic" takes the
     input as whole periods of `period` samples in steady state. `trend` is the degree of the
     polynomial fitted along (-1 none, 0 offset, 1 drift); None leaves it to the model: an offset
     where there is a spring and no trusted encoder zero. `current` (N,) A is compared as well, and
-    `other` (N,) is the position of the neighbouring axis, where they were recorded. With `window`
-    the state is estimated anew every so many samples (multiple shooting: Bock and Plitt, IFAC
-    1984): what little the model misses then has no time to carry a body without a spring away.
+    `other` (N,) is the position of the neighbouring axis, where they were recorded.
+
+    With `window` the state is estimated again every so many samples (multiple shooting: Bock and
+    Plitt, IFAC 1984). A small missing force then has no time to move a body without a spring far.
 
     The input is held from sample k on, unless the record's `convention` says otherwise: then
     `drive` is what a simulator takes. `by` makes it, `sliced` keeps it right at the cuts.

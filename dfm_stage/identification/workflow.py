@@ -50,7 +50,7 @@ PAPER_MASS = 1.082
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that was found; see the attributes of its parts."""
+    """Everything that was found: the model, its figures with intervals, and the tests."""
 
     fit: ModelFit
     sources: tuple[Source, ...]
@@ -117,13 +117,21 @@ def identify(records: Sequence[Source | Record], *, model: Model | None = None,
              step: Step = lambda _: None) -> Identification:
     """Identify a stage from one or several records of one axis.
 
-    Of a record with several axes choose one by `Source.of(record, axis)`.
-
-    Without `model` a second-order stage behind amplifier lag and delay is identified, its mass
-    held at the paper's. `free` lists the addresses to estimate (default: see `default_free`);
-    `fixed` holds some of them, at a value where one is given. Without a `holdout` record the last
-    quarter of the first record is predicted by a model fitted to the rest. `step` is told what
-    is being done.
+    Parameters
+    ----------
+    records
+        To fit. Of a record with several axes choose one by `Source.of(record, axis)`.
+    model
+        Where to start; by default a second-order stage behind amplifier lag and delay, its mass
+        held at the paper's.
+    free
+        Addresses to estimate (default: see `default_free`).
+    fixed
+        Some of them to hold, at a value where one is given.
+    holdout
+        Records to predict and not to fit; by default the last quarter of the first record.
+    step
+        Called with the name of each step as it begins.
 
     Raises
     ------

@@ -8,10 +8,11 @@ from dfm_stage.model.registry import EFFECTS
 HEAD = """\
 # Effects
 
-Every effect is one file in `dfm_stage/model/effects/`, whose docstring holds equation and source.
-This table is written from the registry (`python -m dfm_stage.model.effect_table`). Signs: `x` is
-the position, `v` the velocity of the driven point; ranges are what is accepted, typical values
-what such stages show. [A new one](add_effect.md) is one file.
+An effect is one physical term that a model may have. Each is one file in
+`dfm_stage/model/effects/`, and [you can add your own](add_effect.md). `x` is the position and `x'`
+or `v` the velocity of the driven point. The first range of a parameter is what `model.yaml`
+accepts, the second what such stages typically show. This page is generated from the registry
+(`python -m dfm_stage.model.effect_table`).
 
 ![What each effect adds to the motion of one sweep from 1 to 13 Hz, at the middle of its typical \
 range](pictures/effects.png)

@@ -181,9 +181,9 @@ class Simulator:
         limits of the parameters. A motion that escapes to infinity, or meets a force too stiff to
         follow, ends in NaN. With `partial` a row without periodic motion is NaN, too.
 
-        `steps` (P,) is filled with the integration steps that each row took, the same in every
-        run: one a sample for a linear model; for others all that were tried, also those that were
-        then halved, and the events inside the shortest ones.
+        `steps` (P,) is filled with the integration steps of each row, the same in every run. A
+        linear model takes one a sample. For others every step that was tried counts, also those
+        that were then halved, and the events inside the shortest ones.
 
         With `parts` (P of them) each row begins at the first of some samples and ends with them,
         in the first columns of its row; the step before is that of the input, of the very first

@@ -58,8 +58,8 @@ def read_record(
     sample_period : float, optional
         s; takes the place of the time column, or of the period that a bag's stamps show.
     gaps : str
-        What becomes of a record with samples missing: `longest` keeps the longest stretch without
-        a gap, `mask` keeps all and puts NaN where nothing is known, `fill` fills in up to two
+        What becomes of a record with samples missing. `longest` keeps the longest stretch without
+        a gap. `mask` keeps all and puts NaN where nothing is known. `fill` fills in up to two
         samples in a row and then keeps the longest stretch.
     input_hold : str, optional
         What the input does between its samples, one of `record.HOLDS`; by default it is to be

@@ -109,10 +109,14 @@ class Record:
 
     Attributes
     ----------
-    time : (N,) s, `time[0] + k * sample_period`
-    sample_period : s
-    axes : by name
-    warnings : what a reader should know about the data, in words; nothing is changed silently
+    time
+        (N,) s, `time[0] + k * sample_period`
+    sample_period
+        s
+    axes
+        By name.
+    warnings
+        What a reader should know about the data, in words; nothing is changed silently.
     """
 
     time: FloatArray

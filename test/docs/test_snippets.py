@@ -21,7 +21,7 @@ from ruamel.yaml import YAML
 
 from dfm_stage.commands import NODES, TOOLS, module_of
 
-FRONT_DOOR = {"test", "lint", "shell", "exec", "setup"}
+FRONT_DOOR = {"test", "lint", "docs", "shell", "exec", "setup"}
 SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 RUN = '#!/bin/sh\nexec "{python}" -m dfm_stage "$@"\n'
 RUNNABLE = [page for page in PAGES if {block.language for block in blocks(page)}

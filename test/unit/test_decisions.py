@@ -75,6 +75,6 @@ def test_no_bare_number_decides():
 
 
 def test_the_page_holds_the_table():
-    page = (ROOT / "docs" / "diagnose.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "decisions.md").read_text(encoding="utf-8")
     assert markdown() in page, (
-        "write what python -m dfm_stage.diagnosis.decision_table prints into docs/diagnose.md")
+        "write what python -m dfm_stage.diagnosis.decision_table prints into docs/decisions.md")

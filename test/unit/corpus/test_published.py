@@ -4,7 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.blind.published import archives, by_severity, kept_scores, rates
+from benchmarks.blind.published import (
+    MISSES,
+    archives,
+    by_severity,
+    kept_scores,
+    misses,
+    rates,
+)
 from benchmarks.diagnose import SEED
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -16,7 +23,7 @@ def scores():
 
 
 def test_the_rates_in_the_docs_are_those_of_the_kept_answers(scores):
-    text = (DOCS / "benchmarks.md").read_text("utf-8")
+    text = (DOCS / "benchmarks_diagnosis.md").read_text("utf-8")
     assert len(scores) == 2
     assert str(SEED) in next(iter(scores))
     for found in scores.values():
@@ -25,9 +32,15 @@ def test_the_rates_in_the_docs_are_those_of_the_kept_answers(scores):
 
 
 def test_the_shares_by_severity_are_those_of_the_kept_answers(scores):
-    text = (DOCS / "diagnose.md").read_text("utf-8")
+    text = (DOCS / "benchmarks_diagnosis.md").read_text("utf-8")
     for row in by_severity([s for found in scores.values() for s in found]):
         assert row in text
+
+
+def test_the_list_of_misses_is_that_of_the_kept_answers(scores):
+    seeds = {name.split(".")[0].removeprefix("seed_"): found for name, found in scores.items()}
+    assert MISSES.read_text("utf-8") == misses(seeds), (
+        "run ./run exec python -m benchmarks.blind.published")
 
 
 def test_every_kept_answer_has_its_label_and_belongs_to_its_seed(scores):

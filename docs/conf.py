@@ -1,0 +1,89 @@
+"""The site of the manual, built by ./run docs: Sphinx reads the Markdown pages as GitHub does.
+
+The pages hold no directives, so that they read well everywhere. The order of the pages, and the
+objects of the API reference, are added here while Sphinx reads them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+
+import dfm_stage
+
+project = "dfm_stage"
+version = release = dfm_stage.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+root_doc = "index"
+nitpicky = False        # types of the standard library and of NumPy are not linked
+default_role = "code"
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_custom_sections = [("Parameters common to the methods", "params_style")]
+highlight_language = "none"
+autodoc_class_signature = "separated"
+autodoc_default_options = {"members": True, "member-order": "bysource",
+                           "exclude-members": "__init__, __new__"}
+autodoc_preserve_defaults = True
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+html_theme = "furo"
+html_title = f"dfm_stage {version}"
+html_show_copyright = html_show_sphinx = html_copy_source = False
+html_math_renderer = "mathml"
+
+ORDER = {
+    "Tutorial": ["start"],
+    "How to: analyse records": ["diagnose", "identify", "simulate", "matlab", "library"],
+    "How to: run the stage": ["nodes", "live", "control", "hardware", "trust", "ros2"],
+    "How to: repeat the paper": ["characterize", "paper"],
+    "How to: add your own": ["add_effect", "formulas", "add_controller", "add_device"],
+    "Explanation": ["stage", "diagnosis_explained", "identification_explained", "middleware",
+                    "flexure", "architecture"],
+    "Reference": ["glossary", "model", "effects", "records", "trajectories", "diagnosis_reference",
+                  "decisions", "reference", "api"],
+    "Benchmarks": ["benchmarks", "benchmarks_diagnosis", "benchmarks_faults", "measured_stages"],
+}
+
+
+def add_order(_app: Any, name: str, source: list[str]) -> None:
+    """Give the first page the order of all pages, and the API page its objects."""
+    if name == root_doc:
+        source[0] += "".join(
+            f"\n```{{toctree}}\n:hidden:\n:caption: '{title}'\n\n" + "\n".join(pages) + "\n```\n"
+            for title, pages in ORDER.items())
+    if name == "api":
+        source[0] += "".join(
+            f"\n```{{eval-rst}}\n.. auto{_kind(each)}:: dfm_stage.{each}\n```\n"
+            for each in sorted(dfm_stage.__all__, key=str.lower))
+
+
+def _kind(name: str) -> str:
+    found = getattr(dfm_stage, name)
+    if not isinstance(found, type):
+        return "function"
+    return "exception" if issubclass(found, Exception) else "class"
+
+
+def show_equation(writer: Any, node: Any) -> None:
+    """Write an equation as MathML, which browsers show without a script."""
+    from docutils.nodes import SkipNode
+
+    display = "block" if node.tagname == "math_block" else "inline"
+    writer.body.append(convert(node.astext().strip(), display=display))
+    raise SkipNode
+
+
+def setup(app: Any) -> None:
+    """Sphinx calls this once."""
+    app.connect("source-read", add_order)
+    app.add_html_math_renderer("mathml", (show_equation, None), (show_equation, None))
+
+
+assert {page for pages in ORDER.values() for page in pages} == {
+    page.stem for page in Path(__file__).parent.glob("*.md") if page.stem != root_doc}, (
+    "give every page its place in ORDER")
