@@ -98,13 +98,17 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give a test against the clock two more chances, which the report counts as reruns; leave
-    slow ones to those who ask for them."""
+    slow ones to those who ask for them. Files with slow tests come first and those that need the
+    machine alone last: nobody then waits for a long test of another process to end."""
     skip = pytest.mark.skip(reason="slow: set DFM_SLOW=1, as .ci/run does")
     for item in items:
         if item.get_closest_marker("slow") and not os.environ.get("DFM_SLOW"):
             item.add_marker(skip)
         if needs_machine(item):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=3))
+    alone = {item.path for item in items if needs_machine(item)}
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path in alone, item.path not in slow))
 
 
 @pytest.fixture(scope="session")

@@ -91,7 +91,7 @@ def side_by_side(arguments: list[str]) -> list[str]:
     if any(os.path.exists(argument.partition("::")[0]) for argument in arguments):
         return []
     processes = str(min(len(os.sched_getaffinity(0)), MOST_TEST_PROCESSES))
-    return ["-n", processes, "--dist", "loadfile"]
+    return ["-n", processes, "--dist", "loadfile", "--no-loadscope-reorder"]
 
 
 def command_for(name: str, rest: list[str], folder: Path, variables: dict[str, str]) -> list[str]:
