@@ -35,6 +35,7 @@ DEPENDENCIES = [
 EXTRAS = {
     "cluster": ["distributed>=2024.1"],
     "docs": ["mkdocs-material>=9.5", "mkdocstrings[python]>=0.26"],
+    "frames": ["pandas>=2.0", "xarray>=2023.6"],
     "test": [
         "hypothesis>=6.90",
         "pytest>=7.4,<9",
