@@ -1,18 +1,45 @@
-"""./run lint: ruff and mypy over the checkout, both always run; exit 1 if either complains."""
+"""./run lint: ruff, mypy and the schemas of GitHub's files, all always; exit 1 if one complains.
+
+check-jsonschema brings the schemas along, so that this needs no network.
+"""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
+
+SCHEMAS = {
+    "vendor.github-workflows": ".github/workflows/*.yml",
+    "custom.github-workflows-require-timeout": ".github/workflows/*.yml",
+    "vendor.github-issue-forms": ".github/ISSUE_TEMPLATE/[!c]*.yml",
+    "vendor.github-issue-config": ".github/ISSUE_TEMPLATE/config.yml",
+    "vendor.dependabot": ".github/dependabot.yml",
+    "vendor.citation-file-format": "CITATION.cff",
+}
 
 
-def main() -> int:
-    """Run both checkers with this interpreter."""
-    python = sys.executable
-    checks = ([python, "-m", "ruff", "check", "."], [python, "-m", "mypy"])
-    failed = [command[2] for command in checks if subprocess.run(command, check=False).returncode]
+def schema_checks(root: Path) -> list[list[str]]:
+    """The command that holds each kind of file below `root` against its schema."""
+    return [
+        ["check_jsonschema", "--quiet", "--builtin-schema", schema, *map(str, files)]
+        for schema, pattern in SCHEMAS.items()
+        if (files := sorted(root.glob(pattern)))
+    ]
+
+
+def main(root: Path = Path()) -> int:
+    """Run the checkers with this interpreter."""
+    checks = [["ruff", "check", "."], ["mypy"], *schema_checks(root)]
+    failed = dict.fromkeys(
+        check[0]
+        for check in checks
+        if subprocess.run([sys.executable, "-m", *check], check=False).returncode
+    )
     print(
-        f"lint: {' and '.join(failed)} complained" if failed else "lint: ruff and mypy are content"
+        f"lint: {' and '.join(failed)} complained"
+        if failed
+        else "lint: ruff, mypy and the schemas are content"
     )
     return 1 if failed else 0
 

@@ -146,7 +146,8 @@ class Topic(Mapping[str, Any]):
         """
         from dfm_stage.recording.frames import data_set
 
-        return data_set(dict(self), "log_time", self._when(), self._about())
+        found: Dataset = data_set(dict(self), "log_time", self._when(), self._about())
+        return found
 
     def _when(self) -> Array:
         return self.log_time_ns.astype("datetime64[ns]")

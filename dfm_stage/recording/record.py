@@ -189,8 +189,10 @@ class Record:
         from dfm_stage.recording.frames import data_set
 
         signals = (*self._signals(), *self._extras())
-        return data_set({name: array for name, _, array in signals}, "time_s", self.time,
-                        self._about(), {"time_s": "s", **{n: unit for n, unit, _ in signals}})
+        units = {"time_s": "s", **{name: unit for name, unit, _ in signals}}
+        found: Dataset = data_set({name: array for name, _, array in signals}, "time_s",
+                                  self.time, self._about(), units)
+        return found
 
     def _signals(self) -> Iterator[tuple[str, str, FloatArray]]:
         """Column, unit and array of what every record has a name for."""

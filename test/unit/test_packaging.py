@@ -71,6 +71,7 @@ def test_both_have_the_configuration_inside(build: str) -> None:
 def test_one_version_everywhere() -> None:
     for package in ("package.xml", "dfm_interfaces/package.xml"):
         assert f"<version>{__version__}</version>" in (ROOT / package).read_text("utf-8")
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
