@@ -24,6 +24,7 @@ pytest_plugins = ["pytest_dfm_stage"]
 GRACE_S = 3.0
 PR_SET_CHILD_SUBREAPER = 36
 HELPERS_THAT_MAY_STAY = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver")
+DESK, WIDTH_USED = 1200, 0.9
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
 PROBE = """<body><iframe src="page.html" width="390" height="900"></iframe>
 <iframe src="page.html" width="1440" height="900"></iframe><script>
@@ -46,6 +47,14 @@ const seen = frame => {
       || t.getBoundingClientRect().left < box.left - 2).map(t => t.textContent)),
     ink: light(style.color), paper: light(style.backgroundColor),
     foot: page.querySelectorAll("footer dd").length,
+    beside: [...page.querySelectorAll(".with-figure")].map(row => {
+      const box = chosen => row.querySelector(chosen)?.getBoundingClientRect();
+      const plot = box(".drawn"), aside = box("details") || box(".before") || box(".after");
+      return aside ? aside.left >= plot.right : null; }),
+    contents: (nav => nav && nav.getBoundingClientRect().right
+      <= page.querySelector("main").getBoundingClientRect().left)(page.querySelector("nav")),
+    used: Math.max(...[...page.querySelectorAll(".with-figure > *, .with-figure figure > *")]
+      .map(e => e.getBoundingClientRect().right)) / page.documentElement.clientWidth,
   };
 };
 window.onload = () => {
@@ -138,6 +147,12 @@ def opens_well(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Non
             assert (seen["paper"] < 128 < seen["ink"]) if dark else (
                 seen["ink"] < 128 < seen["paper"])
             assert seen["foot"], "no provenance"
+            desk = seen["width"] > DESK
+            assert all(each in (None, desk) for each in seen["beside"]), (
+                "tables do not stand beside their figures on a desk alone")
+            assert seen["contents"] in (None, desk), "contents are not beside the page on a desk"
+            assert not desk or seen["used"] is None or seen["used"] > WIDTH_USED, (
+                "the width of a desk is empty")
 
     return judge
 
