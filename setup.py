@@ -17,6 +17,7 @@ from dfm_stage.commands import NODES, TOOLS, module_of
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 PACKAGE = "dfm_stage"
+PYTEST_PLUGIN = "pytest_dfm_stage"
 FOR_PIP = "setuptools.build_meta" in sys.modules
 """pip and other front ends build through this module, colcon runs this file."""
 DEPENDENCIES = [
@@ -34,6 +35,7 @@ DEPENDENCIES = [
 EXTRAS = {
     "cluster": ["distributed>=2024.1"],
     "docs": ["furo>=2024.8", "latex2mathml>=3.77", "myst-parser>=4", "sphinx>=8"],
+    "frames": ["pandas>=2.0", "xarray>=2023.6"],
     "test": [
         "hypothesis>=6.90",
         "pytest>=7.4,<9",
@@ -89,6 +91,7 @@ setup(
     project_urls={"ROS 2 Jazzy": "https://docs.ros.org/en/jazzy/"},
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    py_modules=[PYTEST_PLUGIN],
     package_data={PACKAGE: [os.path.relpath(path, PACKAGE) for path in files(PACKAGE)
                             if not path.endswith((".py", ".pyc"))]},
     # ROS looks for packages, parameters and launch files in share/
@@ -102,5 +105,6 @@ setup(
     extras_require=EXTRAS,
     zip_safe=False,
     entry_points={"console_scripts": ["dfm-stage = dfm_stage.__main__:main"] if FOR_PIP else
-                  [f"{name} = {module_of(name)}:main" for name in (*NODES, *TOOLS)]},
+                  [f"{name} = {module_of(name)}:main" for name in (*NODES, *TOOLS)],
+                  "pytest11": [f"{PYTEST_PLUGIN} = {PYTEST_PLUGIN}"]},
 )

@@ -15,6 +15,12 @@ import numpy as np
 
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _SCALABLE = ("m", "s", "V", "A", "N", "Hz", "W", "H", "F", "m/s", "m/V", "m/N", "N/V", "N/A")
+MOST_ZEROS = 2
+"""Zeros after the point of an interval above which it stands in brackets: 0.012 does not."""
+SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
+"""Between which a value with an interval is written without a power of ten."""
+SKEWED = 0.1
+"""Distance of an interval's middle from the value, over half its width, that is told."""
 _SYMBOLS = {"ohm": "Ω", "deg": "°"}
 
 
@@ -80,7 +86,10 @@ def format_quantity(value: float, unit: str = "",
                     ci95: tuple[float, float] | None = None) -> str:
     """Return "24.510 ± 0.012 rad/s": the interval to two digits decides those of the value.
 
-    An interval that is not symmetric about the value (by more than a tenth) is written out.
+    An interval that is small beside a digit of the value stands in brackets, in units of the last
+    digit: "3.9008867(55) Hz" is 3.9008867 ± 0.0000055 Hz. Values that no prefix brings near one
+    get a power of ten. An interval that is not symmetric about the value (by more than a tenth) is
+    written out.
     """
     factor, shown = display_unit((value,), unit)
     tail = f" {shown}" if shown and shown != "°" else shown
@@ -91,14 +100,27 @@ def format_quantity(value: float, unit: str = "",
     half = 0.5 * (high - low)
     if not half > 0.0:
         return format_number(value) + tail
-    decimals = max(0, 1 - math.floor(math.log10(half)))
-    if decimals > 9 or max(abs(value), half) >= 1e7:
-        return f"{format_number(value, 6)} ± {format_number(half, 2)}{tail}"
-    if abs(0.5 * (low + high) - value) <= 0.1 * half:
-        text = f"{value:.{decimals}f} ± {half:.{decimals}f}"
+    largest = max(abs(value), half)
+    exponent = 0 if SMALLEST_PLAIN <= largest < LARGEST_PLAIN else math.floor(math.log10(largest))
+    scale = 10.0**-exponent
+    value, low, high, half = (scale * each for each in (value, low, high, half))
+    decimals = 1 - math.floor(math.log10(half))
+    if round(half * 10.0**decimals) == 100:  # 0.0996 is 0.10
+        decimals -= 1
+    if abs(0.5 * (low + high) - value) > SKEWED * half:
+        text = f"{_to(value, decimals)} ({_to(low, decimals)} to {_to(high, decimals)})"
+    elif decimals > MOST_ZEROS + 1:
+        text = f"{_to(value, decimals)}({round(half * 10.0**decimals)})"
     else:
-        text = f"{value:.{decimals}f} ({low:.{decimals}f} to {high:.{decimals}f})"
-    return text.replace("-", "−") + tail
+        text = f"{_to(value, decimals)} ± {_to(half, decimals)}"
+        text = f"({text})" if exponent else text
+    power = f"·10{_superscript(exponent)}" if exponent else ""
+    return text.replace("-", "−") + power + tail
+
+
+def _to(value: float, decimals: int) -> str:
+    """A number to so many decimals, of which negative ones are zeros before the point."""
+    return f"{round(value, decimals):.{max(0, decimals)}f}"
 
 
 def superscript_power(value: float) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import json
 import os
 import re
@@ -21,16 +20,11 @@ import pytest
 
 from dfm_stage.harness.domain import Domain, claim_domain
 
+pytest_plugins = ["pytest_dfm_stage"]
 GRACE_S = 3.0
 PR_SET_CHILD_SUBREAPER = 36
 HELPERS_THAT_MAY_STAY = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver")
-REACHING_OUT = (
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "ROS_DISCOVERY_SERVER",
-    "ROS_LOCALHOST_ONLY",
-    "ROS_STATIC_PEERS",
-)
+DESK, WIDTH_USED = 1200, 0.9
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
 PROBE = """<body><iframe src="page.html" width="390" height="900"></iframe>
 <iframe src="page.html" width="1440" height="900"></iframe><script>
@@ -53,6 +47,14 @@ const seen = frame => {
       || t.getBoundingClientRect().left < box.left - 2).map(t => t.textContent)),
     ink: light(style.color), paper: light(style.backgroundColor),
     foot: page.querySelectorAll("footer dd").length,
+    beside: [...page.querySelectorAll(".with-figure")].map(row => {
+      const box = chosen => row.querySelector(chosen)?.getBoundingClientRect();
+      const plot = box(".drawn"), aside = box("details") || box(".before") || box(".after");
+      return aside ? aside.left >= plot.right : null; }),
+    contents: (nav => nav && nav.getBoundingClientRect().right
+      <= page.querySelector("main").getBoundingClientRect().left)(page.querySelector("nav")),
+    used: Math.max(...[...page.querySelectorAll(".with-figure > *, .with-figure figure > *")]
+      .map(e => e.getBoundingClientRect().right)) / page.documentElement.clientWidth,
   };
 };
 window.onload = () => {
@@ -62,7 +64,6 @@ window.onload = () => {
 };</script></body>"""
 DOMAIN = pytest.StashKey[Domain]()
 FOLDER = pytest.StashKey[Path]()
-MACHINE = pytest.StashKey["Machine"]()
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("repeatable")
@@ -70,6 +71,8 @@ hypothesis.settings.load_profile("repeatable")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Isolate before any test module, and with it ROS, is imported."""
+    from pytest_dfm_stage import REACHING_OUT
+
     domain, folder = claim_domain(), Path(tempfile.mkdtemp(prefix="dfm_stage_test_"))
     config.stash[DOMAIN], config.stash[FOLDER] = domain, folder
     for name in REACHING_OUT:
@@ -104,7 +107,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("slow") and not os.environ.get("DFM_SLOW"):
             item.add_marker(skip)
-        if needs_machine(item):
+        if item.get_closest_marker("real_time"):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=3))
     alone = {item.path for item in items if needs_machine(item)}
     slow = {item.path for item in items if item.get_closest_marker("slow")}
@@ -148,63 +151,18 @@ def opens_well(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Non
             assert (seen["paper"] < 128 < seen["ink"]) if dark else (
                 seen["ink"] < 128 < seen["paper"])
             assert seen["foot"], "no provenance"
+            desk = seen["width"] > DESK
+            assert all(each in (None, desk) for each in seen["beside"]), (
+                "tables do not stand beside their figures on a desk alone")
+            assert seen["contents"] in (None, desk), "contents are not beside the page on a desk"
+            assert not desk or seen["used"] is None or seen["used"] > WIDTH_USED, (
+                "the width of a desk is empty")
 
     return judge
 
 
-class Machine:
-    """Which test processes may run: one alone, or all that need not be alone."""
-
-    def __init__(self, folder: Path) -> None:
-        self.turn, self.machine = (folder / "turn").open("a"), (folder / "machine").open("a")
-        self.alone = False
-
-    def take(self, alone: bool) -> None:
-        """Wait until a test may run; whoever has the machine alone keeps it."""
-        if self.alone:
-            return
-        # whoever waits for the machine keeps the turn, so that it comes soon
-        fcntl.flock(self.turn, fcntl.LOCK_EX)
-        fcntl.flock(self.machine, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
-        fcntl.flock(self.turn, fcntl.LOCK_UN)
-        self.alone = alone
-
-    def give_back(self) -> None:
-        """Let others run."""
-        fcntl.flock(self.machine, fcntl.LOCK_UN)
-        self.alone = False
-
-
 @pytest.fixture(autouse=True)
-def machine_to_itself(request: pytest.FixtureRequest,
-                      tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Run a test marked real_time while the other test processes pause."""
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        stash = request.config.stash
-        if MACHINE not in stash:
-            stash[MACHINE] = Machine(tmp_path_factory.getbasetemp().parent)
-        stash[MACHINE].take(needs_machine(request.node))
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item,
-                            nextitem: pytest.Item | None) -> Iterator[None]:
-    """Tests that need the machine run in a row: each would wait for the others' tests anew."""
-    done = yield
-    machine = item.config.stash.get(MACHINE, None)
-    if machine is not None and not (machine.alone and nextitem is not None
-                                    and needs_machine(nextitem)):
-        machine.give_back()
-    return done
-
-
-def needs_machine(item: pytest.Item) -> bool:
-    """Whether a test runs against the clock."""
-    return item.get_closest_marker("real_time") is not None
-
-
-@pytest.fixture(autouse=True)
-def no_process_left_behind(machine_to_itself: None) -> Iterator[None]:
+def no_process_left_behind() -> Iterator[None]:
     """Fail a test that leaves a running process behind, and end that process."""
     before = running_children()
     yield

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PRIVATE = ROOT / ".dfm"
 OWN_COMMANDS = {
     "test": "the whole test suite; arguments go to pytest",
-    "lint": "ruff, mypy and the rules of prose",
+    "lint": "ruff, mypy, the rules of prose, the schemas of workflows, issue forms and citation",
     "docs": "the manual as a site, in out/site",
     "shell": "a shell with everything sourced; -c COMMAND runs one command",
     "exec": "one command in the environment: ./run exec CMD ...",

@@ -12,7 +12,8 @@ examples:
   ./run view                       # then open http://127.0.0.1:8042/
   ./run view --open --watch-only   # in the browser at once; nothing but disarm can be asked for
 The page finds every axis of the ROS domain by itself, before or after it was opened, and shows
-30 frames a second. Escape disarms all axes. config/foxglove/stage.json is the same for Foxglove.
+30 frames a second. Escape disarms all axes. config/foxglove/stage.json is the same for Foxglove,
+config/plotjuggler/stage.xml for PlotJuggler.
 """
 OPTIONS = (
     option("--port", type=int, default=8042, metavar="N",

@@ -17,7 +17,7 @@ from dfm_stage.diagnosis.margins import Constancy, Signal
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.identification.quantity import Quantity
-from dfm_stage.recording.record import Measured
+from dfm_stage.recording.units import Measured
 
 Which = Literal["given", "retuned", "extended"]
 

@@ -144,12 +144,6 @@ class EmulatedGraph(StageGraph):
             raise
         return self
 
-    @property
-    def domain_id(self) -> int:
-        """The graph's ROS domain."""
-        assert self._domain_id is not None  # noqa: S101 it is there once the graph is up
-        return self._domain_id
-
     def node(self, kind: str) -> str:
         """Return the full name of a driver node."""
         return f"/stage/{self.axes[0]}/{kind}"

@@ -96,6 +96,12 @@ class NodeSet:
         self._deaf = False
         self._cleanup = contextlib.ExitStack()
 
+    @property
+    def domain_id(self) -> int:
+        """The set's ROS domain."""
+        assert self._domain_id is not None  # noqa: S101 it is there once the set is up
+        return self._domain_id
+
     def start_nodes(self) -> None:
         """Launch the nodes and wait until they are ready."""
         raise NotImplementedError

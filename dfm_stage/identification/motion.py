@@ -9,7 +9,7 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import MOTION_ABOVE_NOISE
 from dfm_stage.identification.periods import local_mean
-from dfm_stage.recording.record import Measured
+from dfm_stage.recording.units import Measured
 
 ORDER: Mapping[Measured, int] = {"position": 0, "velocity": 1, "acceleration": 2}
 """Of which order in the position's time derivatives each measured signal is."""

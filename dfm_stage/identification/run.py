@@ -11,7 +11,7 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import HELD, Convention, Drive, drive_of
 from dfm_stage.identification.motion import ORDER, differentiated
-from dfm_stage.recording.record import Measured
+from dfm_stage.recording.units import Measured
 
 Start = Literal["free", "rest", "periodic"]
 AnyRun = TypeVar("AnyRun", bound="Run")

@@ -6,13 +6,17 @@ import fnmatch
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.recording.errors import NotInBagError
 from dfm_stage.recording.mcap_scan import Loss
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
 
 Array: TypeAlias = NDArray[Any]
 
@@ -116,6 +120,40 @@ class Topic(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self.columns)
+
+    def to_pandas(self) -> DataFrame:
+        """Return the fields as columns over the time at which each message was recorded.
+
+        The index `log_time` is in ns since the epoch, as datetime64. Fixed arrays give a column an
+        element (`name[0]`); a sequence is one array in each row; times stay int64, ns.
+
+        Raises
+        ------
+        MissingPackageError
+            If pandas is not installed.
+        """
+        from dfm_stage.recording.frames import data_frame
+
+        return data_frame(dict(self), "log_time", self._when(), self._about())
+
+    def to_xarray(self) -> Dataset:
+        """Return the fields as variables over `log_time`; fixed arrays have a second dimension.
+
+        Raises
+        ------
+        MissingPackageError
+            If xarray is not installed.
+        """
+        from dfm_stage.recording.frames import data_set
+
+        found: Dataset = data_set(dict(self), "log_time", self._when(), self._about())
+        return found
+
+    def _when(self) -> Array:
+        return self.log_time_ns.astype("datetime64[ns]")
+
+    def _about(self) -> dict[str, str]:
+        return {"topic": self.name, "type": self.type_name}
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,12 @@ class DefinitionError(RecordingError):
     """The definition of a message type is missing or cannot be understood."""
 
 
+class MissingPackageError(RecordingError, ImportError):
+    """An optional package that was asked for is not installed."""
+
+    __str__ = RecordingError.__str__
+
+
 class RecordError(RecordingError):
     """A file does not hold a usable record; the message names the place in the file.
 

@@ -6,18 +6,22 @@ Convention: `position[k]` is sampled at `time[k]`, before `input[k]` acts; `inpu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.recording.errors import RecordError
+from dfm_stage.recording.units import Measured, column_unit
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
-Measured: TypeAlias = Literal["position", "velocity", "acceleration"]
 HOLDS = ("zero", "first", "band_limited")
 """What an input does between its samples: stand, go straight to the next, or be band-limited."""
 
@@ -154,3 +158,70 @@ class Record:
         part = slice(start, stop)
         return replace(self, time=self.time[part],
                        axes={name: axis.slice(part) for name, axis in self.axes.items()})
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Return the record as the columns that `read_record` understands, by name.
+
+        `time_s`, and for each axis `input_v`, `position_m`, `velocity_m_s`, `current_a`,
+        `reference_m` as far as there are, prefixed by the axis name where there are several axes.
+        """
+        return {"time_s": self.time, **{name: array for name, _, array in self._signals()}}
+
+    def to_pandas(self) -> DataFrame:
+        """Return the columns of `columns()`, and each axis's `extra`, over the time in s.
+
+        `attrs` has the sample period in s, the source and its fingerprint.
+
+        Raises
+        ------
+        MissingPackageError
+            If pandas is not installed.
+        """
+        from dfm_stage.recording.frames import data_frame
+
+        columns = {name: array for name, _, array in (*self._signals(), *self._extras())}
+        return data_frame(columns, "time_s", self.time, self._about())
+
+    def to_xarray(self) -> Dataset:
+        """Return what `to_pandas` returns as variables with units, over the dimension `time_s`.
+
+        Raises
+        ------
+        MissingPackageError
+            If xarray is not installed.
+        """
+        from dfm_stage.recording.frames import data_set
+
+        signals = (*self._signals(), *self._extras())
+        units = {"time_s": "s", **{name: unit for name, unit, _ in signals}}
+        found: Dataset = data_set({name: array for name, _, array in signals}, "time_s",
+                                  self.time, self._about(), units)
+        return found
+
+    def _signals(self) -> Iterator[tuple[str, str, FloatArray]]:
+        """Column, unit and array of what every record has a name for."""
+        for prefix, axis in self._prefixed():
+            unit, of_position = axis.output_unit, axis.position_unit
+            yield f"{prefix}input_{column_unit(axis.input_unit)}", axis.input_unit, axis.input
+            yield f"{prefix}{axis.measures}_{column_unit(unit)}", unit, axis.position
+            if axis.velocity is not None:
+                yield (f"{prefix}velocity_{column_unit(of_position)}_s", f"{of_position}/s",
+                       axis.velocity)
+            if axis.current is not None:
+                yield f"{prefix}current_a", "A", axis.current
+            if axis.reference is not None:
+                yield (f"{prefix}reference_{column_unit(of_position)}", of_position,
+                       axis.reference)
+
+    def _extras(self) -> Iterator[tuple[str, str, FloatArray]]:
+        for prefix, axis in self._prefixed():
+            for name, array in axis.extra.items():
+                yield f"{prefix}{name}", "", array
+
+    def _prefixed(self) -> Iterator[tuple[str, AxisRecord]]:
+        for name, axis in self.axes.items():
+            yield f"{name}_" if len(self.axes) > 1 else "", axis
+
+    def _about(self) -> dict[str, Any]:
+        return {"sample_period_s": self.sample_period, "source": self.provenance.source,
+                "fingerprint": self.provenance.fingerprint}

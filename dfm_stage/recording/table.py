@@ -25,7 +25,7 @@ from dfm_stage.recording.time_base import (
     find_time_base,
     resample,
 )
-from dfm_stage.recording.units import Unit, column_unit, measured, suffix_of, unit_of
+from dfm_stage.recording.units import Unit, measured, suffix_of, unit_of
 
 DEFAULT_AXIS = "x"
 _QUANTITY = re.compile(r"(?:(?P<axis>\w+)_)?(?P<quantity>input|position|velocity|acceleration|"
@@ -49,27 +49,6 @@ class Table(Protocol):
 
     def where(self, row: int) -> str:
         """Return where a row stands, as the user counts ("line 17")."""
-
-
-def columns_of(record: Record) -> dict[str, FloatArray]:
-    """Return a record as the columns that `read_record` understands, by name.
-
-    `time_s`, and for each axis `input_v`, `position_m`, `velocity_m_s`, `current_a`, `reference_m`
-    as far as there are, prefixed by the axis name where there are several axes.
-    """
-    columns: dict[str, FloatArray] = {"time_s": record.time}
-    for name, axis in record.axes.items():
-        prefix = f"{name}_" if len(record.axes) > 1 else ""
-        unit, position_unit = column_unit(axis.output_unit), column_unit(axis.position_unit)
-        columns[f"{prefix}input_{column_unit(axis.input_unit)}"] = axis.input
-        columns[f"{prefix}{axis.measures}_{unit}"] = axis.position
-        if axis.velocity is not None:
-            columns[f"{prefix}velocity_{position_unit}_s"] = axis.velocity
-        if axis.current is not None:
-            columns[f"{prefix}current_a"] = axis.current
-        if axis.reference is not None:
-            columns[f"{prefix}reference_{position_unit}"] = axis.reference
-    return columns
 
 
 @dataclass(frozen=True)

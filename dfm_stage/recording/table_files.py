@@ -15,7 +15,6 @@ import numpy as np
 from dfm_stage.files import write_whole
 from dfm_stage.recording.errors import RecordError, writing
 from dfm_stage.recording.record import FloatArray, Record
-from dfm_stage.recording.table import columns_of
 
 _DELIMITERS = ",;\t"
 _COMMENTS = ("#", "%")
@@ -147,7 +146,7 @@ def write_csv(record: Record, path: str | os.PathLike[str]) -> None:
     BagWriteError
         If the file cannot be written.
     """
-    columns = columns_of(record)
+    columns = record.columns()
     rows = zip(*(array.tolist() for array in columns.values()), strict=True)
     with writing(path):
         write_whole(path, "\n".join((",".join(columns),
@@ -223,7 +222,7 @@ def write_mat(record: Record, path: str | os.PathLike[str]) -> None:
     import scipy.io
 
     content = io.BytesIO()
-    scipy.io.savemat(content, dict(columns_of(record)), oned_as="column", do_compression=True)
+    scipy.io.savemat(content, dict(record.columns()), oned_as="column", do_compression=True)
     with writing(path):
         write_whole(path, content.getvalue())
 
@@ -238,7 +237,7 @@ def write_npz(record: Record, path: str | os.PathLike[str]) -> None:
         If the file cannot be written.
     """
     content = io.BytesIO()
-    np.savez(content, **columns_of(record))  # type: ignore[arg-type]
+    np.savez(content, **record.columns())  # type: ignore[arg-type]
     with writing(path):
         write_whole(path, content.getvalue())
 

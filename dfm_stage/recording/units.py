@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
-from dfm_stage.recording.record import Measured
-
+Measured: TypeAlias = Literal["position", "velocity", "acceleration"]
 _RATE = re.compile(r"(?P<unit>.+?)[/_]s(?P<square>2|\^2|²)?")
 
 

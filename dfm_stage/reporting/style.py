@@ -1,4 +1,4 @@
-"""The style sheet of every page: one column, light and dark, phone and print."""
+"""The style sheet of every page: phone, desk and print, light and dark."""
 
 STYLE = """\
 :root {
@@ -36,10 +36,20 @@ figure { margin: 1.2rem 0 1.6rem; }
 figcaption, caption { color: var(--soft); font-size: .92rem; text-align: left; }
 figcaption { margin-top: .4rem; max-width: 44rem; }
 caption { padding: 0 0 .4rem; caption-side: top; }
+nav ol { display: flex; flex-wrap: wrap; gap: .2rem 1.1rem; margin: 0 0 1.4rem; padding: 0; }
+nav li { list-style: none; }
+a { color: var(--c1); text-underline-offset: .2em; text-decoration-color: var(--grid); }
+a:hover { text-decoration-color: currentColor; }
+a:focus-visible { outline: 2px solid var(--c1); outline-offset: 3px; }
+nav a { font-size: .92rem; }
+.csv { white-space: nowrap; margin-left: .5em; }
 .plot svg { display: block; width: 100%; height: auto; }
 .plot.narrow { display: none; }
 .scroll { overflow-x: auto; margin: .8rem 0 1.2rem; }
-table { border-collapse: collapse; font-size: .94rem; font-variant-numeric: tabular-nums; }
+table {
+  min-width: min(100%, 17rem); border-collapse: collapse; font-size: .94rem;
+  font-variant-numeric: tabular-nums;
+}
 th, td { padding: .32rem 1.1rem .32rem 0; text-align: left; vertical-align: top; }
 th { color: var(--soft); font-weight: 600; border-bottom: 1.5px solid var(--grid); }
 td { border-bottom: 1px solid var(--grid); }
@@ -65,6 +75,39 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   td:last-child:not(.number) { min-width: 11rem; }
   footer dl { grid-template-columns: 1fr; gap: 0; }
   footer dd { margin-bottom: .4rem; }
+}
+@media screen and (min-width: 75rem) {
+  body {
+    max-width: 96rem; padding: 2.5rem 2.5rem 3rem; display: grid; column-gap: 3rem;
+    grid-template: auto auto auto / 11.5rem minmax(0, 1fr);
+  }
+  h1, main, footer { grid-column: 2; }
+  body:not(:has(nav)) { grid-template-columns: 0 minmax(0, 1fr); column-gap: 0; }
+  nav { grid-column: 1; grid-row: 1 / span 3; }
+  nav ol { position: sticky; top: 2.5rem; display: block; margin-top: .7rem; }
+  nav li { margin: 0 0 .55rem; line-height: 1.35; }
+  nav a { color: var(--soft); text-decoration: none; }
+  nav a:hover { color: var(--ink); }
+  .lead { max-width: 56rem; }
+  .row { display: flex; flex-wrap: wrap; column-gap: 3.5rem; }
+  .row > p { flex-basis: 100%; max-width: 56rem; }
+  .row > .scroll { max-width: 100%; }
+  .row > .texts { flex: 1 1 24rem; max-width: 40rem; margin: .6rem 0; }
+  .with-figure {
+    display: grid; grid-template: auto auto auto 1fr / minmax(0, 7fr) minmax(0, 5fr);
+    column-gap: 2.5rem; margin: 0 0 1.6rem;
+  }
+  .with-figure figure { display: contents; }
+  .drawn { grid-column: 1; grid-row: 1 / span 4; }
+  .before, .with-figure details, .after { grid-column: 2; }
+  .before { grid-row: 1; } .with-figure details { grid-row: 2; } .after { grid-row: 3; }
+  .before p:first-child { margin-top: 0; }
+  .with-figure details::details-content { content-visibility: visible; block-size: auto; }
+  .with-figure summary { list-style: none; cursor: default; pointer-events: none; }
+  .with-figure summary::-webkit-details-marker { display: none; }
+  .with-figure table { font-size: .86rem; }
+  .with-figure th, .with-figure td { padding-right: .8rem; }
+  .with-figure details .scroll { max-height: 24rem; overflow: auto; margin-top: .3rem; }
 }
 @media print {
   :root {

@@ -19,13 +19,12 @@ def processes_of(graph):
     return [each.process for each in graph.launched if each.process is not None]
 
 
-def test_two_graphs_do_not_see_each_other():
-    with StageGraph(composed=True, lockstep=True) as one, StageGraph(
-            composed=True, lockstep=True) as two:
-        one.run(SHORT)
-        nodes = two._client_node.get_node_names()
-        assert sorted(nodes).count("controller") == 1
-        two.run(SHORT)
+def test_two_graphs_do_not_see_each_other(lockstep_graph):
+    one, two = lockstep_graph(), lockstep_graph()
+    one.run(SHORT)
+    nodes = two._client_node.get_node_names()
+    assert sorted(nodes).count("controller") == 1
+    two.run(SHORT)
 
 
 def test_no_process_is_left_when_the_test_fails():
@@ -54,29 +53,29 @@ def test_a_bad_parameter_reaches_the_caller():
         pass
 
 
-def test_the_client_of_a_service_is_kept():
-    with StageGraph(composed=True, lockstep=True) as graph:
-        graph.set_parameters("/stage/x/controller", {"kp": 1000.0})
-        clients = list(graph._client_node.clients)
-        graph.set_parameters("/stage/x/controller", {"kp": 2000.0})
-        assert list(graph._client_node.clients) == clients
+def test_the_client_of_a_service_is_kept(lockstep_graph):
+    graph = lockstep_graph()
+    graph.set_parameters("/stage/x/controller", {"kp": 1000.0})
+    clients = list(graph._client_node.clients)
+    graph.set_parameters("/stage/x/controller", {"kp": 2000.0})
+    assert list(graph._client_node.clients) == clients
 
 
-def test_unknown_experiment_and_axis():
-    with StageGraph(composed=True, lockstep=True) as graph:
-        with pytest.raises(DfmError, match="multisine"):
-            graph.run("no_such_experiment")
-        with pytest.raises(HarnessError, match="axis z"):
-            graph.run({**SHORT, "axes": {"z": {"reference": {"kind": "hold"}}}})
-        with pytest.raises(DfmError, match="kq"):
-            graph.run({**SHORT, "controller": {"kq": 1.0}})
-        graph.run({**SHORT, "controller": {"kp": 2000.0}})
+def test_unknown_experiment_and_axis(lockstep_graph):
+    graph = lockstep_graph()
+    with pytest.raises(DfmError, match="multisine"):
+        graph.run("no_such_experiment")
+    with pytest.raises(HarnessError, match="axis z"):
+        graph.run({**SHORT, "axes": {"z": {"reference": {"kind": "hold"}}}})
+    with pytest.raises(DfmError, match="kq"):
+        graph.run({**SHORT, "controller": {"kq": 1.0}})
+    graph.run({**SHORT, "controller": {"kp": 2000.0}})
 
 
-def test_progress_reaches_one():
+def test_progress_reaches_one(lockstep_graph):
     seen = []
-    with StageGraph(composed=True, lockstep=True) as graph:
-        graph.run(SHORT, progress=seen.append)
+    graph = lockstep_graph()
+    graph.run(SHORT, progress=seen.append)
     assert seen[-1] == 1.0
 
 

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-LAUNCH = Path(__file__).resolve().parents[2] / "launch"
+from dfm_stage.nodes.wiring import LINKS
+
+ROOT = Path(__file__).resolve().parents[2]
+LAUNCH = ROOT / "launch"
+EXAMPLE = ROOT / "examples/one_axis_launch_test.py"
 
 
 @pytest.mark.parametrize(("name", "nodes"), [("one_axis", 6), ("two_axes", 10)])
@@ -27,3 +34,32 @@ def test_launch_file_describes_the_nodes(name, nodes):
     context.launch_configurations.update(parameters="", sample_period_s="", record="false")
     entities = module.nodes(context)
     assert sum(isinstance(entity, Node) for entity in entities) == nodes
+
+
+def test_the_example_of_a_launch_test_names_what_there_is():
+    tree = ast.parse(EXAMPLE.read_text("utf-8"))
+    assert {"generate_test_description", "TestTheLoop", "TestTheEnd"} <= {
+        each.name for each in tree.body if isinstance(each, (ast.FunctionDef, ast.ClassDef))}
+    texts = {each.value for each in ast.walk(tree)
+             if isinstance(each, ast.Constant) and isinstance(each.value, str)}
+    files = {text for text in texts if text.endswith(".launch.py")}
+    assert len(files) == 1
+    assert files <= {path.name for path in LAUNCH.iterdir()}
+    topic = next(text for text in texts if text.startswith("/stage/x/")).removeprefix("/stage/x/")
+    fields = LINKS[topic].type.get_fields_and_field_types()
+    used = {each.attr for each in ast.walk(tree) if isinstance(each, ast.Attribute)
+            and isinstance(each.value, ast.Name) and each.value.id == "each"}
+    assert used
+    assert used <= set(fields)
+    imported = {alias.name for each in tree.body if isinstance(each, ast.ImportFrom)
+                and each.module == "dfm_interfaces.msg" for alias in each.names}
+    assert imported == {LINKS[topic].type.__name__}
+
+
+@pytest.mark.real_time
+def test_the_example_of_a_launch_test_passes(tmp_path):
+    pytest.importorskip("launch_testing", reason="launch_testing is not installed")
+    done = subprocess.run(
+        [sys.executable, "-c", "from launch_testing.launch_test import main; exit(main())",
+         EXAMPLE], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -82,11 +82,11 @@ def test_what_a_stuck_loop_waits_for_is_named(tmp_path):
         graph.run(SHAKE, timeout_s=8.0)
 
 
-def test_between_experiments_the_loop_waits_for_a_reference(tmp_path):
-    with StageGraph(lockstep=True, composed=True) as graph:
-        controller = next(each.node for each in graph.launched if each.kind == "controller")
-        graph.spin_until(lambda: controller._measurement is not None, 5.0, "a measurement")
-        assert "reference" in controller.waiting_for()[0]
+def test_between_experiments_the_loop_waits_for_a_reference(lockstep_graph):
+    graph = lockstep_graph()
+    controller = next(each.node for each in graph.launched if each.kind == "controller")
+    graph.spin_until(lambda: controller._measurement is not None, 5.0, "a measurement")
+    assert "reference" in controller.waiting_for()[0]
 
 
 def test_pid_follows_and_settles(tmp_path):

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from dfm_stage.drivers.errors import DriverError
 from dfm_stage.errors import DfmError
-from dfm_stage.harness import HarnessError, StageGraph
+from dfm_stage.harness import HarnessError
 from dfm_stage.nodes.amplifier_driver import AmplifierDriver
 from dfm_stage.nodes.controller import Controller
 from dfm_stage.nodes.sample_period import PeriodCheck
@@ -115,33 +115,32 @@ def test_in_lockstep_a_node_ends_at_the_second_measurement(make, kind) -> None:
     assert len(heard) == 1
 
 
-def test_a_graph_has_one_period_and_all_nodes_get_it() -> None:
-    with StageGraph(composed=True, lockstep=True, sample_period_s=0.002) as graph:
-        heard = graph.listen("x", "measurement")
-        ran = graph.run(HOLD)["x"]
-        assert ran.last_seq - ran.first_seq == 99  # 0.2 s
-        assert np.unique(np.diff([each.stamp_ns for each in heard])).tolist() == [2_000_000]
+def test_a_graph_has_one_period_and_all_nodes_get_it(lockstep_graph) -> None:
+    graph = lockstep_graph(sample_period_s=0.002)
+    heard = graph.listen("x", "measurement")
+    ran = graph.run(HOLD)["x"]
+    assert ran.last_seq - ran.first_seq == 99  # 0.2 s
+    assert np.unique(np.diff([each.stamp_ns for each in heard])).tolist() == [2_000_000]
 
 
-def test_a_node_with_a_period_of_its_own_ends_a_lockstep_graph() -> None:
-    with StageGraph(composed=True, lockstep=True,
-                    parameters={"controller": {"sample_period_s": 0.002}}) as graph, \
-            pytest.raises(DfmError, match=r"controller: .*0\.002 s, .*every 0\.001 s"):
+def test_a_node_with_a_period_of_its_own_ends_a_lockstep_graph(lockstep_graph) -> None:
+    graph = lockstep_graph(parameters={"controller": {"sample_period_s": 0.002}})
+    with pytest.raises(DfmError, match=r"controller: .*0\.002 s, .*every 0\.001 s"):
         graph.run(HOLD)
 
 
 @pytest.mark.real_time
-def test_a_node_with_a_period_of_its_own_keeps_a_graph_from_being_armed() -> None:
-    with StageGraph(composed=True,
-                    parameters={"trajectory_generator": {"sample_period_s": 0.002}}) as graph:
-        driver = next(each.node for each in graph.launched if each.kind == "amplifier_driver")
-        graph.spin_until(lambda: bool(driver._trouble()), 10.0, "the end of the comparison")
-        graph.call(Trigger, "/stage/x/amplifier_driver/clear", Trigger.Request())
-        answer = graph.call(Trigger, "/stage/x/amplifier_driver/arm", Trigger.Request())
-        assert not answer.success
-        assert "trajectory_generator: sample_period_s is 0.002 s" in answer.message
-        measured = re.search(r"every (\S+) s", answer.message)
-        assert measured is not None
-        assert float(measured[1]) == pytest.approx(0.001, rel=0.1)
-        with pytest.raises(HarnessError, match="cannot be armed"):
-            graph.run(HOLD)
+def test_a_node_with_a_period_of_its_own_keeps_a_graph_from_being_armed(stage_graph) -> None:
+    graph = stage_graph(composed=True,
+                        parameters={"trajectory_generator": {"sample_period_s": 0.002}})
+    driver = next(each.node for each in graph.launched if each.kind == "amplifier_driver")
+    graph.spin_until(lambda: bool(driver._trouble()), 10.0, "the end of the comparison")
+    graph.call(Trigger, "/stage/x/amplifier_driver/clear", Trigger.Request())
+    answer = graph.call(Trigger, "/stage/x/amplifier_driver/arm", Trigger.Request())
+    assert not answer.success
+    assert "trajectory_generator: sample_period_s is 0.002 s" in answer.message
+    measured = re.search(r"every (\S+) s", answer.message)
+    assert measured is not None
+    assert float(measured[1]) == pytest.approx(0.001, rel=0.1)
+    with pytest.raises(HarnessError, match="cannot be armed"):
+        graph.run(HOLD)

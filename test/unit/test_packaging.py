@@ -25,6 +25,7 @@ import setuptools
 found = run_setup("setup.py", stop_after="init")
 print(json.dumps({"scripts": [line.partition(" ")[0] for line in
                               found.entry_points["console_scripts"]],
+                  "plugins": found.entry_points["pytest11"], "modules": found.py_modules,
                   "data": [name for _, names in found.data_files or [] for name in names],
                   "inside": found.package_data["dfm_stage"]}))
 """
@@ -46,10 +47,18 @@ def test_colcon_keeps_every_name_and_what_ros_looks_for_in_share() -> None:
             "dfm_stage/config/one_axis.yaml"} <= set(found["data"])
 
 
-def test_the_wheel_has_one_command_and_nothing_outside_the_package() -> None:
+def test_the_wheel_has_one_command_and_no_data_outside_the_package() -> None:
     found = described("pip")
     assert found["scripts"] == ["dfm-stage"]
     assert found["data"] == []
+
+
+@pytest.mark.parametrize("build", ["colcon", "pip"])
+def test_both_tell_pytest_of_the_plugin_beside_the_package(build: str) -> None:
+    found = described(build)
+    assert found["plugins"] == ["pytest_dfm_stage = pytest_dfm_stage"]
+    assert found["modules"] == ["pytest_dfm_stage"]
+    assert (ROOT / "pytest_dfm_stage.py").is_file()
 
 
 @pytest.mark.parametrize("build", ["colcon", "pip"])
@@ -62,6 +71,7 @@ def test_both_have_the_configuration_inside(build: str) -> None:
 def test_one_version_everywhere() -> None:
     for package in ("package.xml", "dfm_interfaces/package.xml"):
         assert f"<version>{__version__}</version>" in (ROOT / package).read_text("utf-8")
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +112,7 @@ def test_the_wheel_holds_the_whole_package(wheel: Path) -> None:
                              text=True, check=True).stdout.splitlines()
     assert {name for name in tracked if (ROOT / name).is_file()} <= names
     assert {name.partition("/")[0] for name in names} == {
-        "dfm_stage", f"dfm_stage-{__version__}.dist-info"}
+        "dfm_stage", "pytest_dfm_stage.py", f"dfm_stage-{__version__}.dist-info"}
 
 
 @pytest.mark.slow

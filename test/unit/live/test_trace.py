@@ -8,13 +8,16 @@ import re
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree as ET
 
 from reference_page import SERVICES
 
 from dfm_stage.live.trace import BEHIND, KEPT, MOST_ROWS, Trace
 from dfm_stage.nodes.wiring import LINKS
 
-LAYOUT = Path(__file__).parents[3] / "config/foxglove/stage.json"
+CONFIG = Path(__file__).parents[3] / "config"
+LAYOUT = CONFIG / "foxglove/stage.json"
+PLOTJUGGLER = CONFIG / "plotjuggler/stage.xml"
 
 
 def measurement(seq: int) -> SimpleNamespace:
@@ -93,3 +96,30 @@ def test_the_foxglove_layout_asks_for_topics_fields_and_services_that_there_are(
     for node in layout["userNodes"].values():
         for topic in re.findall(r'"/stage/x/(\w+)"', node["sourceCode"]):
             assert topic in LINKS
+
+
+def test_the_plotjuggler_layout_plots_topics_and_fields_that_there_are() -> None:
+    root = ET.parse(PLOTJUGGLER).getroot()  # noqa: S314 our own file
+    made = {each.get("name"): each for each in root.iter("snippet")}
+    curves = [str(each.get("name")) for each in root.iter("curve")]
+    assert made.keys() <= set(curves)
+    sources = [str(each.text) for snippet in made.values() for each in snippet.iter()
+               if each.tag == "linked_source" or re.fullmatch(r"v\d+", each.tag)]
+    for snippet in made.values():
+        given = {"value", *(each.tag for each in snippet.find("additional_sources") or ())}
+        used = set(re.findall(r"\b(?:value|v\d+)\b", str(snippet.findtext("function"))))
+        assert used == given
+    for path in [*sources, *(curve for curve in curves if curve not in made)]:
+        topic, _, field = path.removeprefix("/stage/x/").partition("/")
+        assert field in LINKS[topic].type.get_fields_and_field_types(), path
+    for splitter in root.iter("DockSplitter"):
+        sizes = [float(size) for size in str(splitter.get("sizes")).split(";")]
+        assert len(sizes) == len(splitter) == int(str(splitter.get("count")))
+        assert math.isclose(sum(sizes), 1.0)
+
+
+def test_both_layouts_plot_the_same() -> None:
+    xml = ET.parse(PLOTJUGGLER).getroot()  # noqa: S314 our own file
+    shown = {str(each.get("name")) for each in xml.iter("curve")} - {"error_x"}
+    foxglove = re.findall(r'"value": "(/stage/x/\w+)\.(\w+)"', LAYOUT.read_text("utf-8"))
+    assert shown == {"/".join(each) for each in foxglove}

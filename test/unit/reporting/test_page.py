@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -98,7 +101,7 @@ def test_nothing_is_asked_of_the_network(full: Page) -> None:
     html = full.html()
     checker = checked(html)
     assert checker.references
-    assert all(reference.startswith("#") for reference in checker.references)
+    assert all(reference.startswith(("#", "data:text/csv")) for reference in checker.references)
     assert not {"script", "link", "img", "iframe", "object", "embed"} & set(checker.tags)
     assert "@import" not in html
     assert all(url.startswith("#") for url in re.findall(r"url\(([^)]*)\)", html))
@@ -108,7 +111,8 @@ def test_ids_are_unique_and_references_resolve(full: Page) -> None:
     html = full.html()
     checker = checked(html)
     assert len(checker.ids) == len(set(checker.ids))
-    used = {r[1:] for r in checker.references} | set(re.findall(r"url\(#([^)]*)\)", html))
+    used = {r[1:] for r in checker.references if r.startswith("#")}
+    used |= set(re.findall(r"url\(#([^)]*)\)", html))
     assert used <= set(checker.ids)
 
 
@@ -150,6 +154,65 @@ def test_numbers_are_aligned_and_ragged_rows_refused() -> None:
     assert "2 µm" in html
     with pytest.raises(ValueError, match="row 0 has 1 cells, not 2"):
         Table(("a", "b"), [("x",)])
+
+
+def downloads(html: str) -> list[list[list[str]]]:
+    """The columns of every CSV on a page, blank cells left out."""
+    texts = [unquote(found) for found in re.findall(
+        r'href="data:text/csv;charset=utf-8,([^"]*)"', html)]
+    return [[[cell for cell in column if cell] for column in zip(*csv.reader(io.StringIO(text)),
+                                                                 strict=True)] for text in texts]
+
+
+def test_every_figure_is_a_csv_of_what_it_draws(full: Page) -> None:
+    assert len(downloads(full.html())) == 4
+    t = np.linspace(0.0, 2.0, 41)
+    page = Page("a").figure(time_figure(t, [
+        ("position", "m", {"r": 1e-3 * t, "y": 2e-3 * t}), ("input", "V", {"u": -t})]), "c")
+    ((time, r, y, again, u),) = downloads(page.html())
+    assert [time[0], r[0], y[0], again[0], u[0]] == [
+        "time (s)", "r, position (mm)", "y, position (mm)", "time (s)", "u, input (V)"]
+    assert np.allclose(np.array([time[1:], r[1:], y[1:], u[1:]], dtype=float),
+                       [t, t, 2 * t, -t], rtol=1e-4)
+
+
+def test_words_and_levels_of_a_plot_are_in_its_csv() -> None:
+    figure, axes = new_figure()
+    axes.plot([0, 1], [4.0, 5.0], label="left")
+    axes.axhline(2.5, label="floor")
+    axes.set_xticks([0, 1], ["before", "after"])
+    axes.set(ylabel="RMS (nm)")
+    ((x, left, floor),) = downloads(Page("a").figure(figure, "c").html())
+    assert x == ["before", "after"]
+    assert left == ["left, RMS (nm)", "4", "5"]
+    assert floor == ["floor, RMS (nm)", "2.5"]
+
+
+def test_a_page_of_several_sections_has_contents() -> None:
+    page = Page("a").lead("lead")
+    assert "<nav" not in page.section("one").section("two").html()
+    html = page.section("<three>").text("t").html()
+    contents = re.findall(r'<a href="#(s\d)">([^<]*)</a>', html)
+    assert [title for _, title in contents] == ["one", "two", "&lt;three&gt;"]
+    for anchor, title in contents:
+        assert f'<section id="{anchor}">\n<h2>{title}</h2>' in html
+
+
+def test_tables_and_text_belong_to_the_figure_that_they_stand_beside() -> None:
+    figure, axes = new_figure()
+    axes.plot([0, 1])
+    page = Page("a").section("s", "led to").figure(figure, "first").table(["n"], [[1]])
+    page.figure(figure, "second").table(list("abcde"), [[0] * 5])
+    rows = page.html().split('<div class="row')[1:]
+    assert [("led to" in row, "first" in row, "second" in row, row.count("<table>"))
+            for row in rows] == [
+        (True, True, False, 1), (False, False, True, 0), (False, False, False, 1)]
+
+
+def test_brackets_are_explained_where_they_are_used() -> None:
+    with_interval = Page("a").table(["q"], [[Quantity(3.9008867, "Hz", (3.9008812, 3.9008922))]])
+    assert "3.9008867(55): the bracket is half the 95 % interval" in with_interval.html()
+    assert "the bracket is" not in Page("a").table(["q"], [[Quantity(3.9, "Hz")]]).html()
 
 
 def test_no_peak_is_lost_in_a_long_signal() -> None:
