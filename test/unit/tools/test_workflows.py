@@ -94,7 +94,7 @@ def test_what_is_wrong_is_seen_by_lint(file: str, found: str, wrong: str, tmp_pa
 
     def complaints() -> list[str]:
         return [check[4] for check in lint.schema_checks(tmp_path) if subprocess.run(
-            [sys.executable, "-m", *check], capture_output=True, check=False).returncode]
+            [sys.executable, *check], capture_output=True, check=False).returncode]
 
     assert {check[4] for check in lint.schema_checks(tmp_path)} == set(lint.SCHEMAS)
     assert complaints() == []
