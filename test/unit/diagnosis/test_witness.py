@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from dfm_stage.diagnosis import DiagnosisError
-from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.observation import Observation, in_windows
+from dfm_stage.diagnosis.screen import Hit
+from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.witness import witness
 from dfm_stage.model import EFFECTS, Simulator, load_model
 
@@ -65,6 +68,36 @@ def test_a_free_mass_is_estimated_instead_of_the_force_constant(cubic):
                     free=("mass", "damping", "stiffness"))
     assert found.best.parameters["mass"] == pytest.approx(truth.MASS, rel=0.01)
     assert found.best.parameters["force_constant"] == truth.GAIN
+
+
+def swing(softening: float) -> Observation:
+    """A free swing with a spring that softens, by DOP853; nothing drives it."""
+    time = truth.PERIOD * np.arange(8000)
+
+    def motion(_: float, state: np.ndarray) -> list[float]:
+        x, v = state
+        return [v, -(truth.STIFFNESS * x - softening * x**3 + truth.DAMPING * v) / truth.MASS]
+
+    found = solve_ivp(motion, (0.0, time[-1]), [2e-4, 0.0], "DOP853", time, rtol=1e-10, atol=1e-14)
+    return observed(np.zeros(time.size), found.y[0])
+
+
+def test_where_nothing_drives_the_stage_the_mass_is_the_scale():
+    found = witness([swing(3e10)], GIVEN, LIBRARY)
+    assert found.best.names == ("cubic_stiffness",)
+    assert found.best.parameters["cubic_stiffness.k3"] == pytest.approx(-3e10, rel=0.05)
+    assert found.best.parameters["stiffness"] == pytest.approx(truth.STIFFNESS, rel=0.01)
+    assert "without an input" in found.not_judged["second_mode"]
+    assert not found.cannot_tell
+
+
+def test_a_fit_begins_weaker_where_the_motion_escapes():
+    run = swing(3e10)
+    search = Search(GIVEN, [in_windows(run)], ("damping", "stiffness"), library=LIBRARY)
+    bare = search.begin()
+    found = search.once(("cubic_stiffness",), bare, [Hit.at("cubic_stiffness", {"k3": -2e11})])
+    assert found.ok
+    assert found.model.parameters()["cubic_stiffness.k3"] == pytest.approx(-3e10, rel=0.05)
 
 
 def test_a_pair_is_told_where_both_are_there():
@@ -136,9 +169,9 @@ def test_short_records_and_resting_inputs_are_refused(cubic):
     with pytest.raises(DiagnosisError, match="too short"):
         witness([cubic[0].part(0, 150)], GIVEN, ["cubic_stiffness"])
     run = cubic[0]
-    free = Observation("free", 0.0 * run.input, run.output, run.sample_period)
-    with pytest.raises(DiagnosisError, match="does nothing"):
-        witness([free], GIVEN, ["cubic_stiffness"])
+    weak = Observation("weak", 1e-9 * run.input, run.output, run.sample_period)
+    with pytest.raises(DiagnosisError, match="next to nothing"):
+        witness([weak], GIVEN, ["cubic_stiffness"])
 
 
 # -- measured records, where they are ------------------------------------------------------------

@@ -10,6 +10,7 @@ import pytest
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.observation import Observation, in_windows
 from dfm_stage.identification.convention import Convention
+from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.system import System
 from dfm_stage.identification.weights import Weight
@@ -91,6 +92,27 @@ def test_a_state_moves_its_own_window_and_nothing_else():
             == pytest.approx(1.0)
         moved = system.slope(slopes, at[f"initial.velocity@{start}"], 0)[start:start + WINDOW]
         assert moved == pytest.approx(-np.expm1(-rate * time) / rate, abs=1e-7)
+
+
+@pytest.mark.parametrize("polynomial", [np.ones(1), np.array([1.0, -0.6, 0.2])])
+def test_the_derivative_by_entries_is_that_of_the_residual(polynomial):
+    """Against differences of the residual, also where a weight's filter reaches over a cut."""
+    runs = [Run(f"run {k}", feed(k), 1e-2 * feed(4 + k), PERIOD, window=WINDOW, skip=20)
+            for k in range(2)]
+    system = System(Model("m", PERIOD, SERVO), runs, FREE)
+    criterion = Criterion(system, [(Weight(polynomial, 0.1, ""),)] * 2)
+    found = criterion.derivative(system.start)
+    assert found.nnz < 0.5 * found.shape[0] * found.shape[1]
+    wanted = np.empty(found.shape)
+    for k, scale in enumerate(system.scale):
+        step = np.zeros(system.start.size)
+        step[k] = 1e-4 * scale
+        wanted[:, k] = (criterion.residual(system.start + step)
+                        - criterion.residual(system.start - step)) / (2e-4 * scale)
+    size = np.linalg.norm(wanted, axis=0)
+    assert np.all(size > 0.0)
+    assert found.toarray() / size == pytest.approx(wanted / size, abs=1e-4)
+    assert criterion.jacobian(system.start) == pytest.approx(found.toarray())
 
 
 def test_what_all_windows_share_is_felt_in_each():
