@@ -310,13 +310,13 @@ AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from
                  "parameter is at it.")
 MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that one parameter "
                       "gets when it is shared out anew.")
-STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 29e6, "steps", "Integration steps after which no "
+STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration steps after which no "
                             "further candidate that is slow to simulate is tried.", BOUND)
-STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 36e6, "steps", "The same for any with a "
+STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 60e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
-MOST_STEPS = _search("MOST_STEPS", 60e6, "steps", "Integration steps after which every fit ends "
+MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps after which every fit ends "
                      "where it is.", BOUND)
-GRADING_STEPS = _search("GRADING_STEPS", 30e6, "steps", "Integration steps of the search for "
+GRADING_STEPS = _search("GRADING_STEPS", 50e6, "steps", "Integration steps of the search for "
                         "effects that explain a part.", BOUND)
 FIRST_SHARE = _search("FIRST_SHARE", 0.5, "1", "Share of MOST_STEPS after which the first effects "
                      "must be found: the rest is for what follows.", BOUND)
