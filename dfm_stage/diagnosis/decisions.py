@@ -146,9 +146,9 @@ GRADED_ITERATIONS = decision(
     "GRADED_ITERATIONS", 15, "1", meaning="Iterations of such a fit at most.",
     set_on="derivation: processor time")
 HALVINGS = decision(
-    "HALVINGS", 3, "1", meaning="Times that the size of an effect is halved where a fit begun with "
-    "it lets the motion escape.", set_on="derivation: an eighth of a force that was missed is "
-    "no more than what the fit without it bore")
+    "HALVINGS", 3, "1", meaning="Times that the size of an effect is halved where a fit begun "
+    "with it lets the motion escape.", set_on="derivation: an eighth of a force that was missed "
+    "is no more than what the fit without it bore")
 MOST_GRADED = decision(
     "MOST_GRADED", 3, "1", meaning="Effects that are told at most beside a remainder.",
     set_on="derivation: each takes 0.3 of what the others leave; a fourth would take 0.1 of all")

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csc_array
 
-from dfm_stage.arrays import Array
-from dfm_stage.identification.least_squares import STUCK, Jacobian, Solution, minimise
+from dfm_stage.arrays import Array, Lines
+from dfm_stage.identification.least_squares import STUCK, Jacobian, Solution, dense, minimise
 from dfm_stage.identification.noise import whiten
 from dfm_stage.identification.problem import Problem, Signals
 from dfm_stage.identification.weights import Weights
@@ -61,7 +61,7 @@ class Criterion:
     def jacobian(self, z: Array, *_: Array, exact: bool = False) -> Array:
         """The derivative (N, len(z)) of the residual; `exact` by central differences."""
         if self._in_windows:
-            return np.asarray(self.derivative(z, exact=exact).toarray())
+            return dense(self.derivative(z, exact=exact))
         count = self.problem.start.size
         gaps = self.problem.residuals(z[:count]) if self.joint else None
         blocks = []
@@ -89,7 +89,7 @@ class Criterion:
         if not self._in_windows:
             return self.jacobian(z, exact=exact)
         entries: list[list[Array]] = [[] for _ in problem.unknowns]
-        rows: list[list[Array]] = [[] for _ in problem.unknowns]
+        places: list[list[Lines]] = [[] for _ in problem.unknowns]
         before = 0
         for i, weights in enumerate(self.weights):
             for s, (columns, weight) in enumerate(zip(self.slopes(i, z, exact), weights,
@@ -97,18 +97,19 @@ class Criterion:
                 polynomial = self.polynomial(i, s, z)
                 order = polynomial.size - 1
                 for k in problem.active(i):
-                    first, last, _ = problem.shown(k, i).indices(columns.shape[1])
+                    first, last = problem.shown(k, i).indices(columns.shape[1])[:2]
                     lead = min(order, first)
                     column = np.concatenate((
                         np.zeros(lead), columns[problem.rows[k], first:last],
                         np.zeros(min(order, columns.shape[1] - last))))
                     if last > first and np.isfinite(column).all():
                         entries[k].append(-whiten(column, polynomial) / weight.sigma)
-                        rows[k].append(before + first - lead + np.arange(entries[k][-1].size))
+                        places[k].append(before + first - lead
+                                         + np.arange(entries[k][-1].size, dtype=np.int64))
                 before += columns.shape[1] - order
-        ends = np.cumsum([0, *(sum(e.size for e in parts) for parts in entries)])
-        return csc_array((np.concatenate([e for parts in entries for e in parts]),
-                          np.concatenate([r for parts in rows for r in parts]), ends),
+        ends = np.cumsum([0, *(sum(e.size for e in found) for found in entries)])
+        return csc_array((np.concatenate([e for found in entries for e in found]),
+                          np.concatenate([p for parts in places for p in parts]), ends),
                          shape=(before, z.size))
 
     def minimise(self, x: Array, max_iterations: int, tolerance: float) -> Solution:

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import issparse
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.decisions import FORETOLD, IN_A_ROW, NEAR, RANK_TOLERANCE
 from dfm_stage.identification.inference import assemble
-from dfm_stage.identification.least_squares import Jacobian, Solution, minimise
+from dfm_stage.identification.least_squares import Jacobian, Solution, dense, minimise
 from dfm_stage.identification.problem import Signals
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.result import Estimate
@@ -45,7 +44,7 @@ class Fit:
     @cached_property
     def jacobian(self) -> Array:
         """The slopes (N, n) with all that is zero."""
-        return self.slopes.toarray() if issparse(self.slopes) else self.slopes
+        return dense(self.slopes)
 
     @property
     def rms(self) -> float:

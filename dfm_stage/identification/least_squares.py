@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from dfm_stage.identification.decisions import ACCEPTED, CREEP, CREPT, NEARLY, R
 
 STUCK = "no step lowers the cost"
 
-Jacobian = Array | csc_array
+Jacobian: TypeAlias = Array | csc_array
 """The derivative (N, n) of a residual; sparse where windows have states of their own."""
 
 
@@ -111,10 +112,16 @@ def _pushed_out(x: Array, gradient: Array, low: Array, high: Array,
     return ((x <= low + tiny) & (gradient > 0.0)) | ((x >= high - tiny) & (gradient < 0.0))
 
 
+def dense(jacobian: Any) -> Array:
+    """The jacobian (N, n) with all that is zero."""
+    return np.asarray(jacobian.toarray() if issparse(jacobian) else jacobian)
+
+
 def column_norms(jacobian: Jacobian, scale: Array) -> Array:
     """Return the norms by which columns are divided; a column of nothing gets infinity."""
-    squares = jacobian.power(2).sum(axis=0) if issparse(jacobian) \
-        else np.einsum("ij,ij->j", jacobian, jacobian)
+    entries: Any = jacobian
+    squares = entries.power(2).sum(axis=0) if issparse(entries) \
+        else np.einsum("ij,ij->j", entries, entries)
     norms = np.sqrt(squares)
     strongest = float(np.max(norms * scale, initial=0.0))
     return np.where(norms * scale > SEEN * strongest, norms, math.inf)
@@ -139,7 +146,7 @@ class _Quadratic:
         self.norms = np.where(np.isfinite(norms), norms, 1.0)
         seen = np.isfinite(norms)
         gram = jacobian.T @ jacobian
-        self.gram = (gram.toarray() if issparse(gram) else gram) / np.outer(self.norms, self.norms)
+        self.gram = dense(gram) / np.outer(self.norms, self.norms)
         self.gradient = (jacobian.T @ residual) / self.norms
         self.gradient[~seen] = 0.0
         self.low, self.high = low * self.norms, high * self.norms

@@ -163,10 +163,10 @@ class Problem:
         for slopes, outputs, here in zip(out, found, centre, strict=True):
             for j, members in enumerate(groups):
                 for k in members:
-                    part = parts[k]
-                    up, down = (outputs[2 * j], outputs[2 * j + 1]) if central else \
+                    sides = (outputs[2 * j], outputs[2 * j + 1]) if central else \
                         (outputs[j + 1], here) if widths[k][0] else (here, outputs[j + 1])
-                    slopes[self.rows[k], part] = _slope(up[part], down[part], here[part], widths[k])
+                    up, down = (side[parts[k]] for side in sides)
+                    slopes[self.rows[k], parts[k]] = _slope(up, down, here[parts[k]], widths[k])
 
 
 TINY = 1e-300

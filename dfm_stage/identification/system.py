@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.arrays import Array
+from dfm_stage.arrays import Array, Lines
 from dfm_stage.identification.convention import Drive, interpolated
 from dfm_stage.identification.coordinates import group, late_parameters
 from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
@@ -37,7 +37,6 @@ SHORTEST_LAG = 1e-6
 """Least lag, in samples, for which a periodic motion is looked for."""
 
 
-Indices = NDArray[np.int64]
 
 _TAKEN: ContextVar[float] = ContextVar("steps", default=0.0)
 
@@ -352,7 +351,7 @@ class System(Problem):
             alone = moved | np.any(differ[:, own], axis=1)
             still = np.flatnonzero(~alone)
             chosen = np.concatenate((np.flatnonzero(alone), still[:1]))
-            rows.append(table[np.ix_(chosen, [*shared, *own])])
+            rows.append(table[chosen][:, [*shared, *own]])
             parts += [part] * chosen.size
             shown.append((part, chosen, still))
         return _Windows([*(names[k] for k in shared), *(f"initial.{s}" for s in states)],
@@ -448,7 +447,7 @@ class _Windows:
     names: Sequence[str]
     rows: Array
     parts: Sequence[slice]
-    shown: Sequence[tuple[slice, Indices, Indices]]
+    shown: Sequence[tuple[slice, Lines, Lines]]
 
     def put_together(self, found: Array, count: int) -> Array:
         """A signal (count, N) from those of the windows, `found` (R, longest)."""
