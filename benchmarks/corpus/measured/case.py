@@ -301,6 +301,8 @@ def _set_noise(setup: Setup, rng: np.random.Generator) -> None:
     found = [setup.simulate(i) for i in numbers]
     if setup.judged == "force":
         missing, rest = force_parts(found)
+        if not np.any(missing):
+            raise ValueError("nothing is missing")
         gap = float(np.std(as_motion(missing, setup.stage, setup.train[0])))
         setup.share = float(rest @ rest) / float(missing @ missing)
     else:
