@@ -15,6 +15,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
+from dfm_stage import __version__
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 from dfm_stage.share import door, needs_ros
@@ -121,6 +122,8 @@ def command_parser(name: str, description: str | None, epilog: str,
     parser = argparse.ArgumentParser(prog=name, description=description,
                                      epilog=epilog.replace("./run", door()),
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--version", action="version",
+                        version=f"{name} {__version__} (dfm_stage)")
     for flags, settings in options:
         where, entries = ((parser, ((flags, settings),)) if isinstance(settings, dict)
                           else (parser.add_argument_group(str(flags)), settings))

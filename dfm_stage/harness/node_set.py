@@ -25,6 +25,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 
 from dfm_interfaces.srv import Ready
+from dfm_stage import interruption
 from dfm_stage.errors import DfmError
 from dfm_stage.harness.domain import claim_domain
 from dfm_stage.middleware.security import require_what_was_asked
@@ -158,7 +159,7 @@ class NodeSet:
             launched.process = subprocess.Popen(
                 [sys.executable, "-m", "dfm_stage", kind, *ros_args], stdin=subprocess.DEVNULL,
                 stdout=log, stderr=log, start_new_session=True,
-                preexec_fn=_die_with_parent,  # noqa: PLW1509 nothing but a system call
+                preexec_fn=_die_with_parent,  # noqa: PLW1509 nothing but system calls
                 env={**os.environ, "ROS_DOMAIN_ID": str(self._domain_id)})
         self.launched.append(launched)
         return launched
@@ -382,3 +383,4 @@ def _answered(asked: Sequence[Any], until: float) -> bool:
 
 def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    interruption.block()

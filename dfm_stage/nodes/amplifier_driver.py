@@ -22,7 +22,6 @@ from dfm_stage.nodes.base import LOOP_HEALTH, Publisher
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wiring import LATCHED_FROM_MANY_QOS, LATCHED_QOS
 
 _NO_SAMPLE = 0
 _PUBLISHERS_PERIOD_S = 0.25
@@ -36,6 +35,7 @@ class AmplifierDriver(ManagedNode):
     """Answers every `command` with a drive and publishes `amplifier`."""
 
     kind = "amplifier_driver"
+    example = "-p current_limit_a:=2.0 -p autoarm:=false    # simulated, armed by hand"
     settings_table = (
         *device_settings(names("amplifiers"), "what drives the coil"),
         Setting("voltage_limit_v", 10.0, "a command beyond this (V, or A with a current drive) "
@@ -98,10 +98,8 @@ class AmplifierDriver(ManagedNode):
         self.trigger_service("~/disarm", self._disarm)
         self.trigger_service("~/clear", self._clear)
         if not self.lockstep:
-            self.create_subscription(DiagnosticStatus, "encoder_health", self._on_health,
-                                     LATCHED_QOS)
-            self.create_subscription(DiagnosticStatus, LOOP_HEALTH, self._on_loop_health,
-                                     LATCHED_FROM_MANY_QOS)
+            self.side_subscription("encoder_health", self._on_health)
+            self.side_subscription(LOOP_HEALTH, self._on_loop_health)
             self.create_timer(_PUBLISHERS_PERIOD_S, self._check_publishers, clock=self.steady)
             if self.simulated:
                 self.create_timer(self._interlock.stale_s / 4, self._check_stale,

@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import rclpy
@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from dfm_stage import __version__, interruption
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.security import require_what_was_asked
 from dfm_stage.middleware.shared_memory import (
@@ -120,12 +121,12 @@ class StopRequest:
             signal.signal(number, handler)
 
 
-def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) -> int:
+def run_node(kind: type[LoopNode], args: Sequence[str] | None = None) -> int:
     """Run one node until it is interrupted; return the exit code.
 
-    A parameter or file that cannot be used is one line on stderr and exit code 2. A node whose
-    port in shared memory is gone begins anew in the same process. The process runs at the node's
-    real-time priority.
+    `--help` and `--version` only print. A parameter or file that cannot be used is one line on
+    stderr and exit code 2. A node whose port in shared memory is gone begins anew in the same
+    process. The process runs at the node's real-time priority.
     """
     stop = StopRequest()
     stop.install()
@@ -133,9 +134,11 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
     node: LoopNode | None = None
     anew = False
     try:
+        if _answered(kind, _own_arguments(given)):
+            return 0
         _join(given)
         with avoiding_dead_ports():
-            node = make()
+            node = kind()
         node.begin()
         anew = _spin(node, stop)
     except ExternalShutdownException:
@@ -154,17 +157,35 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
     return 0
 
 
+def _own_arguments(given: list[str]) -> list[str]:
+    """Return what is no ROS argument; DfmError where it does not go up."""
+    try:
+        return list(remove_ros_args(["", *given])[1:])
+    except RuntimeError as error:
+        raise DfmError(str(error)) from error
+
+
+def _answered(kind: type[LoopNode], own: list[str]) -> bool:
+    """Print what was asked about the node; return whether anything was."""
+    if {"-h", "--help"} & set(own):
+        from dfm_stage.nodes.help import help_text
+
+        print(help_text(kind))
+    elif "--version" in own:
+        print(f"{kind.kind} {__version__} (dfm_stage)")
+    elif own:
+        raise DfmError(f"unknown arguments {' '.join(own)}: write parameters as --ros-args -p "
+                       f"name:=value; {kind.kind} --help lists them")
+    return bool(own)
+
+
 def _join(given: list[str]) -> None:
     """Join the graph with these ROS arguments; DfmError where that cannot be."""
     require_what_was_asked()
     try:
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-        foreign = remove_ros_args(["", *given])[1:]
     except RuntimeError as error:
         raise DfmError(str(error)) from error
-    if foreign:
-        raise DfmError(f"unknown arguments {' '.join(foreign)}: write parameters as "
-                       "--ros-args -p name:=value")
 
 
 def _spin(node: LoopNode, stop: StopRequest) -> bool:
@@ -200,5 +221,6 @@ def _begin_anew() -> None:
         if int(name) > _STANDARD:
             with contextlib.suppress(OSError):
                 os.set_inheritable(int(name), False)
+    interruption.block()
     os.execv(sys.executable, sys.orig_argv)  # noqa: S606 what started this
 

@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionServer, CancelResponse
 
 from dfm_interfaces.action import RunExperiment
@@ -113,6 +112,7 @@ class TrajectoryGenerator(LoopNode):
     """Publishes `reference` and `excitation`; runs experiments through an action."""
 
     kind = "trajectory_generator"
+    example = "-p experiment:=scan    # runs it as soon as the controller listens"
     settings_table = (
         SAMPLE_PERIOD,
         Setting("experiment", "", "experiment to run: a name in config/experiments or a YAML "
@@ -152,8 +152,7 @@ class TrajectoryGenerator(LoopNode):
         self.create_timer(0.2, self._report, clock=self.steady)
         self._recorder_heard_s = math.inf
         if self.settings["wait_for_recorder"] and not self.lockstep:
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10,
-                                     raw=True)
+            self.side_subscription("/diagnostics", self._on_diagnostics, raw=True)
         self.begin()
 
     def start_work(self) -> None:
