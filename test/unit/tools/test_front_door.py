@@ -59,7 +59,9 @@ def test_an_unknown_name_is_one_line_with_the_nearest(front: list[str]) -> None:
 def test_a_reader_that_leaves_the_list_is_no_error() -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    front = subprocess.run(["./run"], cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, check=False)
+    front = subprocess.run(
+        ["./run"], cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, check=False
+    )
     os.close(writing)
     assert (front.returncode, front.stderr) == (-signal.SIGPIPE, b"")
 
