@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, TextIO
 
 from dfm_stage import __version__
-from dfm_stage.errors import DfmError
+from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.files import write_whole
 from dfm_stage.share import door, needs_ros
 
@@ -33,10 +33,6 @@ TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "am
 """How good news each verdict of the diagnosis is."""
 _CODES = {"good": "32", "warn": "33", "bad": "31"}
 _made: list[Path] = []
-
-
-class CheckFailedError(DfmError):
-    """The input is usable, but what was asked for cannot be answered for: exit code 1, not 2."""
 
 
 def paint(text: str, tone: Tone, stream: TextIO | None = None) -> str:

@@ -26,9 +26,9 @@ from rclpy.parameter import Parameter as RosParameter
 
 from dfm_interfaces.srv import Ready
 from dfm_stage import interruption
-from dfm_stage.errors import DfmError
+from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.harness.domain import claim_domain
-from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.middleware.security import OVERRIDE, require_what_was_asked
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 from dfm_stage.nodes.base import node_class
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
@@ -43,6 +43,10 @@ _DEAF = ("; this process's own port in shared memory is gone (was another proces
 
 class HarnessError(DfmError):
     """A node set did not come up, an experiment did not finish, or a node died."""
+
+
+class RunFailedError(HarnessError, CheckFailedError):
+    """An experiment ran, and ended without success."""
 
 
 class NotInTimeError(HarnessError):
@@ -145,7 +149,8 @@ class NodeSet:
         file = self.folder / f"{launched.full_name.strip('/').replace('/', '_')}.yaml"
         file.write_text(json.dumps(
             {launched.full_name: {"ros__parameters": dict(parameters)}}))
-        ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
+        ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file),
+                    "--enclave", launched.full_name]
         if self.composed and make is None:
             make = node_class(kind)
         if make is not None:
@@ -160,7 +165,8 @@ class NodeSet:
                 [sys.executable, "-m", "dfm_stage", kind, *ros_args], stdin=subprocess.DEVNULL,
                 stdout=log, stderr=log, start_new_session=True,
                 preexec_fn=_die_with_parent,  # noqa: PLW1509 nothing but system calls
-                env={**os.environ, "ROS_DOMAIN_ID": str(self._domain_id)})
+                env={**{name: value for name, value in os.environ.items() if name != OVERRIDE},
+                     "ROS_DOMAIN_ID": str(self._domain_id)})
         self.launched.append(launched)
         return launched
 

@@ -347,7 +347,7 @@ class LoopNode(Node):
             self._opening.cancel()
 
     def _on_ready(self, request: Ready.Request, response: Ready.Response) -> Ready.Response:
-        reasons = [self.not_ready()]
+        reasons = [self.not_ready(), self._unknown(request.nodes)]
         kinds = {name.rpartition("/")[2] for name in request.nodes}
         for publisher in self.publishers_of_links:
             if missing := publisher.missing([
@@ -359,6 +359,14 @@ class LoopNode(Node):
         response.message = "; ".join(filter(None, reasons))
         response.ready = not response.message
         return response
+
+    def _unknown(self, names: Sequence[str]) -> str:
+        """Say which nodes are not there; a name without `/` is one in this namespace."""
+        here = {f"{space.rstrip('/')}/{name}"
+                for name, space in self.get_node_names_and_namespaces()}
+        missing = [name for name in names
+                   if (name if "/" in name else f"{self.get_namespace()}/{name}") not in here]
+        return f"there is no {', '.join(missing)}" if missing else ""
 
     def _broken(self) -> str:
         if self._watch.silent:

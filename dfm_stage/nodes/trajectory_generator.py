@@ -13,14 +13,15 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse
 
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control import inverse_of
 from dfm_stage.errors import DfmError
-from dfm_stage.middleware.watch import HELD_UP_S
+from dfm_stage.middleware.watch import HELD_UP_S, SILENT_S
 from dfm_stage.model import Model, load_model
 from dfm_stage.model.parameter import Parameter
 from dfm_stage.nodes.base import LoopNode
@@ -32,8 +33,10 @@ from dfm_stage.trajectory import (
     EXCITATION_KINDS,
     LIMIT_PARAMETERS,
     REFERENCE_KINDS,
+    Bounds,
     Excitation,
     Limits,
+    Outcome,
     Reference,
     load_experiment,
     make_excitation,
@@ -87,9 +90,20 @@ def _setting(name: str, entries: list[tuple[str, Any]]) -> Setting:
     return Setting(name, first.default, text, choices=first.choices, live=True)
 
 
+class Signals(NamedTuple):
+    """What a run asks for; `voltage` has the model's inverse in it, too."""
+
+    name: str
+    reference: Reference
+    excitation: Excitation
+    voltage: list[float]
+    bounds: Bounds
+    open_loop: bool
+
+
 @dataclass
 class ActiveRun:
-    """An experiment under way; `first_seq` is set by the first sample."""
+    """An experiment under way; `first_seq` is set by the first sample, `over_s` after the last."""
 
     name: str
     position: list[float]
@@ -98,9 +112,11 @@ class ActiveRun:
     voltage: list[float]
     metadata: dict[str, Any]
     files: dict[str, str]
+    outcome: Outcome
     goal: Any = None
     first_seq: int | None = None
     done: int = 0
+    over_s: float | None = None
 
     @property
     def count(self) -> int:
@@ -140,6 +156,9 @@ class TrajectoryGenerator(LoopNode):
         self._pending: Any = None
         self._hold = 0.0
         self._asked_s = time.monotonic()
+        self._said: dict[str, Any] = {}
+        self._output_heard_s = -math.inf
+        self._output_off = ""
         self._reference = self.link_publisher("reference")
         self._excitation = self.link_publisher("excitation")
         self.link_subscription("measurement", self._on_measurement)
@@ -150,6 +169,7 @@ class TrajectoryGenerator(LoopNode):
             handle_accepted_callback=self._on_goal,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT)
         self.create_timer(0.2, self._report, clock=self.steady)
+        self.side_subscription("amplifier_health", self._on_output)
         self._recorder_heard_s = math.inf
         if self.settings["wait_for_recorder"] and not self.lockstep:
             self.side_subscription("/diagnostics", self._on_diagnostics, raw=True)
@@ -172,8 +192,8 @@ class TrajectoryGenerator(LoopNode):
                 name for name, value in values.items() if value != self.settings[name]})
 
     def _signals(self, values: dict[str, Any], given: set[str],
-                 experiment: str = "") -> tuple[str, Reference, Excitation, list[float]]:
-        """Return name, reference, excitation and the whole voltage, all within the limits.
+                 experiment: str = "") -> Signals:
+        """Return what is to be run, all within the limits.
 
         Raises
         ------
@@ -181,13 +201,13 @@ class TrajectoryGenerator(LoopNode):
             If there is no such experiment or signal, or it would leave a limit.
         """
         period = values[SAMPLE_PERIOD.name]
-        name, open_loop, named = "", False, values["limits.model"]
+        name, named, bounds = "parameters", values["limits.model"], Bounds()
         experiment = experiment or values["experiment"]
         if experiment:
             loaded = load_experiment(find_experiment(experiment))
             reference = loaded.reference(self.axis, period)
             excitation = loaded.excitation(self.axis, period)
-            name, open_loop = loaded.name, loaded.mode == "open_loop"
+            name, open_loop, bounds = loaded.name, loaded.mode == "open_loop", loaded.bounds
         else:
             common = {"sample_period_s": period, "duration_s": values["duration_s"],
                       "seed": values["seed"]}
@@ -206,21 +226,22 @@ class TrajectoryGenerator(LoopNode):
                                             reference.position, reference.velocity,
                                             reference.acceleration)
         require_run_within(reference, replace(excitation, voltage=voltage), limits,
-                           self._model(named) if named else None, open_loop=open_loop, where=name)
-        return name, reference, excitation, voltage.tolist()
+                           self._model(named) if named else None, open_loop=open_loop,
+                           where=name if experiment else "")
+        return Signals(name, reference, excitation, voltage.tolist(), bounds, open_loop)
 
     def _model(self, name: str) -> Model:
         model = load_model(name)
         return model.axis(self.axis) if model.axes else model
 
     def _make_run(self, experiment: str = "", goal: Any = None) -> ActiveRun:
-        name, reference, excitation, voltage = self._signals(
+        name, reference, excitation, voltage, bounds, open_loop = self._signals(
             self.settings.values, self.settings.given, experiment)
-        name = name or "parameters"
         return ActiveRun(name, reference.position.tolist(), reference.velocity.tolist(),
                          reference.acceleration.tolist(), voltage,
                          {"experiment": name, "reference": reference.metadata(),
-                          "excitation": excitation.metadata()}, self._files(excitation), goal)
+                          "excitation": excitation.metadata()}, self._files(excitation),
+                         Outcome(reference.position, self._hold, bounds, open_loop), goal)
 
     def _files(self, excitation: Excitation) -> dict[str, str]:
         """Return what the recorder is to attach to the bag: a voltage that came from a file."""
@@ -231,10 +252,12 @@ class TrajectoryGenerator(LoopNode):
             for k, volts in enumerate(excitation.voltage.tolist()))}
 
     def config(self) -> dict[str, Any]:
-        """Return what signal is, or was last, running and where in the record it starts."""
+        """Return what signal is, or was last, running, where in the record it starts, and what
+        came of it."""
         run = self._run
-        if run is None:
-            return {}
+        return self._description(run) if run is not None else self._said
+
+    def _description(self, run: ActiveRun) -> dict[str, Any]:
         return {"run": {**run.metadata, "first_seq": run.first_seq},
                 **({"attachments": run.files} if run.files else {})}
 
@@ -289,6 +312,11 @@ class TrajectoryGenerator(LoopNode):
         if run is None:
             return
         self.count("experiments")
+        if how == "succeed" and (message := self._complaint(run)):
+            how = "abort"
+        self._said = self._description(run)
+        self._said["run"] |= {"success": how == "succeed", "message": message}
+        self.publish_config()
         if how == "abort":
             self.get_logger().warning(f"{run.name} is over: {message}")
             if not asked_for:
@@ -296,15 +324,60 @@ class TrajectoryGenerator(LoopNode):
         if run.goal is not None:
             self._conclude(run.goal, how, message, run)
 
+    # What comes of a run
+
+    def _on_output(self, health: DiagnosticStatus) -> None:
+        """Note whether the amplifier's output is on."""
+        self._output_heard_s = time.monotonic()
+        self._output_off = "" if health.level == DiagnosticStatus.OK else str(health.message)
+        if self._run is not None and self._run.first_seq is not None:
+            self._run.outcome.output(self._output_off)
+
+    def _follow(self, measurement: Any) -> None:
+        """Compare a measurement with the reference; the first one after the run ends it."""
+        run = self._run
+        if run is None or run.first_seq is None:
+            return
+        index = (measurement.seq - run.first_seq) & 0xFFFFFFFF
+        if index < run.count:
+            run.outcome.measured(measurement.position, run.position[index])
+        elif index < _BACKWARDS and (self.lockstep or self._output_was_on(run)):
+            self._end("succeed")
+
+    def _output_was_on(self, run: ActiveRun) -> bool:
+        """Return whether it is known if the output was on to the end: an amplifier that was killed
+        says no more."""
+        if run.over_s is None:
+            run.over_s = self._asked_s
+        return (self._output_heard_s >= run.over_s or self._output_heard_s == -math.inf
+                or self._asked_s - run.over_s > SILENT_S)
+
+    def _look_for_output(self, run: ActiveRun) -> None:
+        silent_s = self._asked_s - self._output_heard_s
+        if SILENT_S < silent_s < math.inf:
+            run.outcome.output(f"nothing is heard of the amplifier for {silent_s:.1f} s")
+
+    def _complaint(self, run: ActiveRun) -> str:
+        """Return why a run that came to its end does not count."""
+        # an amplifier that is no node of ours does not say how it is
+        if self._output_heard_s == -math.inf and not self.count_publishers("amplifier"):
+            run.outcome.output("there is no amplifier")
+        return run.outcome.complaint()
+
     # The loop
 
     def _on_measurement(self, measurement: Any) -> None:
+        run = self._run
         if not self.lockstep:
             now = time.monotonic()
             gap, self._asked_s = now - self._asked_s, now
-            if gap > HELD_UP_S and self._run is not None and self._run.done:
-                self.count("runs_held_up")
-                self._end("abort", f"no measurement for {gap:.2f} s in the middle of it")
+            if run is not None and run.done > 0:
+                if gap > HELD_UP_S and run.done < run.count:
+                    self.count("runs_held_up")
+                    self._end("abort", f"no measurement for {gap:.2f} s in the middle of it")
+                self._look_for_output(run)
+        self._follow(measurement)
+        if not self.lockstep:
             self._answer((measurement.seq + 1) & 0xFFFFFFFF,
                          measurement.stamp_ns + int(self.settings[SAMPLE_PERIOD.name] * 1e9))
         elif self._run is not None:
@@ -320,6 +393,7 @@ class TrajectoryGenerator(LoopNode):
             return
         if run.first_seq is None:
             run.first_seq = seq
+            run.outcome.output(self._output_off)
             self.publish_config()
         index = (seq - run.first_seq) & 0xFFFFFFFF
         if index >= _BACKWARDS:
@@ -335,11 +409,12 @@ class TrajectoryGenerator(LoopNode):
             if run.goal is not None and run.goal.is_cancel_requested:
                 self._end("canceled", "cancelled")
                 return
-        if index >= run.count - 1:
-            if self.settings["repeat"] and not self.lockstep and run.goal is None:
+            if (index == run.count - 1 and self.settings["repeat"] and not self.lockstep
+                    and run.goal is None):
                 run.first_seq = (seq + 1) & 0xFFFFFFFF
-            else:
-                self._end("succeed")
+        elif not self.lockstep:
+            self._reference.send(stamp_ns, seq, self._hold, 0.0, 0.0)
+            self._excitation.send(stamp_ns, seq, 0.0)
 
     def _report(self) -> None:
         run = self._run

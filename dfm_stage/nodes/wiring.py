@@ -103,6 +103,9 @@ TOPICS = {
         Topic("encoder_health", "diagnostic_msgs/msg/DiagnosticStatus", ("encoder_driver",),
               "latched: why the output must be off, directly to amplifier_driver",
               LATCHED_QOS, ("amplifier_driver",)),
+        Topic("amplifier_health", "diagnostic_msgs/msg/DiagnosticStatus", ("amplifier_driver",),
+              "latched: whether the output is on, and why not; at each change, in real time at "
+              "10 Hz, too", LATCHED_QOS, ("trajectory_generator",)),
         Topic("loop_health", "diagnostic_msgs/msg/DiagnosticStatus",
               ("controller", "trajectory_generator"),
               "latched: whether measurements come at `sample_period_s`; amplifier_driver does not "
