@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import re
 import signal
 import sys
 import threading
@@ -16,13 +17,15 @@ import rclpy
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from dfm_stage import __version__, interruption
 from dfm_stage.errors import DfmError
-from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.middleware import security
+from dfm_stage.middleware.security import enclave_of, require_what_was_asked
 from dfm_stage.middleware.shared_memory import (
     PORT_LOOK_S,
     PortWatch,
@@ -36,6 +39,7 @@ BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 _EVENTS_PER_LOOK = 64
 _LEAVING_S = 0.3
 """A reader learns what it lacks within 0.2 s (config/fastdds.xml)."""
+_PLACE = re.compile(r", at \.?/")
 _STANDARD = 2
 """The last of the three standard descriptors."""
 
@@ -63,6 +67,7 @@ class Helper:
     """A node beside the graph in a context of its own, which `executor` spins."""
 
     def __init__(self, name: str, namespace: str) -> None:
+        require_what_was_asked()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[],
                    signal_handler_options=SignalHandlerOptions.NO)
@@ -137,15 +142,13 @@ def run_node(kind: type[LoopNode], args: Sequence[str] | None = None) -> int:
         if _answered(kind, _own_arguments(given)):
             return 0
         _join(given)
-        with avoiding_dead_ports():
-            node = kind()
+        node = _made(kind)
         node.begin()
         anew = _spin(node, stop)
     except ExternalShutdownException:
         pass
     except (DfmError, InvalidParameterTypeException) as error:
-        # rclpy adds where in its own source, over several lines
-        print(f"error: {' '.join(str(error).partition(', at /')[0].split())}", file=sys.stderr)
+        print(f"error: {_in_one_line(error)}", file=sys.stderr)
         return 2
     finally:
         if node is not None:
@@ -181,11 +184,28 @@ def _answered(kind: type[LoopNode], own: list[str]) -> bool:
 
 def _join(given: list[str]) -> None:
     """Join the graph with these ROS arguments; DfmError where that cannot be."""
-    require_what_was_asked()
+    require_what_was_asked(given)
     try:
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise DfmError(str(error)) from error
+
+
+def _made(kind: type[LoopNode]) -> LoopNode:
+    """Make the node; DfmError where the middleware refuses it something."""
+    try:
+        with avoiding_dead_ports():
+            return kind()
+    except rclpy_implementation.RCLError as error:
+        right = (f"; has its enclave {enclave_of(sys.argv)} the right to it?" if security.asked()
+                 else "")
+        raise DfmError(f"{kind.kind}: the middleware refused: {_in_one_line(error)}"
+                       f"{right}") from error
+
+
+def _in_one_line(error: Exception) -> str:
+    """What an error says, without the places in their own sources that rcl and rclpy add."""
+    return " ".join(_PLACE.split(str(error))[0].split())
 
 
 def _spin(node: LoopNode, stop: StopRequest) -> bool:
