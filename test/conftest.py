@@ -23,7 +23,8 @@ from dfm_stage.harness.domain import Domain, claim_domain
 
 GRACE_S = 3.0
 PR_SET_CHILD_SUBREAPER = 36
-HELPERS_THAT_MAY_STAY = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver")
+HELPERS_THAT_MAY_STAY = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver",
+                         b"dfm_stage.harness.nursery")
 REACHING_OUT = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "FASTDDS_DEFAULT_PROFILES_FILE",

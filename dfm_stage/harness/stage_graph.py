@@ -15,7 +15,6 @@ from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
 from dfm_interfaces.action import RunExperiment
-from dfm_stage.compile_all import compile_all
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet, RunFailedError
 from dfm_stage.middleware.wire import codec
@@ -126,8 +125,6 @@ class StageGraph(NodeSet):
         if "sim_plant" in self._kinds:  # before the recorder has a bag
             model = load_model(self._parameters["sim_plant"]["model"])
             self._sample_period_s = self._sample_period_s or model.sample_period
-            if not self.composed:
-                compile_all()
         for kind in self._kinds:
             self._parameters[kind] = {**self._sampling(kind), **self._parameters[kind]}
         deadline = time.monotonic() + self._start_timeout_s
