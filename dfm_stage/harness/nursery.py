@@ -86,7 +86,10 @@ class Nursery:
                 pass_fds=(theirs.fileno(),),
                 preexec_fn=interruption.block)  # noqa: PLW1509 nothing but a system call
         with ours:
-            self._link = ours.makefile("rw", encoding="utf-8")
+            # apart: a text stream that is written to forgets what it has read ahead
+            self._answers = ours.makefile("r", encoding="utf-8")
+            self._link = ours.makefile("w", encoding="utf-8")
+        self._asked = 0
         self.made_for = _made_for()
 
     def ask(self, request: Mapping[str, Any]) -> Any:
@@ -98,10 +101,14 @@ class Nursery:
             If it has ended.
         """
         with _lock:
+            self._asked += 1
             try:
-                self._link.write(json.dumps(request) + "\n")
+                self._link.write(json.dumps({"number": self._asked, **request}) + "\n")
                 self._link.flush()
-                return json.loads(self._link.readline())
+                while True:  # one that a Ctrl-C kept from being read may come first
+                    number, answer = json.loads(self._answers.readline())
+                    if number == self._asked:
+                        return answer
             except (OSError, ValueError):
                 raise NurseryError("the process that starts the nodes has ended with code "
                                    f"{self._process.poll()}: begin again") from None
@@ -162,9 +169,10 @@ def _load() -> None:
 def _serve(descriptor: int) -> int:
     """Fork for every line until the program has gone; in a forked node, run it."""
     with socket.socket(fileno=descriptor) as connection:
-        link = connection.makefile("rw", encoding="utf-8")
+        requests = connection.makefile("r", encoding="utf-8")
+        link = connection.makefile("w", encoding="utf-8")
     _load()
-    while line := _heard(link):
+    while line := _heard(requests):
         request, answer = json.loads(line), None
         if "wait" in request:
             pid, status = os.waitpid(request["wait"], os.WNOHANG)
@@ -172,10 +180,11 @@ def _serve(descriptor: int) -> int:
         elif "kind" in request:
             answer = os.fork()
             if answer == 0:
+                requests.close()
                 link.close()
                 return _run(request)
         with contextlib.suppress(OSError):
-            link.write(json.dumps(answer) + "\n")
+            link.write(json.dumps([request["number"], answer]) + "\n")
             link.flush()
     return 0
 

@@ -91,6 +91,14 @@ def test_another_one_is_made_where_it_has_ended_or_imports_would_differ(monkeypa
     third.loaded()
 
 
+def test_an_answer_that_nobody_waited_for_is_not_taken_for_the_next():
+    """A Ctrl-C leaves one behind."""
+    made = nursery.Nursery()
+    made._link.write('{"number": 0, "kind": "controller", "arguments": ["--help"], "log": '
+                     '"/dev/null", "cwd": "/", "processors": [0], "environment": {}}\n')
+    assert made.ask({}) is None
+
+
 def test_it_ends_with_its_program():
     code = ("from dfm_stage.harness import nursery\nmade = nursery.nursery()\nmade.loaded()\n"
             "print(made._process.pid)")
