@@ -4,6 +4,7 @@ Everything about it stands here and not in pyproject.toml, because the setuptool
 installations does not read the table [project]. The builds differ in what they put on the path.
 """
 
+import contextlib
 import os
 import sys
 from glob import glob
@@ -13,8 +14,21 @@ from setuptools import find_packages, setup
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 from dfm_stage import __version__
-from dfm_stage.commands import NODES, TOOLS, module_of
+from dfm_stage.commands import NODES, TOOLS
 
+SCRIPT = """\
+import sys
+
+from dfm_stage.interruption import end_at_once
+
+end_at_once()
+
+from dfm_stage.__main__ import entry
+
+sys.exit(entry())
+"""
+"""What colcon puts into lib/dfm_stage. setuptools' own script looks its entry point up first: that
+takes time at every start, and a signal meanwhile ends in a traceback."""
 HERE = os.path.dirname(os.path.abspath(__file__))
 PACKAGE = "dfm_stage"
 PYTEST_PLUGIN = "pytest_dfm_stage"
@@ -77,6 +91,12 @@ def readme():
         return file.read()
 
 
+if not FOR_PIP:
+    with contextlib.suppress(ImportError):  # a setuptools that has no such class writes its own
+        from setuptools.command.easy_install import ScriptWriter
+
+        ScriptWriter.template = SCRIPT
+
 setup(
     name="dfm-stage",
     version=__version__,
@@ -104,7 +124,8 @@ setup(
     install_requires=DEPENDENCIES,
     extras_require=EXTRAS,
     zip_safe=False,
-    entry_points={"console_scripts": ["dfm-stage = dfm_stage.__main__:main"] if FOR_PIP else
-                  [f"{name} = {module_of(name)}:main" for name in (*NODES, *TOOLS)],
+    entry_points={"console_scripts": [
+        f"{name} = dfm_stage.__main__:entry"
+        for name in (("dfm-stage",) if FOR_PIP else (*NODES, *TOOLS))],
                   "pytest11": [f"{PYTEST_PLUGIN} = {PYTEST_PLUGIN}"]},
 )

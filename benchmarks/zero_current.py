@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.nursery import Nursery
 from dfm_interfaces.msg import Command
 from dfm_stage.drivers.qsb_protocol import TICKS_PER_SECOND
 from dfm_stage.harness import HarnessError
 from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
+from dfm_stage.harness.nursery import NodeProcess, nursery
 from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.process import helper_node
 
@@ -89,13 +89,38 @@ class Trial:
     latched: tuple[str, ...]
 
 
+class Controller:
+    """The real controller node, forked without its imports: it can be killed a hundred times."""
+
+    def __init__(self, parameters: Path, domain_id: int) -> None:
+        self._parameters = parameters
+        self._environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+        self.process = self._forked()
+
+    def _forked(self) -> NodeProcess:
+        return nursery().start(
+            "controller",
+            ["--ros-args", "-r", "__ns:=/stage/x", "--params-file", str(self._parameters)],
+            self._parameters.with_suffix(".log"), self._environment)
+
+    def start(self) -> None:
+        """Start one in place of the last."""
+        self.kill()
+        self.process = self._forked()
+
+    def kill(self) -> None:
+        """SIGKILL the last one, and wait until it is gone."""
+        self.process.kill()
+        self.process.wait()
+
+
 @dataclass
 class ZeroCurrentRig:
     """The emulated stage in motion, to be struck again and again."""
 
     graph: EmulatedGraph
     output: OutputFile
-    nursery: Nursery
+    controller: Controller
     _publisher: Any = None
     _sender: Any = None
     reasons: list[str] = field(default_factory=list)
@@ -153,21 +178,21 @@ class ZeroCurrentRig:
                 # a started controller that hears nobody: see dfm_stage/middleware/shared_memory.py
                 self.deaf += 1
                 deaf_s = now + DEAF_S
-                self.nursery.start()
+                self.controller.start()
             self.graph.spin(0.005)
             if now > begin + PATIENCE_S:
                 raise StandsStillError("no current in the coil")
 
     def _signal(self, number: int) -> int:
         now = time.monotonic_ns()
-        os.kill(self.nursery.child, number)
+        os.kill(self.controller.process.pid, number)
         return now
 
     def _kill(self) -> int:
         return self._signal(signal.SIGKILL)
 
     def _restart(self) -> None:
-        self.nursery.start()
+        self.controller.start()
 
     def _stall(self) -> int:
         return self._signal(signal.SIGSTOP)
@@ -204,12 +229,9 @@ def moving_stage() -> Iterator[ZeroCurrentRig]:
                   "sample_period_s": 1.0 / TICKS_PER_SECOND}
         parameters.write_text(json.dumps(
             {"/stage/x/controller": {"ros__parameters": values}}), "utf-8")
-        nursery = Nursery(["--ros-args", "-r", "__ns:=/stage/x", "--params-file",
-                           str(parameters)], graph.domain_id)
+        controller = Controller(parameters, graph.domain_id)
         try:
-            nursery.start()
             graph.bring_to_life()
-            rig = ZeroCurrentRig(graph, OutputFile(graph.output_log), nursery)
-            yield rig
+            yield ZeroCurrentRig(graph, OutputFile(graph.output_log), controller)
         finally:
-            nursery.close()
+            controller.kill()

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from dfm_stage.interruption import INTERRUPTED, as_usual, end_at_once, interrupted, work_is_over
+
+if __name__ == "__main__":
+    end_at_once()  # before the imports, which take the time
+
 import importlib
+import os
 import re
+import select
 import sys
 from collections.abc import Sequence
 
@@ -13,6 +20,52 @@ from dfm_stage.errors import DfmError
 from dfm_stage.share import needs_ros
 
 ROS_MODULES = re.compile(r"rclpy|rpyutils|launch|ament_\w+|\w+_(msgs|srvs|interfaces)")
+READER_GONE = 141
+"""128 + SIGPIPE, which is what shells see of a program whose reader has left (`| head`)."""
+
+
+def entry() -> int:
+    """Run `main` as the whole of a process; the name is that of the script where it is known.
+
+    A signal ends it without a traceback at any moment, and so does a reader of its output that
+    leaves.
+    """
+    end_at_once()
+    script = os.path.basename(sys.argv[0])
+    try:
+        try:
+            return main([script, *sys.argv[1:]] if script in {**NODES, **TOOLS} else None)
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except BrokenPipeError:
+        if not _reader_gone():
+            raise
+        return READER_GONE
+    except Exception:
+        if not interrupted():
+            raise
+        return INTERRUPTED
+    finally:
+        work_is_over()
+
+
+def _reader_gone() -> bool:
+    """Return whether nobody reads our output any more; what is left of it then goes nowhere."""
+    gone = False
+    for stream in (sys.stdout, sys.stderr):
+        if stream is None:
+            continue
+        if hasattr(select, "poll"):
+            look = select.poll()
+            look.register(stream.fileno(), 0)
+            if not any(found & select.POLLERR for _, found in look.poll(0)):
+                continue
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+        gone = True
+    return gone
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -30,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DfmError as error:
         return _refuse(str(error))
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
 
 
 def _run(name: str, rest: list[str]) -> int:
@@ -40,7 +93,10 @@ def _run(name: str, rest: list[str]) -> int:
         return _refuse(unknown(name, [*NODES, *TOOLS], "--help lists the names"))
     sys.argv = [name, *rest]
     try:
-        return int(importlib.import_module(module_name).main(rest) or 0)
+        module = importlib.import_module(module_name)
+        if name in TOOLS:
+            as_usual()
+        return int(module.main(rest) or 0)
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if ROS_MODULES.fullmatch(missing):
@@ -55,4 +111,4 @@ def _refuse(message: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(entry())

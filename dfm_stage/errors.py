@@ -11,3 +11,7 @@ class DfmError(Exception):
 
     def __str__(self) -> str:
         return " ".join(super().__str__().split("\n"))
+
+
+class CheckFailedError(DfmError):
+    """The input is usable, but what was asked for cannot be answered for: exit code 1, not 2."""

@@ -129,8 +129,12 @@ def main(arguments: list[str]) -> int:
         return 2
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
+        if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         folder, variables = prepare()
         command = command_for(name, rest, folder, variables) if name != "setup" else []
+        if name not in OWN_COMMANDS:  # dfm_stage unblocks them when it can answer
+            signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     except SetupError as error:
         say(f"run: {error}")
         return error.exit_code

@@ -1,6 +1,7 @@
 """Entry of ./run: a Python 3.10 to 3.13 for door.main (this file is valid on any Python 3)."""
 
 import os
+import signal
 import sys
 
 NAMES = ("python3.13", "python3.12", "python3.11", "python3.10")
@@ -39,6 +40,9 @@ def hand_over():
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `./run | head` is no error
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, lambda number, _: os._exit(128 + number))
     if not suitable():
         hand_over()
     os.environ.pop("DFM_FRONT_TRIED", None)

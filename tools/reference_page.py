@@ -1,22 +1,22 @@
 """docs/reference.md from the code: `./run exec python tools/reference_page.py`.
 
-Topics of the loop, parameters and messages are read from where they are defined. What is said here
-in words (further topics, services, files) is held against a running graph by a test.
+Topics, services, parameters and messages are read from where they are defined, and held against a
+running graph by a test. What is said here in words are the files.
 """
 
 from __future__ import annotations
 
-import array
-import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from dfm_stage.commands import NODES, TOOLS
 from dfm_stage.nodes.base import COMMON, PRIORITY, node_class
+from dfm_stage.nodes.help import range_words, value_words
 from dfm_stage.nodes.parameters import Setting
-from dfm_stage.nodes.wiring import LINKS
+from dfm_stage.nodes.wiring import DRIVERS, EVERY_NODE, LINKS, TOPICS
+from dfm_stage.nodes.wiring import SERVICES as OFFERED
 
+STAGE_NODES = ("sim_plant", "recorder")
 INTERFACES = Path(__file__).resolve().parents[1] / "dfm_interfaces"
 HEAD = """\
 # Reference: topics, parameters, messages, files
@@ -41,30 +41,24 @@ PARAMETERS = """\
 Give parameters as `--ros-args -p name:=value` or in a file. Write a real number with its point
 (`1.0`). Parameters marked *live* may change while the node runs.
 """
-FURTHER_TOPICS = _rows("""
-joint_states | sensor_msgs/JointState | encoder_driver | position at 20 Hz, for viewers
-encoder_health | diagnostic_msgs/DiagnosticStatus | encoder_driver | latched: why the output must \
-be off, directly to amplifier_driver
-loop_health | diagnostic_msgs/DiagnosticStatus | controller, trajectory_generator | latched: \
-whether measurements come at `sample_period_s`; amplifier_driver does not arm before
-<driver>/transition_event | lifecycle_msgs/TransitionEvent | both drivers | changes of life cycle
-<node>/config | std_msgs/String | every node | latched JSON: parameters, versions, what was loaded
-/diagnostics | diagnostic_msgs/DiagnosticArray | every node | state and counters, 1 Hz
-/clock | rosgraph_msgs/Clock | sim_plant | simulation time, in lockstep
-""")
-SERVICES = _rows("""
-amplifier_driver/arm | std_srvs/Trigger | output on at zero; refuses with the reason
-amplifier_driver/disarm | std_srvs/Trigger | output to zero and off
-amplifier_driver/clear | std_srvs/Trigger | forget latched faults, at an operator's request
-encoder_driver/home | std_srvs/Trigger | here is zero, or the next index mark is
-<driver>/change_state | lifecycle_msgs/ChangeState | configure, activate, deactivate, cleanup
-<driver>/get_state | lifecycle_msgs/GetState | and what else belongs to a life cycle
-trajectory_generator/start | std_srvs/Trigger | run what the parameters say
-trajectory_generator/stop | std_srvs/Trigger | end it and hold still
-trajectory_generator/run_experiment | dfm_interfaces/RunExperiment (action) | run, with progress
-/stage/recorder/stop | std_srvs/Trigger | close the bag
-<node>/ready | dfm_interfaces/Ready | whether it is connected to these nodes
-""")
+EVERY_NODE_WORDS = {EVERY_NODE: ("<node>", "every node"), DRIVERS: ("<driver>", "both drivers")}
+
+
+def _full_name(name: str, nodes: tuple[str, ...]) -> str:
+    """A name from the namespace of an axis, whose `~/` stands for the node's."""
+    owner = EVERY_NODE_WORDS.get(nodes, (*nodes, ""))[0]
+    owner = f"/stage/{owner}" if owner in STAGE_NODES else owner
+    return name.replace("~", owner)
+
+
+FURTHER_TOPICS = {_full_name(each.name, each.publishers): (
+    each.type.replace("/msg/", "/"),
+    EVERY_NODE_WORDS.get(each.publishers, ("", ", ".join(each.publishers)))[1],
+    each.what) for each in TOPICS.values()}
+SERVICES = {_full_name(each.name, each.nodes): (
+    each.type.replace("/srv/", "/") if "/srv/" in each.type
+    else f"{each.type.replace('/action/', '/')} (action)", each.what) for each in OFFERED}
+
 FILES = _rows("""
 `model.yaml` | identify, diagnose; you | every `--model`, `sim_plant`, `controller` | \
 [model.md](model.md)
@@ -125,27 +119,8 @@ def _parameters() -> str:
 
 def _settings(settings: Iterable[Setting]) -> str:
     return _table(("parameter", "default", "unit", "range", "meaning"), [
-        (f"`{s.name}`", _value(s.default), s.unit, _range(s),
+        (f"`{s.name}`", value_words(s.default), s.unit, range_words(s),
          s.description + (" *(live)*" if s.live else "")) for s in settings])
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, (list, tuple, array.array)):
-        return f"[{', '.join(f'{each:g}' for each in value)}]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _range(setting: Setting) -> str:
-    if setting.choices:
-        return ", ".join(setting.choices)
-    low, high = setting.low, setting.high
-    if low == -math.inf and high == math.inf:
-        return ""
-    if high == math.inf or low == -math.inf:
-        return f"from {low:g}" if high == math.inf else f"up to {high:g}"
-    return f"{low:g} to {high:g}"
 
 
 def _messages() -> str:

@@ -15,7 +15,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
-from dfm_stage.errors import DfmError
+from dfm_stage import __version__
+from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.files import write_whole
 from dfm_stage.share import door, needs_ros
 
@@ -32,10 +33,6 @@ TONES: dict[str, Tone] = {"none": "good", "retune": "good", "named": "good", "am
 """How good news each verdict of the diagnosis is."""
 _CODES = {"good": "32", "warn": "33", "bad": "31"}
 _made: list[Path] = []
-
-
-class CheckFailedError(DfmError):
-    """The input is usable, but what was asked for cannot be answered for: exit code 1, not 2."""
 
 
 def paint(text: str, tone: Tone, stream: TextIO | None = None) -> str:
@@ -121,6 +118,8 @@ def command_parser(name: str, description: str | None, epilog: str,
     parser = argparse.ArgumentParser(prog=name, description=description,
                                      epilog=epilog.replace("./run", door()),
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--version", action="version",
+                        version=f"{name} {__version__} (dfm_stage)")
     for flags, settings in options:
         where, entries = ((parser, ((flags, settings),)) if isinstance(settings, dict)
                           else (parser.add_argument_group(str(flags)), settings))

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from dfm_stage.cli.command import (
     NO_REPORT,
-    CheckFailedError,
     Options,
     command,
     finite,
@@ -23,7 +22,7 @@ from dfm_stage.cli.command import (
 )
 from dfm_stage.cli.progress import steps
 from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
-from dfm_stage.errors import DfmError
+from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.model import Model, load_model, save_model
 from dfm_stage.quantity import format_number, format_quantity
 from dfm_stage.recording import Record

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.cli.command import CheckFailedError, command, new_folder, option, write_json
+from dfm_stage.cli.command import command, new_folder, option, write_json
 from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.learn_report import learning_page
 from dfm_stage.cli.progress import Progress
@@ -32,7 +32,7 @@ from dfm_stage.control import (
     write_text,
 )
 from dfm_stage.control.stage import closed_loop_poles, controller_response
-from dfm_stage.errors import DfmError
+from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.model import Model, load_model
 from dfm_stage.share import door, find_experiment
 from dfm_stage.trajectory import Experiment, Reference, load_experiment

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dfm_stage.cli.command import CheckFailedError, Options, command, option
+from dfm_stage.cli.command import Options, command, option
 from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
 from dfm_stage.cli.records import RECORDS, as_words
@@ -25,7 +25,7 @@ from dfm_stage.control import (
     ultimate,
     write_text,
 )
-from dfm_stage.errors import DfmError
+from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.model import Model, load_model
 from dfm_stage.recording import read_bag
 

@@ -33,7 +33,7 @@ from dfm_stage.control.stage import (
     sample_model,
 )
 from dfm_stage.control.switching import law_of, response_of
-from dfm_stage.model import Model, Plant
+from dfm_stage.model import Model
 
 FEEDFORWARD_CHOICES = ("gains", "model", "inverse")
 # Integral weight in s, at an error weight of _ERROR_M: its pole is then well below the others.
@@ -296,6 +296,8 @@ def run_on_model(model: Model, controller: Law, position: Array,
         position, velocity, acceleration, added)])
     if inverse:
         reference[:, 3] += inverse_of(model, *reference[:, :3].T)
+    from dfm_stage.model import Plant  # with numba, which a controller node can do without
+
     plant = Plant(model, seed=seed)
     limit = command_limit(model, 1e6)
     controller.reset()

@@ -21,14 +21,21 @@ from dfm_stage.share import find_experiment
 
 if TYPE_CHECKING:
     from dfm_stage.harness.emulated import EmulatedGraph
-    from dfm_stage.harness.node_set import HarnessError, Launched, NodeSet, NotInTimeError
+    from dfm_stage.harness.node_set import (
+        HarnessError,
+        Launched,
+        NodeSet,
+        NotInTimeError,
+        RunFailedError,
+    )
     from dfm_stage.harness.stage_graph import RunResult, StageGraph
 
 __all__ = ["EmulatedGraph", "HarnessError", "Launched", "NodeSet", "NotInTimeError",
-           "RunResult", "StageGraph", "find_experiment"]
+           "RunFailedError", "RunResult", "StageGraph", "find_experiment"]
 
 _LAZY = {"EmulatedGraph": "emulated", "HarnessError": "node_set", "Launched": "node_set",
-         "NodeSet": "node_set", "NotInTimeError": "node_set", "RunResult": "stage_graph",
+         "NodeSet": "node_set", "NotInTimeError": "node_set",
+         "RunFailedError": "node_set", "RunResult": "stage_graph",
          "StageGraph": "stage_graph"}
 
 keep_to_this_machine()

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import ctypes
 import functools
 import gc
 import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,16 +23,18 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 
 from dfm_interfaces.srv import Ready
-from dfm_stage.errors import DfmError
+from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.harness.domain import claim_domain
-from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.harness.nursery import NodeProcess, nursery
+from dfm_stage.middleware.security import OVERRIDE, require_what_was_asked
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 from dfm_stage.nodes.base import node_class
 from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
 
-_PR_SET_PDEATHSIG = 1
 _ASK_AGAIN_S = 2.0
 _ASKED_BY_ONE = 3
+_LOOK_AGAIN_S = 0.01
+"""Nodes that are asked without a pause have no processor left to get ready."""
 _ENDING_S = 10.0
 _DEAF = ("; this process's own port in shared memory is gone (was another process killed?): it "
          "hears nobody any more, start it again")
@@ -42,6 +42,10 @@ _DEAF = ("; this process's own port in shared memory is gone (was another proces
 
 class HarnessError(DfmError):
     """A node set did not come up, an experiment did not finish, or a node died."""
+
+
+class RunFailedError(HarnessError, CheckFailedError):
+    """An experiment ran, and ended without success."""
 
 
 class NotInTimeError(HarnessError):
@@ -55,7 +59,7 @@ class Launched:
     kind: str
     namespace: str
     node: Any = None
-    process: subprocess.Popen[bytes] | None = None
+    process: NodeProcess | None = None
     log: Path | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
     ended: bool = False
@@ -121,6 +125,8 @@ class NodeSet:
             raise
 
     def _open(self) -> None:
+        if not self.composed:
+            nursery().loaded()
         if self._domain_id is None:
             self._domain_id = self._cleanup.enter_context(claim_domain()).number
         self.folder = Path(self._cleanup.enter_context(
@@ -150,7 +156,8 @@ class NodeSet:
         file = self.folder / f"{launched.full_name.strip('/').replace('/', '_')}.yaml"
         file.write_text(json.dumps(
             {launched.full_name: {"ros__parameters": dict(parameters)}}))
-        ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
+        ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file),
+                    "--enclave", launched.full_name]
         if self.composed and make is None:
             make = node_class(kind)
         if make is not None:
@@ -160,12 +167,9 @@ class NodeSet:
             launched.node.begin()
             return launched
         launched.log = file.with_suffix(".log")
-        with launched.log.open("wb") as log:
-            launched.process = subprocess.Popen(
-                [sys.executable, "-m", "dfm_stage", kind, *ros_args], stdin=subprocess.DEVNULL,
-                stdout=log, stderr=log, start_new_session=True,
-                preexec_fn=_die_with_parent,  # noqa: PLW1509 nothing but a system call
-                env={**os.environ, "ROS_DOMAIN_ID": str(self._domain_id)})
+        launched.process = nursery().start(kind, ros_args, launched.log, {
+            **{name: value for name, value in os.environ.items() if name != OVERRIDE},
+            "ROS_DOMAIN_ID": str(self._domain_id)})
         self.launched.append(launched)
         return launched
 
@@ -187,6 +191,7 @@ class NodeSet:
                     max(deadline - time.monotonic(), 1.0))).ready:
                 if time.monotonic() > deadline:
                     raise NotInTimeError(f"{launched.full_name} is not ready: {answer.message}")
+                self.spin(_LOOK_AGAIN_S)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -384,7 +389,3 @@ class NodeSet:
 def _answered(asked: Sequence[Any], until: float) -> bool:
     """Whether one of the futures is done, or there is no more time to wait for it."""
     return any(future.done() for future in asked) or time.monotonic() > until
-
-
-def _die_with_parent() -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -15,9 +15,8 @@ from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
 from dfm_interfaces.action import RunExperiment
-from dfm_stage.compile_all import compile_all
 from dfm_stage.control.parameter_file import FIXED, read_parameters
-from dfm_stage.harness.node_set import HarnessError, NodeSet
+from dfm_stage.harness.node_set import HarnessError, NodeSet, RunFailedError
 from dfm_stage.middleware.wire import codec
 from dfm_stage.model import load_model
 from dfm_stage.nodes.base import LoopNode
@@ -126,8 +125,6 @@ class StageGraph(NodeSet):
         if "sim_plant" in self._kinds:  # before the recorder has a bag
             model = load_model(self._parameters["sim_plant"]["model"])
             self._sample_period_s = self._sample_period_s or model.sample_period
-            if not self.composed:
-                compile_all()
         for kind in self._kinds:
             self._parameters[kind] = {**self._sampling(kind), **self._parameters[kind]}
         deadline = time.monotonic() + self._start_timeout_s
@@ -218,7 +215,9 @@ class StageGraph(NodeSet):
         Raises
         ------
         HarnessError
-            If it is refused, fails, or does not end in time.
+            If it is refused, or does not end in time.
+        RunFailedError
+            If it ran without success: the output was off, the reference not followed.
         """
         source, loaded = self._experiment(experiment)
         for axis in loaded.axes:
@@ -251,7 +250,9 @@ class StageGraph(NodeSet):
                             f"the end of {loaded.name!r} on axis {axis}")
             result = future.result().result
             if not result.success:
-                raise HarnessError(f"{loaded.name} on axis {axis}: {result.message}")
+                ran = result.last_seq != result.first_seq
+                raise (RunFailedError if ran else HarnessError)(
+                    f"{loaded.name} on axis {axis}: {result.message}")
             results[axis] = RunResult(result.first_seq, result.last_seq)
         if progress is not None:
             progress(1.0)

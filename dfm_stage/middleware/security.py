@@ -9,11 +9,17 @@ from __future__ import annotations
 import mmap
 import os
 import re
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from dfm_stage.errors import DfmError
 
 _PLUGIN = b"DDS:Auth:PKI-DH"
+_ENCLAVE_FILES = ("identity_ca.cert.pem", "cert.pem", "key.pem", "permissions_ca.cert.pem",
+                  "governance.p7s", "permissions.p7s")
+"""What every enclave of a keystore has (rmw_dds_common, `get_security_files`)."""
+OVERRIDE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
 _FAST_DDS = re.compile(r"/\S*/libfast(?:rtps|dds)\.so\S*")
 
 
@@ -21,26 +27,52 @@ class SecurityError(DfmError):
     """Security was asked for and cannot be had."""
 
 
-def require_what_was_asked() -> None:
-    """Do nothing unless ROS_SECURITY_ENABLE is `true`; then check that it can be kept.
+def asked() -> bool:
+    """Return whether the graph is to be secured."""
+    return os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+
+
+def require_what_was_asked(arguments: Sequence[str] = ()) -> None:
+    """Do nothing unless ROS_SECURITY_ENABLE is `true`; then check that it can be kept by a process
+    with these arguments.
 
     Raises
     ------
     SecurityError
-        If there is no keystore, or the Fast DDS that is loaded has no security plugins.
+        If there is no keystore, it has not the enclave of the process, or the Fast DDS that is
+        loaded has no security plugins.
     """
-    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+    if not asked():
         return
     keystore = os.environ.get("ROS_SECURITY_KEYSTORE", "")
     if not Path(keystore, "enclaves").is_dir() or not keystore:
         raise SecurityError(f"ROS_SECURITY_ENABLE is true, but ROS_SECURITY_KEYSTORE = "
                             f"{keystore!r} is no keystore: make one with ros2 security, or unset "
                             "ROS_SECURITY_ENABLE")
+    _require_enclave(Path(keystore, "enclaves"), enclave_of(arguments))
     library = _loaded_fast_dds()
     if library is not None and not _contains(library, _PLUGIN):
         raise SecurityError(f"ROS_SECURITY_ENABLE is true, but {library.name} was built without "
                             "DDS security, nothing would be checked or encrypted: use a full "
                             "ROS 2 installation, or unset ROS_SECURITY_ENABLE")
+
+
+def enclave_of(arguments: Sequence[str]) -> str:
+    """Return the enclave of a process with these ROS arguments, as rcl chooses it."""
+    named = [name for flag, name in pairwise(arguments) if flag in ("-e", "--enclave")]
+    return os.environ.get(OVERRIDE) or (named[-1] if named else "/")
+
+
+def _require_enclave(enclaves: Path, name: str) -> None:
+    folder = enclaves / name.strip("/")
+    missing = [file for file in _ENCLAVE_FILES if not (folder / file).is_file()]
+    if not missing:
+        return
+    known = sorted(f"/{each.parent.relative_to(enclaves)}" for each in enclaves.rglob("cert.pem"))
+    raise SecurityError(
+        f"the enclave {name} has no {', '.join(missing)} in {folder}: name one of "
+        f"{', '.join(known) or 'those that ros2 security create_enclave makes'} by --ros-args "
+        f"--enclave, or in {OVERRIDE}")
 
 
 def _loaded_fast_dds() -> Path | None:

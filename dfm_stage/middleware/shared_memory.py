@@ -10,6 +10,15 @@ that has no name any more: it looks alive and hears nobody (Fast DDS 2.14, Share
 while its process lives: a note without a lock is a killed node's, and its port is not taken for
 LEASE_S. The note says whose endpoints its participant's were, for they still look matched.
 
+Every healthy_check_timeout_ms each port is checked by those who have it open: a reader that waits
+must have woken since the last check. From a check until the next message, or for a third of that
+time, a reader that merely waits looks dead. Whoever opens its port then sleeps for that third
+(`healthy_check`: 2.67 s with our profiles, 0.33 s for the ports of `ros2` tools), with the lock of
+the port, in the thread in which it hears of others. So tools that came and went held the whole
+graph up, and starting a node or calling a service for the first time took seconds.
+`put_off_checks` dates the last check of each port into the future: there is none. That a reader
+was killed is told by its locks and its lease.
+
 Rarer, a process is killed while it holds the mutex of a neighbour's port; the others then give
 that port up as broken, and it is the neighbour who hears nobody. `PortWatch` tells.
 
@@ -26,6 +35,7 @@ import contextlib
 import fcntl
 import os
 import re
+import struct
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -42,6 +52,13 @@ EMPTY_S = 0.5
 """Age from which a port of no size is one that nobody is making any more."""
 _BROKEN = (3).to_bytes(4, "little")
 """boost::interprocess `CorruptedSegment`, the first word of a segment."""
+_PORT = re.compile(r"fastrtps_port(\d+)$")
+_NODE_WITHIN = 512
+"""Bytes of a port's file in which its `PortNode` begins: at 256 in Fast DDS 2.14."""
+_LAST_CHECK, _NUMBERS = struct.Struct("<q"), struct.Struct("<IIII")
+_BEFORE_NUMBERS = 20
+"""From `last_listeners_status_check_time_ms` to `port_id`, bytes (SharedMemGlobal.hpp)."""
+_NEVER_MS = 1 << 62
 _LOCK = re.compile(r"fastrtps_port(\d+)_el$")
 _own: dict[str, int] = {}
 
@@ -58,6 +75,7 @@ def avoiding_dead_ports() -> Iterator[None]:
     take_back_notes()
     for number in _ports_read_here() - _own.keys():
         _leave_note(number)
+    put_off_checks()
 
 
 def sign_notes(endpoint: Sequence[int]) -> None:
@@ -168,6 +186,34 @@ def mark_empty_ports() -> None:
                     file.write(_BROKEN)
 
 
+def put_off_checks() -> None:
+    """Have no port of the domains that this process is in checked for a reader that stands still.
+
+    A port whose beginning is not that of Fast DDS 2.14 is left alone.
+    """
+    domains = {_domain(number) for number in _own}
+    for port in SHARED_MEMORY.glob("fastrtps_port*"):
+        number = _PORT.search(port.name)
+        if number is not None and _domain(number[1]) in domains:
+            with contextlib.suppress(OSError):
+                _put_off_checks(port, int(number[1]))
+
+
+def _put_off_checks(port: Path, number: int) -> None:
+    descriptor = os.open(port, os.O_RDWR | os.O_NOFOLLOW)
+    try:
+        head = os.pread(descriptor, _NODE_WITHIN, 0)
+        for at in range(_BEFORE_NUMBERS, len(head) - _NUMBERS.size, 4):
+            named, _, timeout_ms, wait_ms = _NUMBERS.unpack_from(head, at)
+            if named == number and timeout_ms and wait_ms == timeout_ms // 3:
+                checked = at - _BEFORE_NUMBERS
+                if 0 < _LAST_CHECK.unpack_from(head, checked)[0] < _NEVER_MS:
+                    os.pwrite(descriptor, _LAST_CHECK.pack(_NEVER_MS), checked)
+                return
+    finally:
+        os.close(descriptor)
+
+
 class PortWatch:
     """Tells whether the ports that this process reads are still the ones that others find."""
 
@@ -179,6 +225,7 @@ class PortWatch:
     def lost(self) -> bool:
         """Look; True when a port was missing twice in a row and was not made anew from here."""
         mark_empty_ports()
+        put_off_checks()
         changed = [port for port, known in self._files.items()
                    if not known or _inode(port) != known]
         if changed:

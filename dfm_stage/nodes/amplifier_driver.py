@@ -22,7 +22,6 @@ from dfm_stage.nodes.base import LOOP_HEALTH, Publisher
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wiring import LATCHED_FROM_MANY_QOS, LATCHED_QOS
 
 _NO_SAMPLE = 0
 _PUBLISHERS_PERIOD_S = 0.25
@@ -30,12 +29,14 @@ _MEASURED_MARGIN = 1.1
 _MEASURED_MARGIN_A = 0.02
 _LATCHED = "output"
 _HELD_UP_S = 0.5
+_TELL_PERIOD_S = 0.1
 
 
 class AmplifierDriver(ManagedNode):
     """Answers every `command` with a drive and publishes `amplifier`."""
 
     kind = "amplifier_driver"
+    example = "-p current_limit_a:=2.0 -p autoarm:=false    # simulated, armed by hand"
     settings_table = (
         *device_settings(names("amplifiers"), "what drives the coil"),
         Setting("voltage_limit_v", 10.0, "a command beyond this (V, or A with a current drive) "
@@ -90,6 +91,7 @@ class AmplifierDriver(ManagedNode):
         self._drive: Publisher | None = None
         self._status_words: dict[str, str] = {}
         self._state = self.link_publisher("amplifier")
+        self._health = self.side_publisher("amplifier_health")
         if self.simulated:
             self._drive = self.link_publisher("sim/drive")
             self.link_subscription("sim/current", self._on_current)
@@ -98,15 +100,15 @@ class AmplifierDriver(ManagedNode):
         self.trigger_service("~/disarm", self._disarm)
         self.trigger_service("~/clear", self._clear)
         if not self.lockstep:
-            self.create_subscription(DiagnosticStatus, "encoder_health", self._on_health,
-                                     LATCHED_QOS)
-            self.create_subscription(DiagnosticStatus, LOOP_HEALTH, self._on_loop_health,
-                                     LATCHED_FROM_MANY_QOS)
+            self.side_subscription("encoder_health", self._on_health)
+            self.side_subscription(LOOP_HEALTH, self._on_loop_health)
             self.create_timer(_PUBLISHERS_PERIOD_S, self._check_publishers, clock=self.steady)
+            self.create_timer(_TELL_PERIOD_S, self._tell, clock=self.steady)
             if self.simulated:
                 self.create_timer(self._interlock.stale_s / 4, self._check_stale,
                                   clock=self.steady)
         self.begin()
+        self._tell()
 
     def _new_interlock(self) -> Interlock:
         limit, stale_s = self.settings["voltage_limit_v"], self.settings["stale_timeout_s"]
@@ -151,11 +153,13 @@ class AmplifierDriver(ManagedNode):
             self._worker.start()
         elif self.settings["autoarm"]:
             self._interlock.arm()
+            self._tell()
 
     def deactivate(self) -> None:
         """Zero and off."""
         self._interlock.disarm()
         self._off_bits = int(self._interlock.causes) or int(Cause.DISARMED)
+        self._tell()
         if self._worker is not None:
             self._worker.stop()
             self._worker = None
@@ -222,11 +226,22 @@ class AmplifierDriver(ManagedNode):
         self._off_bits = int(self._interlock.causes)
         name = str(cause.name).lower()
         self.count(f"trips_{name}")
-        self.errors_active[_LATCHED] = ("output at zero until clear and arm: "
-                                        f"{self._interlock.words()}")
+        self.errors_active[_LATCHED] = self._tell()
         if self._worker is not None:
             self._worker.nudge()
         self.get_logger().error(f"output to zero: {name}: {why}")
+
+    def _tell(self) -> str:
+        """Say whether the output is on; return why it is not."""
+        interlock, level, words = self._interlock, DiagnosticStatus.OK, ""
+        if interlock.causes:
+            level = DiagnosticStatus.ERROR
+            words = f"output at zero until clear and arm: {interlock.words()}"
+        elif not interlock.armed:
+            level, words = DiagnosticStatus.WARN, "the output is disarmed"
+        if self.context.ok():
+            self._health.publish(self.status(level, words))
+        return words
 
     def _trip(self, cause: Cause, why: str) -> None:
         """Latch a cause that no command brought, and act on it now."""
@@ -307,6 +322,7 @@ class AmplifierDriver(ManagedNode):
                 self._armed_s = time.monotonic()
         except DriverError as error:
             raise RefusedError(f"refused: {error}") from error
+        self._tell()
         if trouble := self._trouble():
             self._trip(Cause.ENCODER, trouble)
         return "armed"
@@ -319,6 +335,7 @@ class AmplifierDriver(ManagedNode):
             self._interlock.disarm()
             if not self.lockstep and self.active:
                 self._apply(self.now_ns(), 0.0, self._off_bits)
+        self._tell()
         return "disarmed, output at zero"
 
     def _clear(self) -> str:
@@ -329,6 +346,7 @@ class AmplifierDriver(ManagedNode):
             f"cleared: {self._interlock.clear()}")
         self._off_bits = int(Cause.DISARMED)
         self.errors_active.pop(_LATCHED, None)
+        self._tell()
         return f"{was}; disarmed"
 
     # Reports

@@ -34,11 +34,12 @@ from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD, PeriodCheck, SamplePeriodError
 from dfm_stage.nodes.wiring import (
     DEFAULT_NAMESPACE,
-    LATCHED_QOS,
     LINKS,
     LOCKSTEP_QOS,
     PUBLISHER_QOS,
     RECORDER_TAP,
+    TOPICS,
+    interface,
     subscriber_qos,
 )
 
@@ -146,12 +147,15 @@ class LoopNode(Node):
     """A node below the loop waits for it as a matter of course, and is not judged by that."""
     leaving_s = 0.0
     """How long a node that ends may wait until its last messages have arrived, s."""
+    listens_to = ""
+    """What it subscribes to besides what the tables of `wiring` say, in words."""
+    example = ""
+    """Arguments to start it with, and a word on what that does, for its help."""
 
     def __init__(self, *, context: Any = None, cli_args: list[str] | None = None) -> None:
         super().__init__(self.kind, namespace=DEFAULT_NAMESPACE, context=context,
                          cli_args=cli_args, use_global_arguments=cli_args is None)
-        self.settings = Settings(self, (*COMMON, replace(PRIORITY, default=self.priority),
-                                        *self.settings_for(self._parameter_overrides)))
+        self.settings = Settings(self, self.all_settings(self._parameter_overrides))
         self.lockstep: bool = self.settings["lockstep"]
         self.axis = self.get_namespace().rpartition("/")[2]
         self.counters: dict[str, int] = {}
@@ -161,8 +165,8 @@ class LoopNode(Node):
         self.publishers_of_links: list[Publisher] = []
         self._begun = False
         self._waiting_since: tuple[tuple[str, int] | None, float] = None, 0.0
-        self._config = self.create_publisher(String, "~/config", LATCHED_QOS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._config = self.side_publisher("~/config")
+        self._diagnostics = self.side_publisher("/diagnostics")
         self.create_service(Ready, "~/ready", self._on_ready)
         self._watch = Watch(self.warnings_active, self.count, self.get_logger().warning,
                             time.monotonic())
@@ -186,6 +190,11 @@ class LoopNode(Node):
             self.publish_config()
 
     # What a node may override
+
+    @classmethod
+    def all_settings(cls, overrides: Mapping[str, Any]) -> tuple[Setting, ...]:
+        """Return the settings that the node declares, given its parameter overrides."""
+        return (*COMMON, replace(PRIORITY, default=cls.priority), *cls.settings_for(overrides))
 
     @classmethod
     def settings_for(cls, _overrides: Mapping[str, Any]) -> tuple[Setting, ...]:
@@ -245,6 +254,18 @@ class LoopNode(Node):
         self.create_subscription(link.type, prefix + topic, decoded,
                                  subscriber_qos(link, self.kind, self.lockstep), raw=True)
 
+    def side_publisher(self, topic: str) -> Any:
+        """Create the publisher of a topic beside the loop, as `wiring.TOPICS` has it."""
+        entry = TOPICS[topic]
+        return self.create_publisher(interface(entry.type), topic, entry.qos)
+
+    def side_subscription(self, topic: str, callback: Callable[[Any], None],
+                          raw: bool = False) -> None:
+        """Subscribe to a topic beside the loop, as `wiring.TOPICS` has it."""
+        entry = TOPICS[topic]
+        self.create_subscription(interface(entry.type), topic, callback,
+                                 entry.subscriber_qos or entry.qos, raw=raw)
+
     def trigger_service(self, name: str, action: Callable[[], str]) -> None:
         """Offer a std_srvs/Trigger: `action` returns what to say, or refuses with a DfmError."""
         def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -263,7 +284,7 @@ class LoopNode(Node):
         lockstep, where nothing can be harmed, the node ends.
         """
         check = PeriodCheck(self.settings[SAMPLE_PERIOD.name], exact=self.lockstep)
-        health = self.create_publisher(DiagnosticStatus, LOOP_HEALTH, LATCHED_QOS)
+        health = self.side_publisher(LOOP_HEALTH)
 
         def say() -> None:
             self.errors_active.put(SAMPLE_PERIOD.name, check.complaint)
@@ -326,7 +347,7 @@ class LoopNode(Node):
             self._opening.cancel()
 
     def _on_ready(self, request: Ready.Request, response: Ready.Response) -> Ready.Response:
-        reasons = [self.not_ready()]
+        reasons = [self.not_ready(), self._unknown(request.nodes)]
         kinds = {name.rpartition("/")[2] for name in request.nodes}
         for publisher in self.publishers_of_links:
             if missing := publisher.missing([
@@ -338,6 +359,14 @@ class LoopNode(Node):
         response.message = "; ".join(filter(None, reasons))
         response.ready = not response.message
         return response
+
+    def _unknown(self, names: Sequence[str]) -> str:
+        """Say which nodes are not there; a name without `/` is one in this namespace."""
+        here = {f"{space.rstrip('/')}/{name}"
+                for name, space in self.get_node_names_and_namespaces()}
+        missing = [name for name in names
+                   if (name if "/" in name else f"{self.get_namespace()}/{name}") not in here]
+        return f"there is no {', '.join(missing)}" if missing else ""
 
     def _broken(self) -> str:
         if self._watch.silent:

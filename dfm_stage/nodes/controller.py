@@ -88,6 +88,7 @@ class Controller(LoopNode):
     """Answers every `measurement` with a `command`."""
 
     kind = "controller"
+    example = "-p mode:=lqr -p model:=paper_stage"
     settings_table = settings_of(LAWS)
 
     def __init__(self, **kwargs: Any) -> None:

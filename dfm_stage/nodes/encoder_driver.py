@@ -20,7 +20,6 @@ from dfm_stage.errors import DfmError
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
-from dfm_stage.nodes.wiring import LATCHED_QOS
 
 _JOINT_STATE_PERIOD_S = 0.05
 _SHORTEST_STEP_S = 1e-3
@@ -32,6 +31,7 @@ class EncoderDriver(ManagedNode):
     """Publishes `measurement` for every sample of the device."""
 
     kind = "encoder_driver"
+    example = "-p travel_limit_m:=0.005 -r __ns:=/stage/y    # the simulated scale of axis y"
     settings_table = (
         *device_settings(names("encoders"), "where the counts come from"),
         Setting("resolution_m", 0.0, "length of one count; 0 takes what the simulation says", "m",
@@ -67,8 +67,8 @@ class EncoderDriver(ManagedNode):
         self._alarms: dict[str, str] = {}
         self._raised: set[str] = set()
         self._out = self.link_publisher("measurement")
-        self._health = self.create_publisher(DiagnosticStatus, "encoder_health", LATCHED_QOS)
-        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self._health = self.side_publisher("encoder_health")
+        self._joint_states = self.side_publisher("joint_states")
         self.create_timer(_JOINT_STATE_PERIOD_S, self._publish_joint_state, clock=self.steady)
         self.trigger_service("~/home", self._home)
         if self.simulated:

@@ -5,23 +5,27 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import re
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from dfm_stage import __version__, interruption
 from dfm_stage.errors import DfmError
-from dfm_stage.middleware.security import require_what_was_asked
+from dfm_stage.middleware import security
+from dfm_stage.middleware.security import enclave_of, require_what_was_asked
 from dfm_stage.middleware.shared_memory import (
     PORT_LOOK_S,
     PortWatch,
@@ -35,6 +39,7 @@ BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 _EVENTS_PER_LOOK = 64
 _LEAVING_S = 0.3
 """A reader learns what it lacks within 0.2 s (config/fastdds.xml)."""
+_PLACE = re.compile(r", at \.?/")
 _STANDARD = 2
 """The last of the three standard descriptors."""
 
@@ -62,6 +67,7 @@ class Helper:
     """A node beside the graph in a context of its own, which `executor` spins."""
 
     def __init__(self, name: str, namespace: str) -> None:
+        require_what_was_asked()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[],
                    signal_handler_options=SignalHandlerOptions.NO)
@@ -120,12 +126,12 @@ class StopRequest:
             signal.signal(number, handler)
 
 
-def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) -> int:
+def run_node(kind: type[LoopNode], args: Sequence[str] | None = None) -> int:
     """Run one node until it is interrupted; return the exit code.
 
-    A parameter or file that cannot be used is one line on stderr and exit code 2. A node whose
-    port in shared memory is gone begins anew in the same process. The process runs at the node's
-    real-time priority.
+    `--help` and `--version` only print. A parameter or file that cannot be used is one line on
+    stderr and exit code 2. A node whose port in shared memory is gone begins anew in the same
+    process. The process runs at the node's real-time priority.
     """
     stop = StopRequest()
     stop.install()
@@ -133,16 +139,16 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
     node: LoopNode | None = None
     anew = False
     try:
+        if _answered(kind, _own_arguments(given)):
+            return 0
         _join(given)
-        with avoiding_dead_ports():
-            node = make()
+        node = _made(kind)
         node.begin()
         anew = _spin(node, stop)
     except ExternalShutdownException:
         pass
     except (DfmError, InvalidParameterTypeException) as error:
-        # rclpy adds where in its own source, over several lines
-        print(f"error: {' '.join(str(error).partition(', at /')[0].split())}", file=sys.stderr)
+        print(f"error: {_in_one_line(error)}", file=sys.stderr)
         return 2
     finally:
         if node is not None:
@@ -154,17 +160,52 @@ def run_node(make: Callable[[], LoopNode], args: Sequence[str] | None = None) ->
     return 0
 
 
-def _join(given: list[str]) -> None:
-    """Join the graph with these ROS arguments; DfmError where that cannot be."""
-    require_what_was_asked()
+def _own_arguments(given: list[str]) -> list[str]:
+    """Return what is no ROS argument; DfmError where it does not go up."""
     try:
-        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-        foreign = remove_ros_args(["", *given])[1:]
+        return list(remove_ros_args(["", *given])[1:])
     except RuntimeError as error:
         raise DfmError(str(error)) from error
-    if foreign:
-        raise DfmError(f"unknown arguments {' '.join(foreign)}: write parameters as "
-                       "--ros-args -p name:=value")
+
+
+def _answered(kind: type[LoopNode], own: list[str]) -> bool:
+    """Print what was asked about the node; return whether anything was."""
+    if {"-h", "--help"} & set(own):
+        from dfm_stage.nodes.help import help_text
+
+        print(help_text(kind))
+    elif "--version" in own:
+        print(f"{kind.kind} {__version__} (dfm_stage)")
+    elif own:
+        raise DfmError(f"unknown arguments {' '.join(own)}: write parameters as --ros-args -p "
+                       f"name:=value; {kind.kind} --help lists them")
+    return bool(own)
+
+
+def _join(given: list[str]) -> None:
+    """Join the graph with these ROS arguments; DfmError where that cannot be."""
+    require_what_was_asked(given)
+    try:
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise DfmError(str(error)) from error
+
+
+def _made(kind: type[LoopNode]) -> LoopNode:
+    """Make the node; DfmError where the middleware refuses it something."""
+    try:
+        with avoiding_dead_ports():
+            return kind()
+    except rclpy_implementation.RCLError as error:
+        right = (f"; has its enclave {enclave_of(sys.argv)} the right to it?" if security.asked()
+                 else "")
+        raise DfmError(f"{kind.kind}: the middleware refused: {_in_one_line(error)}"
+                       f"{right}") from error
+
+
+def _in_one_line(error: Exception) -> str:
+    """What an error says, without the places in their own sources that rcl and rclpy add."""
+    return " ".join(_PLACE.split(str(error))[0].split())
 
 
 def _spin(node: LoopNode, stop: StopRequest) -> bool:
@@ -200,5 +241,6 @@ def _begin_anew() -> None:
         if int(name) > _STANDARD:
             with contextlib.suppress(OSError):
                 os.set_inheritable(int(name), False)
+    interruption.block()
     os.execv(sys.executable, sys.orig_argv)  # noqa: S606 what started this
 

@@ -60,6 +60,8 @@ class Recorder(LoopNode):
     """Records until it is stopped; `~/stop` closes the bag and answers when it is complete."""
 
     kind = "recorder"
+    listens_to = "every topic whose full name `topics` matches and `exclude` does not"
+    example = "-p bag:=bags/first -p exclude:='/parameter_events|.*/sim/.*'"
     priority = 10
     settings_table = (
         Setting("bag", "", "folder of the new bag; empty: bags/<date and time>"),

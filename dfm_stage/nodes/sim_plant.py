@@ -13,12 +13,9 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from rclpy.qos import QoSProfile
-from rosgraph_msgs.msg import Clock as ClockMessage
-
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.wire import encode_clock
-from dfm_stage.model import CoupledPlant, Model, load_model, model_text
+from dfm_stage.model import Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
@@ -27,12 +24,14 @@ from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 _GIVE_UP_SAMPLES = 100
 
 
-class _Stage(CoupledPlant):
-    """A plant with the inputs that are to be held over the next sample."""
+class _Stage:
+    """A plant, and the inputs that are to be held over the next sample."""
 
     def __init__(self, model: Model, seed: int) -> None:
-        super().__init__(model, seed)
-        self.inputs = [0.0] * len(self.plants)
+        from dfm_stage.model import CoupledPlant  # with numba, which the help can do without
+
+        self.plant = CoupledPlant(model, seed)
+        self.inputs = [0.0] * len(self.plant.plants)
 
 
 class _Axis:
@@ -41,7 +40,7 @@ class _Axis:
     def __init__(self, node: SimPlant, name: str, stage: _Stage, index: int) -> None:
         prefix = f"{name}/" if name else ""
         self.stage = stage
-        self.plant = stage.plants[index]
+        self.plant = stage.plant.plants[index]
         self.topic = f"{prefix}sim/drive"
         self.counts: Publisher = node.link_publisher("sim/position_counts", prefix)
         self.truth: Publisher = node.link_publisher("plant", prefix)
@@ -78,6 +77,7 @@ class SimPlant(LoopNode):
     """Publishes `sim/position_counts` and `plant`, obeys `sim/drive`."""
 
     kind = "sim_plant"
+    example = "-p model:=xy_stage -r __ns:=/stage    # two axes: /stage/x and /stage/y"
     settings_table = (
         Setting("model", "paper_stage", "model.yaml to simulate: a path or a name in "
                 "config/models"),
@@ -101,7 +101,7 @@ class SimPlant(LoopNode):
         self._period_ns = round(self._model.sample_period * 1e9)
         self.seq = 0
         self._published = False
-        self._clock_out = self.create_publisher(ClockMessage, "/clock", QoSProfile(depth=100))
+        self._clock_out = self.side_publisher("/clock")
         self._axes = self._wire(names)
         self._stages = list({id(axis.stage): axis.stage for axis in self._axes}.values())
         self._next_ns: int | None = None
@@ -179,14 +179,14 @@ class SimPlant(LoopNode):
                     self.count("watchdog_trips")
                     self.get_logger().warning(f"nothing on {axis.topic}: the coil is cut off")
         for stage in self._stages:
-            stage.advance(stage.inputs)
+            stage.plant.advance(stage.inputs)
         self.seq = (self.seq + 1) & 0xFFFFFFFF
 
     def _publish_samples(self, stamp_ns: int) -> None:
         self._published = True
         self.counters["samples"] = self.seq
         for stage in self._stages:
-            stage.sample()
+            stage.plant.sample()
         samples = [axis.plant.sample() for axis in self._axes]
         for axis, sample in zip(self._axes, samples, strict=True):
             axis.counts.send(stamp_ns, self.seq, sample.counts, axis.plant.count_size_m)

@@ -8,33 +8,31 @@ holds the last position. What would leave a limit (`limits.*`) is refused before
 
 from __future__ import annotations
 
-import array
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse
 
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control import inverse_of
 from dfm_stage.errors import DfmError
-from dfm_stage.middleware.watch import HELD_UP_S
+from dfm_stage.middleware.watch import HELD_UP_S, SILENT_S
 from dfm_stage.model import Model, load_model
-from dfm_stage.model.parameter import Parameter
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
+from dfm_stage.nodes.signal_settings import KINDS, signal_settings, specification
 from dfm_stage.share import find_experiment
 from dfm_stage.trajectory import (
-    EXCITATION_KINDS,
     LIMIT_PARAMETERS,
-    REFERENCE_KINDS,
+    Bounds,
     Excitation,
     Limits,
+    Outcome,
     Reference,
     load_experiment,
     make_excitation,
@@ -44,53 +42,22 @@ from dfm_stage.trajectory import (
 
 RECORDER_SILENT_S = 2.5
 _BACKWARDS = 0x80000000
-KINDS: Mapping[str, Mapping[str, Any]] = {"reference": REFERENCE_KINDS,
-                                          "excitation": EXCITATION_KINDS}
-"""Each setting of each kind is one parameter: `reference.kind`, `reference.amplitude_m`, ...
-Only those that somebody gave count, the others follow the chosen kind's own default."""
 
 
-def signal_settings() -> tuple[Setting, ...]:
-    """Return the settings of every kind of reference and excitation."""
-    out = []
-    for part, kinds in KINDS.items():
-        out.append(Setting(f"{part}.kind", "hold", f"which {part}: " + "; ".join(
-            f"{kind.name} ({kind.description})" for kind in kinds.values()),
-            choices=tuple(kinds), live=True))
-        by_name: dict[str, list[tuple[str, Any]]] = {}
-        for kind in kinds.values():
-            for entry in (*kind.parameters, *kind.options):
-                by_name.setdefault(entry.name, []).append((kind.name, entry))
-        out += [_setting(f"{part}.{name}", entries) for name, entries in by_name.items()]
-    return tuple(out)
+class Signals(NamedTuple):
+    """What a run asks for; `voltage` has the model's inverse in it, too."""
 
-
-def specification(part: str, values: Mapping[str, Any], given: set[str]) -> dict[str, Any]:
-    """Return the specification of `part` from parameter values, using only what was given."""
-    out = {"kind": values[f"{part}.kind"]}
-    for name in given:
-        owner, _, key = name.partition(".")
-        if owner == part and key != "kind":
-            value = values[name]
-            out[key] = list(value) if isinstance(value, array.array) else value
-    return out
-
-
-def _setting(name: str, entries: list[tuple[str, Any]]) -> Setting:
-    first = entries[0][1]
-    text = f"{first.description} ({', '.join(kind for kind, _ in entries)})"
-    if isinstance(first, Parameter):
-        return Setting(name, float(first.default), text, first.unit,
-                       min(entry.low for _, entry in entries),
-                       max(entry.high for _, entry in entries), live=True)
-    if isinstance(first.default, tuple):
-        return Setting(name, array.array("d", first.default), text, first.unit, live=True)
-    return Setting(name, first.default, text, choices=first.choices, live=True)
+    name: str
+    reference: Reference
+    excitation: Excitation
+    voltage: list[float]
+    bounds: Bounds
+    open_loop: bool
 
 
 @dataclass
 class ActiveRun:
-    """An experiment under way; `first_seq` is set by the first sample."""
+    """An experiment under way; `first_seq` is set by the first sample, `over_s` after the last."""
 
     name: str
     position: list[float]
@@ -99,9 +66,11 @@ class ActiveRun:
     voltage: list[float]
     metadata: dict[str, Any]
     files: dict[str, str]
+    outcome: Outcome
     goal: Any = None
     first_seq: int | None = None
     done: int = 0
+    over_s: float | None = None
 
     @property
     def count(self) -> int:
@@ -113,6 +82,7 @@ class TrajectoryGenerator(LoopNode):
     """Publishes `reference` and `excitation`; runs experiments through an action."""
 
     kind = "trajectory_generator"
+    example = "-p experiment:=scan    # runs it as soon as the controller listens"
     settings_table = (
         SAMPLE_PERIOD,
         Setting("experiment", "", "experiment to run: a name in config/experiments or a YAML "
@@ -140,6 +110,9 @@ class TrajectoryGenerator(LoopNode):
         self._pending: Any = None
         self._hold = 0.0
         self._asked_s = time.monotonic()
+        self._said: dict[str, Any] = {}
+        self._output_heard_s = -math.inf
+        self._output_off = ""
         self._reference = self.link_publisher("reference")
         self._excitation = self.link_publisher("excitation")
         self.link_subscription("measurement", self._on_measurement)
@@ -150,10 +123,10 @@ class TrajectoryGenerator(LoopNode):
             handle_accepted_callback=self._on_goal,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT)
         self.create_timer(0.2, self._report, clock=self.steady)
+        self.side_subscription("amplifier_health", self._on_output)
         self._recorder_heard_s = math.inf
         if self.settings["wait_for_recorder"] and not self.lockstep:
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10,
-                                     raw=True)
+            self.side_subscription("/diagnostics", self._on_diagnostics, raw=True)
         self.begin()
 
     def start_work(self) -> None:
@@ -173,8 +146,8 @@ class TrajectoryGenerator(LoopNode):
                 name for name, value in values.items() if value != self.settings[name]})
 
     def _signals(self, values: dict[str, Any], given: set[str],
-                 experiment: str = "") -> tuple[str, Reference, Excitation, list[float]]:
-        """Return name, reference, excitation and the whole voltage, all within the limits.
+                 experiment: str = "") -> Signals:
+        """Return what is to be run, all within the limits.
 
         Raises
         ------
@@ -182,13 +155,13 @@ class TrajectoryGenerator(LoopNode):
             If there is no such experiment or signal, or it would leave a limit.
         """
         period = values[SAMPLE_PERIOD.name]
-        name, open_loop, named = "", False, values["limits.model"]
+        name, named, bounds = "parameters", values["limits.model"], Bounds()
         experiment = experiment or values["experiment"]
         if experiment:
             loaded = load_experiment(find_experiment(experiment))
             reference = loaded.reference(self.axis, period)
             excitation = loaded.excitation(self.axis, period)
-            name, open_loop = loaded.name, loaded.mode == "open_loop"
+            name, open_loop, bounds = loaded.name, loaded.mode == "open_loop", loaded.bounds
         else:
             common = {"sample_period_s": period, "duration_s": values["duration_s"],
                       "seed": values["seed"]}
@@ -207,21 +180,22 @@ class TrajectoryGenerator(LoopNode):
                                             reference.position, reference.velocity,
                                             reference.acceleration)
         require_run_within(reference, replace(excitation, voltage=voltage), limits,
-                           self._model(named) if named else None, open_loop=open_loop, where=name)
-        return name, reference, excitation, voltage.tolist()
+                           self._model(named) if named else None, open_loop=open_loop,
+                           where=name if experiment else "")
+        return Signals(name, reference, excitation, voltage.tolist(), bounds, open_loop)
 
     def _model(self, name: str) -> Model:
         model = load_model(name)
         return model.axis(self.axis) if model.axes else model
 
     def _make_run(self, experiment: str = "", goal: Any = None) -> ActiveRun:
-        name, reference, excitation, voltage = self._signals(
+        name, reference, excitation, voltage, bounds, open_loop = self._signals(
             self.settings.values, self.settings.given, experiment)
-        name = name or "parameters"
         return ActiveRun(name, reference.position.tolist(), reference.velocity.tolist(),
                          reference.acceleration.tolist(), voltage,
                          {"experiment": name, "reference": reference.metadata(),
-                          "excitation": excitation.metadata()}, self._files(excitation), goal)
+                          "excitation": excitation.metadata()}, self._files(excitation),
+                         Outcome(reference.position, self._hold, bounds, open_loop), goal)
 
     def _files(self, excitation: Excitation) -> dict[str, str]:
         """Return what the recorder is to attach to the bag: a voltage that came from a file."""
@@ -232,10 +206,12 @@ class TrajectoryGenerator(LoopNode):
             for k, volts in enumerate(excitation.voltage.tolist()))}
 
     def config(self) -> dict[str, Any]:
-        """Return what signal is, or was last, running and where in the record it starts."""
+        """Return what signal is, or was last, running, where in the record it starts, and what
+        came of it."""
         run = self._run
-        if run is None:
-            return {}
+        return self._description(run) if run is not None else self._said
+
+    def _description(self, run: ActiveRun) -> dict[str, Any]:
         return {"run": {**run.metadata, "first_seq": run.first_seq},
                 **({"attachments": run.files} if run.files else {})}
 
@@ -290,6 +266,11 @@ class TrajectoryGenerator(LoopNode):
         if run is None:
             return
         self.count("experiments")
+        if how == "succeed" and (message := self._complaint(run)):
+            how = "abort"
+        self._said = self._description(run)
+        self._said["run"] |= {"success": how == "succeed", "message": message}
+        self.publish_config()
         if how == "abort":
             self.get_logger().warning(f"{run.name} is over: {message}")
             if not asked_for:
@@ -297,15 +278,60 @@ class TrajectoryGenerator(LoopNode):
         if run.goal is not None:
             self._conclude(run.goal, how, message, run)
 
+    # What comes of a run
+
+    def _on_output(self, health: DiagnosticStatus) -> None:
+        """Note whether the amplifier's output is on."""
+        self._output_heard_s = time.monotonic()
+        self._output_off = "" if health.level == DiagnosticStatus.OK else str(health.message)
+        if self._run is not None and self._run.first_seq is not None:
+            self._run.outcome.output(self._output_off)
+
+    def _follow(self, measurement: Any) -> None:
+        """Compare a measurement with the reference; the first one after the run ends it."""
+        run = self._run
+        if run is None or run.first_seq is None:
+            return
+        index = (measurement.seq - run.first_seq) & 0xFFFFFFFF
+        if index < run.count:
+            run.outcome.measured(measurement.position, run.position[index])
+        elif index < _BACKWARDS and (self.lockstep or self._output_was_on(run)):
+            self._end("succeed")
+
+    def _output_was_on(self, run: ActiveRun) -> bool:
+        """Return whether it is known if the output was on to the end: an amplifier that was killed
+        says no more."""
+        if run.over_s is None:
+            run.over_s = self._asked_s
+        return (self._output_heard_s >= run.over_s or self._output_heard_s == -math.inf
+                or self._asked_s - run.over_s > SILENT_S)
+
+    def _look_for_output(self, run: ActiveRun) -> None:
+        silent_s = self._asked_s - self._output_heard_s
+        if SILENT_S < silent_s < math.inf:
+            run.outcome.output(f"nothing is heard of the amplifier for {silent_s:.1f} s")
+
+    def _complaint(self, run: ActiveRun) -> str:
+        """Return why a run that came to its end does not count."""
+        # an amplifier that is no node of ours does not say how it is
+        if self._output_heard_s == -math.inf and not self.count_publishers("amplifier"):
+            run.outcome.output("there is no amplifier")
+        return run.outcome.complaint()
+
     # The loop
 
     def _on_measurement(self, measurement: Any) -> None:
+        run = self._run
         if not self.lockstep:
             now = time.monotonic()
             gap, self._asked_s = now - self._asked_s, now
-            if gap > HELD_UP_S and self._run is not None and self._run.done:
-                self.count("runs_held_up")
-                self._end("abort", f"no measurement for {gap:.2f} s in the middle of it")
+            if run is not None and run.done > 0:
+                if gap > HELD_UP_S and run.done < run.count:
+                    self.count("runs_held_up")
+                    self._end("abort", f"no measurement for {gap:.2f} s in the middle of it")
+                self._look_for_output(run)
+        self._follow(measurement)
+        if not self.lockstep:
             self._answer((measurement.seq + 1) & 0xFFFFFFFF,
                          measurement.stamp_ns + int(self.settings[SAMPLE_PERIOD.name] * 1e9))
         elif self._run is not None:
@@ -321,6 +347,7 @@ class TrajectoryGenerator(LoopNode):
             return
         if run.first_seq is None:
             run.first_seq = seq
+            run.outcome.output(self._output_off)
             self.publish_config()
         index = (seq - run.first_seq) & 0xFFFFFFFF
         if index >= _BACKWARDS:
@@ -336,11 +363,12 @@ class TrajectoryGenerator(LoopNode):
             if run.goal is not None and run.goal.is_cancel_requested:
                 self._end("canceled", "cancelled")
                 return
-        if index >= run.count - 1:
-            if self.settings["repeat"] and not self.lockstep and run.goal is None:
+            if (index == run.count - 1 and self.settings["repeat"] and not self.lockstep
+                    and run.goal is None):
                 run.first_seq = (seq + 1) & 0xFFFFFFFF
-            else:
-                self._end("succeed")
+        elif not self.lockstep:
+            self._reference.send(stamp_ns, seq, self._hold, 0.0, 0.0)
+            self._excitation.send(stamp_ns, seq, 0.0)
 
     def _report(self) -> None:
         run = self._run

@@ -97,6 +97,11 @@ class _Run:
                       for name, data in bag.attachments.items()}
         self.model, self.parameters, self.versions = map(
             self._tree, (MODEL_ATTACHMENT, PARAMETERS_ATTACHMENT, VERSIONS_ATTACHMENT))
+        for name, node in self.parameters.items():
+            run = node.get("run") if isinstance(node, Mapping) else None
+            if isinstance(run, Mapping) and run.get("success") is False:
+                self.notes.append(f"{name}: {run.get('experiment')} ended without success: "
+                                  f"{run.get('message')}")
 
     def _tree(self, name: str) -> dict[str, Any]:
         from ruamel.yaml import YAML

@@ -12,6 +12,7 @@ from dfm_stage.trajectory.limits import (
     check_run,
     require_run_within,
 )
+from dfm_stage.trajectory.outcome import Bounds, Outcome
 from dfm_stage.trajectory.signals import (
     EXCITATION_KINDS,
     REFERENCE_KINDS,
@@ -23,8 +24,8 @@ from dfm_stage.trajectory.signals import (
 from dfm_stage.trajectory.waveform import Segment
 
 __all__ = [
-    "EXCITATION_KINDS", "LIMIT_PARAMETERS", "REFERENCE_KINDS", "AxisSpec", "Excitation",
-    "Experiment", "Kind", "LimitError", "Limits", "Option", "Reference", "Segment",
-    "TrajectoryError", "Violation", "check_limits", "check_run", "load_experiment",
+    "EXCITATION_KINDS", "LIMIT_PARAMETERS", "REFERENCE_KINDS", "AxisSpec", "Bounds",
+    "Excitation", "Experiment", "Kind", "LimitError", "Limits", "Option", "Outcome", "Reference",
+    "Segment", "TrajectoryError", "Violation", "check_limits", "check_run", "load_experiment",
     "make_excitation", "make_reference", "require_run_within",
 ]

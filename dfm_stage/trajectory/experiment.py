@@ -16,6 +16,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from dfm_stage.model.parameter import nearest
 from dfm_stage.trajectory.errors import TrajectoryError, place
 from dfm_stage.trajectory.kind import Kind, choose
+from dfm_stage.trajectory.outcome import DEFAULT_BOUNDS, Bounds
 from dfm_stage.trajectory.signals import (
     EXCITATION_KINDS,
     REFERENCE_KINDS,
@@ -27,7 +28,8 @@ from dfm_stage.trajectory.signals import (
 
 # The mode in which no control law is in force: the excitation is the whole command.
 OPEN_LOOP = "open_loop"
-_KEYS = ("name", "description", "mode", "duration_s", "axes", "model", "controller", "seed")
+_KEYS = ("name", "description", "mode", "duration_s", "axes", "model", "controller", "seed",
+         "bounds")
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class Experiment:
 
     `model` is a name or path of a model.yaml, `controller` a path of a parameter file or a mapping
     of controller parameters; both are left to whoever uses them, and empty where not given.
+    `bounds` are what a run has to keep to count as done.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Experiment:
     seed: int = 0
     description: str = ""
     source: str = field(default="", compare=False)
+    bounds: Bounds = DEFAULT_BOUNDS
 
     def reference(self, axis: str, sample_period_s: float) -> Reference:
         """Return the movement of an axis, holding zero where none is asked for."""
@@ -135,7 +139,8 @@ def _experiment(content: Mapping[str, Any], source: str) -> Experiment:
                       _beside(_text(content, "model"), source),
                       _beside(controller, source) if isinstance(controller, str)
                       else _plain(controller),
-                      int(seed), _text(content, "description"), source)
+                      int(seed), _text(content, "description"), source,
+                      Bounds.from_mapping(content.get("bounds") or {}))
 
 
 def _beside(name: str, source: str) -> str:

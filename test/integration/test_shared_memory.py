@@ -244,3 +244,57 @@ def test_a_port_is_taken_though_a_process_that_gave_it_back_still_has_its_note(d
         if port == other:
             return
     pytest.fail(f"given back and taken instead: {taken}")
+
+
+def last_check_ms(port: Path) -> int:
+    """When a port was last checked: the first field of the structure at byte 256."""
+    return int.from_bytes(port.read_bytes()[256:264], "little", signed=True)
+
+
+def ports_in(domain: int) -> list[Path]:
+    first = PORT_BASE + DOMAIN_GAIN * domain
+    return [port for port in SHARED_MEMORY.glob("fastrtps_port*")
+            if (number := re.fullmatch(r"fastrtps_port(\d+)", port.name))
+            and first <= int(number[1]) < first + DOMAIN_GAIN]
+
+
+def test_no_port_is_ever_checked_for_a_reader_that_merely_waits(domain):
+    """Whoever opened it meanwhile slept for a third of the time, and held others up."""
+    a_year_ms = 365 * 86_400_000
+    now_ms = 1000 * time.time()
+    with running_stranger(domain):
+        before = {port: last_check_ms(port) for port in ports_in(domain)}
+        assert any(abs(checked - now_ms) < 60_000 for checked in before.values())
+        with running_node(domain):
+            deadline = time.monotonic() + 10.0
+            while not all(last_check_ms(port) > now_ms + a_year_ms for port in ports_in(domain)):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            assert len(ports_in(domain)) > len(before)
+
+
+@contextlib.contextmanager
+def running_stranger(domain: int):
+    """A plain rclpy node with Fast DDS as it is by default; it waits and says nothing."""
+    code = ("import rclpy, sys\nrclpy.init()\nnode = rclpy.create_node('stranger')\n"
+            "print('here', flush=True)\nsys.stdin.read()")
+    environment = {name: value for name, value in os.environ.items()
+                   if name != "FASTRTPS_DEFAULT_PROFILES_FILE"}
+    stranger = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, text=True,
+                                stdout=subprocess.PIPE,
+                                env={**environment, "ROS_DOMAIN_ID": str(domain)})
+    try:
+        assert stranger.stdout.readline() == "here\n"
+        yield stranger
+    finally:
+        stranger.stdin.close()
+        stranger.wait(10.0)
+        stranger.stdout.close()
+
+
+def test_a_file_that_is_no_port_of_fast_dds_is_left_alone(tmp_path):
+    file = tmp_path / "fastrtps_port7412"
+    for content in (b"", bytes(100), bytes(range(256)) * 4, (7412).to_bytes(4, "little") * 200):
+        file.write_bytes(content)
+        shared_memory._put_off_checks(file, 7412)
+        assert file.read_bytes() == content

@@ -7,15 +7,32 @@ import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
+from lifecycle_msgs.srv import (
+    ChangeState,
+    GetAvailableStates,
+    GetAvailableTransitions,
+    GetState,
+)
+from rclpy.action import ActionClient
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.parameter_client import AsyncParameterClient
+from std_srvs.srv import Trigger
+from type_description_interfaces.srv import GetTypeDescription
 
+from dfm_interfaces.action import RunExperiment
+from dfm_stage import __main__
 from dfm_stage.commands import NODES, module_of
 from dfm_stage.errors import DfmError
 from dfm_stage.harness import StageGraph
 from dfm_stage.model import load_model
+from dfm_stage.nodes.process import Helper
+from dfm_stage.nodes.wiring import interface as get_message
 from dfm_stage.reporting import Page
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,6 +40,10 @@ POLICY = ROOT / "config" / "sros2" / "policy.xml"
 RIGHTS = ("publish", "subscribe", "reply", "request", "execute", "call")
 Rights = dict[str, set[str]]
 ACTION_PARTS = "/_action/"
+LIFE_CYCLE = ((ChangeState, "change_state"), (GetState, "get_state"),
+              (GetAvailableStates, "get_available_states"),
+              (GetAvailableTransitions, "get_available_transitions"),
+              (GetAvailableTransitions, "get_transition_graph"))
 
 
 @pytest.fixture(autouse=True)
@@ -45,28 +66,69 @@ def allowed() -> dict[str, Rights]:
                 for right in group.attrib:
                     assert group.attrib[right] == "ALLOW"
                     rights[right] |= {written_out(item.text, namespace, node) for item in group}
-            out[f"{namespace}/{node}"] = rights
+            out[f"{namespace.rstrip('/')}/{node}"] = rights
     return out
 
 
 def written_out(name: str | None, namespace: str, node: str) -> str:
+    """A name of the policy in full, as the templates of sros2 (permissions.xsl) write it."""
     assert name
-    if name == "*":
-        return name
+    space = f"{namespace.rstrip('/')}/"
     if name.startswith("~/"):
-        return f"{namespace}/{node}/{name[2:]}"
-    return name if name.startswith("/") else f"{namespace}/{name}"
+        return f"{space}{node}/{name[2:]}"
+    return name if name.startswith("/") else f"{space}{name}"
+
+
+SIDES = {"publish": ("publish",), "subscribe": ("subscribe",), "reply": ("publish", "subscribe"),
+         "request": ("subscribe", "publish")}
+
+
+def on_the_wire(right: str, name: str) -> list[tuple[str, str]]:
+    """What a right to a ROS name is in DDS: sides and topics, as in permissions.xsl."""
+    if right in ("execute", "call"):
+        topic, service = ("publish", "reply") if right == "execute" else ("subscribe", "request")
+        return [*(each for part in ("feedback", "status")
+                  for each in on_the_wire(topic, f"{name}{ACTION_PARTS}{part}")),
+                *(each for part in ("cancel_goal", "get_result", "send_goal")
+                  for each in on_the_wire(service, f"{name}{ACTION_PARTS}{part}"))]
+    topics = (f"rt{name}",) if len(SIDES[right]) == 1 else (f"rr{name}Reply", f"rq{name}Request")
+    return list(zip(SIDES[right], topics, strict=True))
+
+
+def permissions() -> dict[str, set[tuple[str, str]]]:
+    """What every enclave may do in DDS; topics may have wildcards."""
+    profiles, out = allowed(), {}
+    for enclave in ET.parse(POLICY).getroot().iter("enclave"):  # noqa: S314 a file of our own
+        names = [f"{each.attrib['ns'].rstrip('/')}/{each.attrib['node']}"
+                 for each in enclave.iter("profile")]
+        out[enclave.attrib["path"]] = {
+            entry for name in names for right, granted in profiles[name].items()
+            for each in granted for entry in on_the_wire(right, each)}
+    return out
+
+
+def refused(node: Any, granted: set[tuple[str, str]]) -> list[tuple[str, str]]:
+    """What a node does in DDS and its enclave may not; Fast DDS matches with fnmatch, too."""
+    name, namespace = node.get_name(), node.get_namespace()
+    does = {entry for right, look in looks(node).items() for each, _ in look(name, namespace)
+            for entry in on_the_wire(right, each)}
+    assert does
+    return sorted((side, topic) for side, topic in does if not any(
+        side == other and fnmatchcase(topic, pattern) for other, pattern in granted))
+
+
+def looks(node: Any) -> dict[str, Any]:
+    return {"publish": node.get_publisher_names_and_types_by_node,
+            "subscribe": node.get_subscriber_names_and_types_by_node,
+            "reply": node.get_service_names_and_types_by_node,
+            "request": node.get_client_names_and_types_by_node}
 
 
 def real(node: Any) -> Rights:
     """What a node really does, actions by their own name."""
     name, namespace = node.get_name(), node.get_namespace()
-    looks = {"publish": node.get_publisher_names_and_types_by_node,
-             "subscribe": node.get_subscriber_names_and_types_by_node,
-             "reply": node.get_service_names_and_types_by_node,
-             "request": node.get_client_names_and_types_by_node}
     out: Rights = {right: set() for right in RIGHTS}
-    for right, look in looks.items():
+    for right, look in looks(node).items():
         for each, _ in look(name, namespace):
             action, part, _ = each.partition(ACTION_PARTS)
             side = "execute" if right in ("publish", "reply") else "call"
@@ -76,6 +138,7 @@ def real(node: Any) -> Rights:
 
 def test_the_policy_is_what_the_nodes_really_do_and_no_more(tmp_path):
     seen: dict[str, Rights] = {}
+    granted = permissions()
 
     def look(node: Any) -> None:
         rights = seen.setdefault(f"{node.get_namespace()}/{node.get_name()}",
@@ -89,17 +152,119 @@ def test_the_policy_is_what_the_nodes_really_do_and_no_more(tmp_path):
                         parameters={"controller": {"amplifier_feedback": True}}) as graph:
             for each in graph.launched:
                 look(each.node)
+                assert refused(each.node, granted[each.full_name]) == []
                 if each.kind == "recorder":
+                    graph.spin_until(lambda tap=each.node._tap: "/diagnostics" in {
+                        name for name, _ in tap.get_subscriber_names_and_types_by_node(
+                            "recorder_tap", "/stage")}, 10.0, "a recorded topic of all nodes")
                     look(each.node._tap)
+                    assert refused(each.node._tap, granted["/stage/recorder"]) == []
+            assert refused(graph._client_node, granted["/stage/operator"]) == []
     policy = allowed()
     operator = policy.pop("/stage/harness")
-    assert policy.pop("/stage/recorder_tap")["subscribe"] == {"*"}
+    for name in ("/stage/recorder_tap", "/stage/view", "/_ros2cli_*"):
+        assert policy.pop(name)["subscribe"] == {"/*"}
     assert seen.pop("/stage/recorder_tap")["publish"] == {"/parameter_events"}
     assert seen == policy
     offered = {right: {name for each in seen.values() for name in each[right]}
                for right in RIGHTS}
     assert operator["request"] <= offered["reply"]
     assert operator["call"] == offered["execute"]
+
+
+def test_an_operator_may_do_what_the_ros2_command_does_and_nothing_on_the_loop():
+    granted = permissions()["/stage/operator"]
+    with StageGraph(composed=True, lockstep=True) as graph:
+        # as NodeStrategy of ros2cli makes it; ros2 param, lifecycle, service, action, topic echo
+        node = rclpy.create_node("_ros2cli_4711", context=graph._context,
+                                 start_parameter_services=False)
+        for each in graph.launched:
+            AsyncParameterClient(node, each.full_name)
+            node.create_client(GetTypeDescription, f"{each.full_name}/get_type_description")
+            if each.kind.endswith("driver"):
+                for kind, name in LIFE_CYCLE:
+                    node.create_client(kind, f"{each.full_name}/{name}")
+        for name in ("amplifier_driver/arm", "amplifier_driver/clear", "encoder_driver/home",
+                     "trajectory_generator/start"):
+            node.create_client(Trigger, f"/stage/x/{name}")
+        ActionClient(node, RunExperiment, "/stage/x/trajectory_generator/run_experiment")
+        for name, types in node.get_topic_names_and_types():
+            if ACTION_PARTS in name:
+                continue
+            node.create_subscription(get_message(types[0]), name, print, 1)
+        graph.spin_until(lambda: len(node.get_client_names_and_types_by_node(
+            node.get_name(), "/")) > 40, 10.0, "the clients")
+        assert refused(node, granted) == []
+        node.destroy_node()
+        loop = [name for name, _ in graph._client_node.get_topic_names_and_types()
+                if name.startswith("/stage/")]
+    assert len(loop) > 8
+    for name in (*loop, "/clock", "/diagnostics"):
+        assert not any(side == "publish" and fnmatchcase(f"rt{name}", pattern)
+                       for side, pattern in granted), name
+
+
+@pytest.fixture
+def keystore(tmp_path, monkeypatch):
+    """Keys for two enclaves, and a Fast DDS that looks as if it had security."""
+    from dfm_stage.middleware import security
+
+    for name in ("stage/x/controller", "stage/recorder"):
+        folder = tmp_path / "keys" / "enclaves" / name
+        folder.mkdir(parents=True)
+        for file in security._ENCLAVE_FILES:
+            (folder / file).touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(security, "_loaded_fast_dds", lambda: None)
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(tmp_path / "keys"))
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Permissive")
+    return tmp_path / "keys"
+
+
+def said_by(name: str, *arguments: str, capfd: Any) -> str:
+    """The one line that a node has left to say."""
+    assert __main__.main([name, "--ros-args", *arguments]) == 2
+    lines = [line for line in capfd.readouterr().err.splitlines() if "SECURITY" not in line[:40]]
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_a_wrong_or_absent_enclave_is_one_line(keystore, monkeypatch, capfd):
+    said = said_by("controller", capfd=capfd)
+    assert "the enclave / has no identity_ca.cert.pem" in said
+    assert "name one of /stage/recorder, /stage/x/controller by --ros-args --enclave" in said
+    said = said_by("controller", "--enclave", "/stage/x/controler", capfd=capfd)
+    assert "the enclave /stage/x/controler has no" in said
+    (keystore / "enclaves/stage/x/controller/permissions.p7s").unlink()
+    said = said_by("controller", "--enclave", "/stage/x/controller", capfd=capfd)
+    assert "the enclave /stage/x/controller has no permissions.p7s in" in said
+    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/stage/elsewhere")
+    said = said_by("controller", "--enclave", "/stage/recorder", capfd=capfd)
+    assert "the enclave /stage/elsewhere has no" in said
+    with pytest.raises(DfmError, match="the enclave /stage/elsewhere has no"):
+        StageGraph(composed=True).bring_up()
+    with pytest.raises(DfmError, match="the enclave /stage/elsewhere has no"):
+        Helper("view", "/stage")
+
+
+def test_a_right_that_its_enclave_lacks_is_one_line(keystore, monkeypatch, capfd):
+    from dfm_stage.nodes import process
+
+    class Controller:
+        kind = "controller"
+
+        def __init__(self) -> None:
+            raise rclpy_implementation.RCLError(
+                "Failed to create publisher: rt/stage/x/command topic not found in allow rule.\n,"
+                " at ./src/rmw_publisher.cpp:10, at ./src/rcl/publisher.c:116")
+
+    monkeypatch.setattr(process, "_join", lambda _: None)
+    monkeypatch.setattr("dfm_stage.nodes.controller.Controller", Controller)
+    said = said_by("controller", "--enclave", "/stage/recorder", capfd=capfd)
+    assert said == ("error: controller: the middleware refused: Failed to create publisher: "
+                    "rt/stage/x/command topic not found in allow rule.; has its enclave "
+                    "/stage/recorder the right to it?")
 
 
 @pytest.mark.parametrize("name", ["controller", "recorder"])
@@ -113,7 +278,10 @@ def test_a_graph_asked_to_be_secure_refuses_where_it_cannot(name, tmp_path, monk
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Permissive")
     assert main([name]) == 2
     assert "is no keystore" in capfd.readouterr().err
-    (tmp_path / "keys" / "enclaves").mkdir(parents=True)
+    folder = tmp_path / "keys" / "enclaves"
+    folder.mkdir(parents=True)
+    for file in security._ENCLAVE_FILES:
+        (folder / file).touch()
     monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(tmp_path / "keys"))
     library = tmp_path / "libfastrtps.so.2"
     monkeypatch.setattr(security, "_loaded_fast_dds", lambda: library)

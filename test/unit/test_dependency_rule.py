@@ -24,6 +24,7 @@ PURE: dict[str, set[str]] = {
     "decisions": {"errors"},
     "errors": set(),
     "files": set(),
+    "interruption": set(),
     "machine_code": set(),
     "quantity": set(),
     "share": {"errors"},
@@ -43,10 +44,10 @@ PURE: dict[str, set[str]] = {
 TOOLS = {*PURE, "harness", "live"} - {"commands"}
 WITH_ROS: dict[str, set[str]] = {
     "middleware": BASE,
-    "nodes": LOOP | {"middleware"},
-    "harness": LOOP | {"middleware", "nodes", "compile_all"},
+    "nodes": LOOP | {"middleware", "interruption"},
+    "harness": LOOP | {"middleware", "nodes", "compile_all", "interruption"},
     "live": BASE | {"middleware", "nodes", "reporting"},
-    "__main__": {"commands", "errors", "share"},
+    "__main__": {"commands", "errors", "interruption", "share"},
 }
 ARROWS = {**PURE, **WITH_ROS, "cli": TOOLS}
 CIRCLES: set[frozenset[str]] = set()

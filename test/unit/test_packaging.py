@@ -146,3 +146,20 @@ def test_a_bare_environment_names_the_effect_of_the_example(wheel: Path, tmp_pat
         assert refused.returncode == 2
         assert len(refused.stderr.splitlines()) == 1
         assert "needs ROS 2 Jazzy" in refused.stderr
+
+
+def test_colcons_scripts_answer_signals_from_their_first_lines(tmp_path: Path) -> None:
+    code = ("import sys, setuptools\nfrom distutils.core import run_setup\n"
+            "run_setup('setup.py', stop_after='init')\n"
+            "from setuptools.command.easy_install import ScriptWriter\n"
+            "print(ScriptWriter.template % {'name': 'controller', 'group': '', 'spec': ''})")
+    text = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True,
+                          check=True).stdout
+    lines = [line for line in text.splitlines() if line]
+    assert lines.index("end_at_once()") <= 2
+    script = tmp_path / "controller"
+    script.write_text(text, encoding="utf-8")
+    done = subprocess.run([sys.executable, script, "--version"], cwd=ROOT, text=True, check=True,
+                          capture_output=True,
+                          env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
+    assert done.stdout == f"controller {__version__} (dfm_stage)\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -53,6 +54,33 @@ def test_an_unknown_name_is_one_line_with_the_nearest(front: list[str]) -> None:
     assert (refused.returncode, refused.stdout) == (2, "")
     assert len(refused.stderr.splitlines()) == 1
     assert "did you mean controller?" in refused.stderr
+
+
+def test_a_reader_that_leaves_the_list_is_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    front = subprocess.run(
+        ["./run"], cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writing)
+    assert (front.returncode, front.stderr) == (-signal.SIGPIPE, b"")
+
+
+def test_signals_wait_for_a_node_or_tool_that_can_answer_them(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    blocked = {}
+    monkeypatch.setattr(door, "prepare", lambda: (tmp_path, {}))
+
+    def become(command: list[str], *_: object) -> int:
+        blocked[command[-1]] = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+        return 0
+
+    monkeypatch.setattr(door, "become", become)
+    assert door.main(["controller"]) == door.main(["exec", "true"]) == 0
+    assert {signal.SIGINT, signal.SIGTERM} <= blocked["controller"]
+    assert not {signal.SIGINT, signal.SIGTERM} & blocked["true"]
 
 
 def test_a_missing_python_package_is_one_line() -> None:

@@ -41,6 +41,10 @@ def test_a_file_is_read(tmp_path: Path) -> None:
     assert e.excitation("x", 1e-3).period_samples == 1000
     assert not e.excitation("y", 1e-3).voltage.any()
     assert e.source == str(path)
+    assert (e.bounds.error_rms_m, e.bounds.output_on) == (None, True)
+    path.write_text(f"{GOOD}bounds: {{error_rms_m: 2.0e-6, output_on: false}}\n")
+    bounds = load_experiment(path).bounds
+    assert (bounds.error_rms_m, bounds.error_peak_m, bounds.output_on) == (2e-6, None, False)
 
 
 def test_axes_get_different_phases_and_the_seed_decides() -> None:
@@ -69,6 +73,10 @@ def test_axes_get_different_phases_and_the_seed_decides() -> None:
     ("controller: {kp: 1.0e+3}", "controller: 3", 5, "controller must be a file name"),
     ("seed: 7", "seed: 7: 8", 6, "not valid YAML"),
     ("seed: 7", "mode: pid", 6, "not valid YAML"),
+    ("seed: 7", "bounds: tight", 6, "bounds must be a mapping"),
+    ("seed: 7", "bounds: {error_rms: 1e-6}", 6, "did you mean 'error_rms_m'?"),
+    ("seed: 7", "bounds: {error_peak_m: -1e-6}", 6, "bounds.error_peak_m must be a number of"),
+    ("seed: 7", "bounds: {output_on: 1}", 6, "bounds.output_on must be true or false"),
 ])
 def test_what_is_wrong_is_named_with_file_and_line(tmp_path: Path, old: str, new: str, line: int,
                                                    part: str) -> None:

@@ -1,0 +1,113 @@
+"""Node processes that are forked are what `python -m dfm_stage` starts, and end as those do."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dfm_stage.commands import NODES
+from dfm_stage.harness import StageGraph, nursery
+
+PUSH = {"name": "push", "mode": "open_loop", "duration_s": 0.1, "axes": {"x": {
+    "excitation": {"kind": "steps", "levels_v": [0.0, 0.1], "dwell_s": 0.05}}}}
+
+
+def status(pid: int, what: str) -> str:
+    lines = Path(f"/proc/{pid}/status").read_text("utf-8").splitlines()
+    return next(line.split(":", 1)[1].strip() for line in lines if line.startswith(f"{what}:"))
+
+
+def test_it_knows_every_node():
+    assert sorted(nursery.NODES) == sorted(NODES)
+
+
+def test_nothing_runs_beside_it_when_it_forks():
+    """A thread that holds a lock at that moment would hold it for ever in the child.
+
+    The listeners of LTTng, which come with rclpy, sleep and hold none.
+    """
+    code = ("import os\nfrom dfm_stage.harness import nursery\nimport rclpy\n"
+            "bare = len(os.listdir('/proc/self/task'))\nnursery._load()\n"
+            "print(len(os.listdir('/proc/self/task')) - bare)")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0"]
+
+
+def test_each_node_is_a_process_of_its_own_in_the_world_as_it_is_now(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DFM_SEEN_BY_NODES", "late")
+    with StageGraph(lockstep=True, bag="bag") as graph:
+        pids = [each.process.pid for each in graph.launched]
+        assert len({os.getsid(pid) for pid in pids}) == len(pids) == 6
+        for each in graph.launched:
+            pid = each.process.pid
+            assert status(pid, "Name") == each.kind[:15]
+            assert int(status(pid, "SigBlk"), 16) & (1 << signal.SIGINT - 1) == 0
+            assert Path(f"/proc/{pid}/cwd").resolve() == tmp_path.resolve()
+            assert os.readlink(f"/proc/{pid}/fd/1") == str(each.log)
+        graph.run(PUSH)
+        graph.stop_recording()
+    assert (tmp_path / "bag").is_dir()
+
+
+def test_ends_are_told_as_of_any_process():
+    with StageGraph(lockstep=True) as graph:
+        one, two = graph.launched[:2]
+        assert one.process.poll() is None
+        with pytest.raises(subprocess.TimeoutExpired):
+            one.process.wait(0.05)
+        graph.signal_node(one.full_name, signal.SIGKILL)
+        assert one.process.returncode == -signal.SIGKILL
+        graph.signal_node(two.full_name, signal.SIGINT)
+        assert two.process.returncode == 0
+        one.process.send_signal(signal.SIGINT)  # nothing, it has ended
+
+
+def test_a_signal_before_a_node_can_answer_ends_it_quietly(tmp_path):
+    for number in (signal.SIGINT, signal.SIGTERM):
+        log = tmp_path / f"{number}.log"
+        process = nursery.nursery().start("controller", [], log, dict(os.environ))
+        process.send_signal(number)
+        assert process.wait(10.0) in (0, 128 + number)
+        assert log.read_text() == ""
+
+
+def test_another_one_is_made_where_it_has_ended_or_imports_would_differ(monkeypatch):
+    first = nursery.nursery()
+    assert nursery.nursery() is first
+    os.kill(first._process.pid, signal.SIGKILL)
+    first._process.wait()
+    second = nursery.nursery()
+    assert second is not first
+    monkeypatch.setenv("NUMBA_DEBUG_CACHE", "0")
+    third = nursery.nursery()
+    assert third is not second
+    third.loaded()
+
+
+def test_an_answer_that_nobody_waited_for_is_not_taken_for_the_next():
+    """A Ctrl-C leaves one behind."""
+    made = nursery.Nursery()
+    made._link.write('{"number": 0, "kind": "controller", "arguments": ["--help"], "log": '
+                     '"/dev/null", "cwd": "/", "processors": [0], "environment": {}}\n')
+    assert made.ask({}) is None
+
+
+def test_it_ends_with_its_program():
+    code = ("from dfm_stage.harness import nursery\nmade = nursery.nursery()\nmade.loaded()\n"
+            "print(made._process.pid)")
+    pid = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                             check=True).stdout)
+    deadline = time.monotonic() + 5.0
+    while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:
+        if status(pid, "State")[0] in "ZX":
+            break
+        time.sleep(0.02)
+    else:
+        assert not Path(f"/proc/{pid}").exists()
