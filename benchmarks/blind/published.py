@@ -28,6 +28,8 @@ from dfm_stage.files import write_whole
 
 KEPT = Path(__file__).resolve().parents[1] / "kept"
 MISSES = KEPT / "misses.csv"
+MEASURED = KEPT / "measured_corpus.json"
+"""Seed and figures of a run of `benchmarks.blind.measured`; what it missed is beside it."""
 Row = tuple[str, Sequence[bool], str, Callable[[float], bool]]
 
 
@@ -125,13 +127,27 @@ def by_severity(scores: Sequence[Score]) -> list[str]:
     return table
 
 
+def measured_rates(path: Path = MEASURED) -> list[str]:
+    """Rows of the table of cases that look like measurements, from the figures of a run."""
+    table = ["| figure | measured | bar | how |", "|---|---|---|---|"]
+    for each in json.loads(path.read_text("utf-8"))["figures"]:
+        what = each["key"].removeprefix("measured.").removesuffix("_percent").replace("_", " ")
+        bar = "" if each["bar"] is None else \
+            f"{each['bar_kind']} {each['bar']:g} {each['unit']}"
+        missed = " **missed**" if each["met"] is False else ""
+        table.append(f"| {what} | {each['value']:.1f} {each['unit']}{missed} | {bar} "
+                     f"| {each['how']} |")
+    return table
+
+
 def main() -> int:
     """Print every table, and write the list of misses."""
     seeds = {archive.name.split(".")[0].removeprefix("seed_"): kept_scores(archive)
              for archive in archives()}
     for seed, found in seeds.items():
         print(f"seed {seed}: {len(found)} cases", *rates(found), "", sep="\n")
-    print(*by_severity([s for found in seeds.values() for s in found]), sep="\n")
+    print(*by_severity([s for found in seeds.values() for s in found]), "", sep="\n")
+    print(*measured_rates(), sep="\n")
     write_whole(MISSES, misses(seeds))
     return 0
 

@@ -9,6 +9,7 @@ from benchmarks.blind.published import (
     archives,
     by_severity,
     kept_scores,
+    measured_rates,
     misses,
     rates,
 )
@@ -35,6 +36,11 @@ def test_the_shares_by_severity_are_those_of_the_kept_answers(scores):
     text = (DOCS / "benchmarks_diagnosis.md").read_text("utf-8")
     for row in by_severity([s for found in scores.values() for s in found]):
         assert row in text
+
+
+def test_the_rates_of_cases_that_look_like_measurements_are_those_kept():
+    text = (DOCS / "benchmarks_diagnosis.md").read_text("utf-8")
+    assert "\n".join(measured_rates()) in text
 
 
 def test_the_list_of_misses_is_that_of_the_kept_answers(scores):
