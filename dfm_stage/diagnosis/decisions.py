@@ -314,6 +314,13 @@ STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration ste
                             "further candidate that is slow to simulate is tried.", BOUND)
 STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 60e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
+CONVENTION_PRICE = decision(
+    "CONVENTION_PRICE", 1, "1", meaning="Parameters that another convention of the input counts "
+    "for; it must spare more.", set_on="derivation: its kind is one choice")
+CONVENTION_WORSE = decision(
+    "CONVENTION_WORSE", 1.01, "1", meaning="RMS left by another convention over that left by the "
+    "estimated one and a linear effect, up to which it explains as well.",
+    set_on="four cases of seed 1498568968, in which an error of timing was named second_mode")
 MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps after which every fit ends "
                      "where it is.", BOUND)
 GRADING_STEPS = _search("GRADING_STEPS", 50e6, "steps", "Integration steps of the search for "

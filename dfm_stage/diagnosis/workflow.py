@@ -36,6 +36,11 @@ from dfm_stage.diagnosis.observation import (
     observe,
     split_by_time,
 )
+from dfm_stage.diagnosis.other_convention import (
+    by_other_conventions,
+    has_linear_effect,
+    is_simpler,
+)
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import (
@@ -52,6 +57,9 @@ from dfm_stage.identification.model_fit import default_free
 from dfm_stage.identification.system import steps_taken
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.recording import Record
+
+Judgement = tuple[Trial, Hypothesis, Evidence]
+"""What was tried, what was found, and the evidence for it."""
 
 
 def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Record] = (),
@@ -125,7 +133,10 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
         raise DiagnosisError(f"model {search.model.name}: cannot be simulated on "
                              f"{search.runs[0].name}: the motion escapes or the parameters leave "
                              "their limits; correct the model")
-    trial, hypothesis, evidence = _judged(Trial(search, held, seed), first, warnings, split)
+    found = _judged(Trial(search, held, seed), first, warnings, split)
+    if has_linear_effect(found[1]):
+        found = _simplest(found, warnings, split)
+    trial, hypothesis, evidence = found
     search = trial.search
     settled = verdict(evidence)
     if leaves_open(settled):
@@ -139,8 +150,18 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
     return told(evidence, answer, models[answer.model])
 
 
-def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
-            split: bool) -> tuple[Trial, Hypothesis, Evidence]:
+def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
+    """What was found, or what another convention of the input makes of it if that is simpler."""
+    for trial in by_other_conventions(found[0]):
+        first = trial.search.begin()
+        if first.ok:
+            other = _judged(trial, first, warnings, split)
+            if is_simpler(other[1:], found[1:]):
+                found = other
+    return found
+
+
+def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
     """The effects that bring the gap to the noise; where none do, those that explain most.
 
     The latter come first where the first effects found leave a gross remainder. Without a spring
@@ -148,7 +169,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
     tell: positions, or phases, are carried away then.
     """
     begun = steps_taken()
-    part: tuple[Trial, Hypothesis, Evidence] | None = None
+    part: Judgement | None = None
     free = first.system.springless or not any(run.driven for run in first.system.runs)
     if free and is_gross(first) and (
             trial.witness is not None and not trial.witness.cannot_tell):
@@ -189,7 +210,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str],
 
 
 def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
-                split: bool) -> tuple[Trial, Hypothesis, Evidence]:
+                split: bool) -> Judgement:
     """What explains most; in windows where much of the motion is missed and the fits stay far
     behind the force domain, because long simulations have many local minima then."""
     found = trial, *graded(trial, h, warnings, split)

@@ -119,6 +119,15 @@ class Convention:
 HELD = Convention()
 
 
+def reinterpreted(known: Convention, kind: Hold) -> Convention:
+    """Return what another kind of hold makes of when the input acts: what is early is a shift,
+    what is late a delay."""
+    acts = LATENESS[known.hold] + known.shift + (known.late or 0.0)
+    late = acts - LATENESS[kind]
+    early = late if late < -EARLY_SHIFT else 0.0
+    return Convention(kind, early, known.sigma, known.source, late - early, known.late_sigma)
+
+
 def sentences(conventions: Iterable[Mapping[str, Any]]) -> list[str]:
     """What `to_dict` says in words: once where all records are alike, else for each record."""
     known = list(conventions)

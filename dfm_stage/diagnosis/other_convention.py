@@ -1,0 +1,52 @@
+"""Another convention of the input in the place of a linear effect.
+
+What an error of the input's timing leaves looks like a mode far above the motion. Where a linear
+effect is found, the records are judged by the other conventions, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from dfm_stage.diagnosis.decisions import CONVENTION_PRICE, CONVENTION_WORSE
+from dfm_stage.diagnosis.evidence import Evidence
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.search import Search
+from dfm_stage.identification.convention import LATENESS, Hold, reinterpreted
+from dfm_stage.identification.system import is_nonlinear
+from dfm_stage.model import EFFECTS
+
+
+def has_linear_effect(h: Hypothesis) -> bool:
+    """Whether an effect was found that is a linear part of many parameters."""
+    return any(EFFECTS[n].stamp is not None and EFFECTS[n].wave is None and not is_nonlinear(n)
+               and len(EFFECTS[n].parameters) > CONVENTION_PRICE for n in h.names)
+
+
+def by_other_conventions(trial: Trial) -> Iterator[Trial]:
+    """The trial by every other kind of hold, where the kind was not given by hand."""
+    runs, held = trial.search.runs, trial.held
+    known = [run.convention for run in (*runs, *held)]
+    if any(c.source == "given" for c in known) or not any(run.driven for run in runs):
+        return
+    for kind in LATENESS:
+        if any(c.hold != kind for c in known):
+            old = trial.search
+            search = Search(old.model, _by(runs, kind), old.free, library=old.library,
+                            step=old.step)
+            yield Trial(search, _by(held, kind), trial.seed)
+
+
+def _by(runs: Sequence[Observation], kind: Hold) -> list[Observation]:
+    return [replace(run.by(reinterpreted(run.convention, kind)), window=0) for run in runs]
+
+
+def is_simpler(other: tuple[Hypothesis, Evidence], found: tuple[Hypothesis, Evidence]) -> bool:
+    """Whether one explains the fitted and the held-out records as well, with fewer parameters: by
+    more than a convention counts for."""
+    spared = len(found[0].fit.system.free) - len(other[0].fit.system.free)
+    return other[0].fit.ok and spared > CONVENTION_PRICE \
+        and other[0].fit.rms <= CONVENTION_WORSE * found[0].fit.rms \
+        and other[1].extended.held_out.rms <= CONVENTION_WORSE * found[1].extended.held_out.rms

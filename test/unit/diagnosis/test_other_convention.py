@@ -1,0 +1,110 @@
+"""Another convention of the input in the place of a linear effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.other_convention import (
+    by_other_conventions,
+    has_linear_effect,
+    is_simpler,
+)
+from dfm_stage.diagnosis.search import Search
+from dfm_stage.identification.convention import Convention, reinterpreted
+from dfm_stage.model import EFFECTS, Model
+from dfm_stage.recording import AxisRecord, Provenance, Record
+
+PERIOD, SIZE, FINE = 1e-3, 6000, 10
+MODEL = Model("stage", PERIOD, {"mass": 1.0, "damping": 40.0, "stiffness": 6e4,
+                                "force_constant": 2.0, "delay": 4.5e-4})
+MODE = {"share": 0.05, "frequency": 160.0, "damping_ratio": 0.01, "phase": 0.0}
+
+
+def record(seed: int) -> Record:
+    """A stage that is moved by a band-limited input 0.45 samples late: by its frequency response,
+    over whole periods."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.fft.rfft(rng.standard_normal(SIZE))
+    omega = 2.0 * np.pi * np.fft.rfftfreq(SIZE, PERIOD)
+    spectrum[omega > 0.4 * 2.0 * np.pi / PERIOD] = 0.0
+    base = MODEL.base
+    s = 1j * omega
+    stage = base["force_constant"] * np.exp(-s * base["delay"]) / (
+        base["mass"] * s**2 + base["damping"] * s + base["stiffness"])
+    feed, position = (np.fft.irfft(x, SIZE) for x in (spectrum, stage * spectrum))
+    noise = 1e-3 * np.std(position) * np.random.default_rng(seed + 1).standard_normal(SIZE)
+    return Record(PERIOD * np.arange(SIZE), PERIOD, {"x": AxisRecord(feed, position + noise)},
+                  Provenance(f"run {seed}", "csv"))
+
+
+def test_an_error_of_timing_is_no_second_mode():
+    held = {"input_hold": "zero", "input_shift": 0.0}
+    records = [record(1), record(3)]
+    given = [Record(r.time, r.sample_period, {"x": replace(r.axes["x"], **held)}, r.provenance)
+             for r in records]
+    library = ("second_mode", "cubic_stiffness", "coulomb_friction")
+    forced = diagnose(given[:1], MODEL, holdout=given[1:], library=library)
+    assert forced.names == ("second_mode",)   # by hand: nothing else is tried
+    found = diagnose(records[:1], MODEL, holdout=records[1:], library=library)
+    assert found.names == ()
+    assert found.verdict in ("none", "retune")
+
+
+@pytest.mark.parametrize(("known", "kind", "shift", "late"), [
+    (Convention("zero", late=-0.05), "band_limited", 0.0, 0.45),
+    (Convention("zero"), "first", 0.0, 0.5), (Convention("band_limited", -0.4), "zero", -0.9, 0.0),
+    (Convention("first", late=0.2), "zero", -0.3, 0.0),
+    (Convention("zero", late=-0.02), "zero", 0.0, -0.02)])
+def test_the_same_instant_by_another_kind(known, kind, shift, late):
+    other = reinterpreted(known, kind)
+    assert (other.hold, other.source) == (kind, known.source)
+    assert other.shift == pytest.approx(shift)
+    assert other.late == pytest.approx(late)
+
+
+def trial(source: str, driven: bool = True) -> Trial:
+    feed = np.sin(np.arange(1000) / 7.0) * driven
+    run = Observation("run", feed, 1e-6 * feed, PERIOD).by(Convention(source=source))
+    return Trial(Search(MODEL, [run], ("damping",), library=tuple(EFFECTS)), [run])
+
+
+def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
+    assert not list(by_other_conventions(trial("given")))
+    assert not list(by_other_conventions(trial("estimated", driven=False)))
+    kinds = [t.search.runs[0].convention.hold for t in by_other_conventions(trial("assumed"))]
+    assert kinds == ["first", "band_limited"]
+
+
+@pytest.mark.parametrize(("names", "linear"), [
+    (("second_mode",), True), (("cubic_stiffness", "second_mode"), True), (("creep",), True),
+    (("cubic_stiffness",), False), (("transport_delay",), False),
+    (("amplifier_bandwidth",), False),
+    (("periodic_disturbance",), False), ((), False)])
+def test_only_a_linear_part_of_many_parameters_stands_for_timing(names, linear):
+    assert has_linear_effect(Hypothesis(names, None, None, {})) is linear
+
+
+class Fitted:
+    """As much of a hypothesis and its evidence as the comparison reads."""
+
+    def __init__(self, free: int, rms: float, held_out: float) -> None:
+        part = type("Part", (), {})
+        self.fit, self.extended = part(), part()
+        self.fit.ok, self.fit.rms = True, rms
+        self.fit.system, self.extended.held_out = part(), part()
+        self.fit.system.free = tuple(range(free))
+        self.extended.held_out.rms = held_out
+
+
+@pytest.mark.parametrize(("free", "rms", "held_out", "simpler"), [
+    (3, 1.0, 1.0, True), (3, 1.009, 1.009, True), (3, 1.02, 1.0, False), (3, 1.0, 1.02, False),
+    (6, 1.0, 1.0, False), (7, 0.5, 0.5, False)])
+def test_it_must_explain_as_much_with_fewer_parameters(free, rms, held_out, simpler):
+    other, found = Fitted(free, rms, held_out), Fitted(7, 1.0, 1.0)
+    assert is_simpler((other, other), (found, found)) is simpler
