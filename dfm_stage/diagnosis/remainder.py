@@ -217,7 +217,7 @@ def _memory(run: Observation, position: Array, left: Array) -> bool:
     """Whether the residual depends on more than present motion, speed and input."""
     x, v = position - position.mean(), np.gradient(position)
     u = run.input[run.skip:]
-    scaled = [c / max(float(np.std(c)), 1e-300) for c in (x, v, u)]
+    scaled = [c / float(np.std(c)) for c in (x, v, u) if np.ptp(c) > 0.0]
     present = [np.ones_like(x)]
     for c in scaled:
         present += [c, c * c, c**3, np.abs(c) * c, np.sign(c)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -190,6 +191,11 @@ def test_memory_is_what_the_present_does_not_explain():
     late = 1e-3 * np.sin(2 * np.pi * 17.0 * TIME)
     assert describe([run(X)], [[late]]).memory
     assert describe([run(X)], [[late]]).frequency_hz == pytest.approx(17.0, abs=0.2)
+
+
+def test_a_constant_input_says_nothing_of_memory():
+    steady = replace(run(X), input=np.full(X.size, 90.0))
+    assert not describe([steady], [[1e-3 * X**3]]).memory
 
 
 def test_the_exponent_of_amplitude_needs_two_sizes():
