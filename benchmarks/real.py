@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +143,7 @@ def _parameters(trial: Trial) -> list[Figure]:
         found.append(Figure(
             key, value, published["unit"], published["value"] - wide if wide == wide else None,
             "published", published["value"], value / published["value"],
-            f"95 % interval {ends or 'unknown'}, which {'holds' if inside else 'does not hold'} "
+            f"95 % interval {_digits(ends)}, which {'holds' if inside else 'does not hold'} "
             "the published value", "between" if wide == wide else None,
             published["value"] + wide if wide == wide else None))
     if held:
@@ -193,6 +193,11 @@ def _forces(trial: Trial) -> list[Figure]:
 
     return _against_published(trial, how["figures"], "force_error", "%", value,
                               f"inverse dynamics below {band:g} Hz")
+
+
+def _digits(ends: Sequence[float]) -> str:
+    """An interval in four digits."""
+    return f"[{', '.join(f'{end:.4g}' for end in ends)}]" if ends else "unknown"
 
 
 def _against_published(trial: Trial, asked: Mapping[str, Mapping[str, Any]], what: str, unit: str,
