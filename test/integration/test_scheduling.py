@@ -41,6 +41,7 @@ def policies(pid: int, senders: bool = False) -> set[tuple[int, int]]:
 
 
 @needs_the_right
+@pytest.mark.real_time     # a process that waits for a processor gives its priority back
 @pytest.mark.parametrize("lockstep", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, tmp_path):
     with StageGraph(bag=tmp_path / "bag", lockstep=lockstep) as graph:
