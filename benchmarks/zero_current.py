@@ -22,7 +22,7 @@ from dfm_interfaces.msg import Command
 from dfm_stage.drivers.qsb_protocol import TICKS_PER_SECOND
 from dfm_stage.harness import HarnessError
 from dfm_stage.harness.emulated import EmulatedGraph, hardware_parameters
-from dfm_stage.harness.nursery import NodeProcess, nursery
+from dfm_stage.harness.fork_server import NodeProcess, shared_fork_server
 from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.process import helper_node
 
@@ -98,7 +98,7 @@ class Controller:
         self.process = self._forked()
 
     def _forked(self) -> NodeProcess:
-        return nursery().start(
+        return shared_fork_server().start(
             "controller",
             ["--ros-args", "-r", "__ns:=/stage/x", "--params-file", str(self._parameters)],
             self._parameters.with_suffix(".log"), self._environment)

@@ -21,6 +21,8 @@ SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
 """Between which a value with an interval is written without a power of ten."""
 SKEWED = 0.1
 """Distance of an interval's middle from the value, over half its width, that is told."""
+LEAST_SHOWN = 0.05
+"""Share of half an interval's width below which a number has no digit left beside it."""
 _SYMBOLS = {"ohm": "Ω", "deg": "°"}
 
 
@@ -89,7 +91,8 @@ def format_quantity(value: float, unit: str = "",
     An interval that is small beside a digit of the value stands in brackets, in units of the last
     digit: "3.9008867(55) Hz" is 3.9008867 ± 0.0000055 Hz. Values that no prefix brings near one
     get a power of ten. An interval that is not symmetric about the value (by more than a tenth) is
-    written out.
+    written out; where it is so wide that the value or an end would be rounded to nothing, each
+    number has its own digits.
     """
     factor, shown = display_unit((value,), unit)
     tail = f" {shown}" if shown and shown != "°" else shown
@@ -100,6 +103,10 @@ def format_quantity(value: float, unit: str = "",
     half = 0.5 * (high - low)
     if not half > 0.0:
         return format_number(value) + tail
+    skewed = abs(0.5 * (low + high) - value) > SKEWED * half
+    if skewed and any(0.0 < abs(each) < LEAST_SHOWN * half for each in (value, low, high)):
+        value_text, *ends = (format_number(each, 3) for each in (value, low, high))
+        return f"{value_text} ({' to '.join(ends)}){tail}"
     largest = max(abs(value), half)
     exponent = 0 if SMALLEST_PLAIN <= largest < LARGEST_PLAIN else math.floor(math.log10(largest))
     scale = 10.0**-exponent
@@ -107,7 +114,7 @@ def format_quantity(value: float, unit: str = "",
     decimals = 1 - math.floor(math.log10(half))
     if round(half * 10.0**decimals) == 100:  # 0.0996 is 0.10
         decimals -= 1
-    if abs(0.5 * (low + high) - value) > SKEWED * half:
+    if skewed:
         text = f"{_to(value, decimals)} ({_to(low, decimals)} to {_to(high, decimals)})"
     elif decimals > MOST_ZEROS + 1:
         text = f"{_to(value, decimals)}({round(half * 10.0**decimals)})"

@@ -24,7 +24,7 @@ pytest_plugins = ["pytest_dfm_stage"]
 GRACE_S = 3.0
 PR_SET_CHILD_SUBREAPER = 36
 HELPERS_THAT_MAY_STAY = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver",
-                         b"dfm_stage.harness.nursery")
+                         b"dfm_stage.harness.fork_server")
 DESK, WIDTH_USED = 1200, 0.9
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
 PROBE = """<body><iframe src="page.html" width="390" height="900"></iframe>

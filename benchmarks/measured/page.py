@@ -103,8 +103,10 @@ def figures_beside_published(results: Mapping[str, Result],
         for key, figure in ({} if result is None else result.figures).items():
             if figure.get("peer_value") is None:
                 continue
-            rows.append(f"| `{name}` | {key.replace('_', ' ')} | {_number(figure['value'])} "
-                        f"{figure['unit']}{_missed(figure)} | {_number(figure['peer_value'])} | "
+            ours = "–" if figure["value"] is None else \
+                f"{_number(figure['value'])} {figure['unit']}{_missed(figure)}"
+            rows.append(f"| `{name}` | {key.replace('_', ' ')} | {ours} "
+                        f"| {_number(figure['peer_value'])} {figure['unit']} | "
                         f"{_bar(figure)} | {figure['how']} |")
     if len(rows) == 2:
         rows.append(f"| | | {NOT_RUN} | | | |")

@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter as RosParameter
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.harness.domain import claim_domain
-from dfm_stage.harness.nursery import NodeProcess, nursery
+from dfm_stage.harness.fork_server import NodeProcess, shared_fork_server
 from dfm_stage.middleware.security import OVERRIDE, require_what_was_asked
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 from dfm_stage.nodes.base import node_class
@@ -126,7 +126,7 @@ class NodeSet:
 
     def _open(self) -> None:
         if not self.composed:
-            nursery().loaded()
+            shared_fork_server().loaded()
         if self._domain_id is None:
             self._domain_id = self._cleanup.enter_context(claim_domain()).number
         self.folder = Path(self._cleanup.enter_context(
@@ -167,7 +167,7 @@ class NodeSet:
             launched.node.begin()
             return launched
         launched.log = file.with_suffix(".log")
-        launched.process = nursery().start(kind, ros_args, launched.log, {
+        launched.process = shared_fork_server().start(kind, ros_args, launched.log, {
             **{name: value for name, value in os.environ.items() if name != OVERRIDE},
             "ROS_DOMAIN_ID": str(self._domain_id)})
         self.launched.append(launched)

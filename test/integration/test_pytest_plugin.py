@@ -52,7 +52,7 @@ def test_afterwards():
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
     children = open(f"/proc/self/task/{os.getpid()}/children").read().split()
     names = [open(f"/proc/{child}/cmdline").read() for child in children]
-    assert not [name for name in names if "dfm_stage.harness.nursery" not in name]
+    assert not [name for name in names if "dfm_stage.harness.fork_server" not in name]
 """
 UNRELATED = """
 import os, sys

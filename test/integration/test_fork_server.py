@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from dfm_stage.commands import NODES
-from dfm_stage.harness import StageGraph, nursery
+from dfm_stage.harness import StageGraph, fork_server
 
 PUSH = {"name": "push", "mode": "open_loop", "duration_s": 0.1, "axes": {"x": {
     "excitation": {"kind": "steps", "levels_v": [0.0, 0.1], "dwell_s": 0.05}}}}
@@ -24,7 +24,7 @@ def status(pid: int, what: str) -> str:
 
 
 def test_it_knows_every_node():
-    assert sorted(nursery.NODES) == sorted(NODES)
+    assert sorted(fork_server.NODES) == sorted(NODES)
 
 
 def test_nothing_runs_beside_it_when_it_forks():
@@ -32,8 +32,8 @@ def test_nothing_runs_beside_it_when_it_forks():
 
     The listeners of LTTng, which come with rclpy, sleep and hold none.
     """
-    code = ("import os\nfrom dfm_stage.harness import nursery\nimport rclpy\n"
-            "bare = len(os.listdir('/proc/self/task'))\nnursery._load()\n"
+    code = ("import os\nfrom dfm_stage.harness import fork_server\nimport rclpy\n"
+            "bare = len(os.listdir('/proc/self/task'))\nfork_server._load()\n"
             "print(len(os.listdir('/proc/self/task')) - bare)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0"]
@@ -72,35 +72,36 @@ def test_ends_are_told_as_of_any_process():
 def test_a_signal_before_a_node_can_answer_ends_it_quietly(tmp_path):
     for number in (signal.SIGINT, signal.SIGTERM):
         log = tmp_path / f"{number}.log"
-        process = nursery.nursery().start("controller", [], log, dict(os.environ))
+        process = fork_server.shared_fork_server().start("controller", [], log, dict(os.environ))
         process.send_signal(number)
         assert process.wait(10.0) in (0, 128 + number)
         assert log.read_text() == ""
 
 
 def test_another_one_is_made_where_it_has_ended_or_imports_would_differ(monkeypatch):
-    first = nursery.nursery()
-    assert nursery.nursery() is first
+    first = fork_server.shared_fork_server()
+    assert fork_server.shared_fork_server() is first
     os.kill(first._process.pid, signal.SIGKILL)
     first._process.wait()
-    second = nursery.nursery()
+    second = fork_server.shared_fork_server()
     assert second is not first
     monkeypatch.setenv("NUMBA_DEBUG_CACHE", "0")
-    third = nursery.nursery()
+    third = fork_server.shared_fork_server()
     assert third is not second
     third.loaded()
 
 
 def test_an_answer_that_nobody_waited_for_is_not_taken_for_the_next():
     """A Ctrl-C leaves one behind."""
-    made = nursery.Nursery()
+    made = fork_server.ForkServer()
     made._link.write('{"number": 0, "kind": "controller", "arguments": ["--help"], "log": '
                      '"/dev/null", "cwd": "/", "processors": [0], "environment": {}}\n')
     assert made.ask({}) is None
 
 
 def test_it_ends_with_its_program():
-    code = ("from dfm_stage.harness import nursery\nmade = nursery.nursery()\nmade.loaded()\n"
+    code = ("from dfm_stage.harness import fork_server\n"
+            "made = fork_server.shared_fork_server()\nmade.loaded()\n"
             "print(made._process.pid)")
     pid = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
                              check=True).stdout)

@@ -4,7 +4,7 @@ Six nodes that start from scratch take five seconds of processor time, nearly al
 imports. Here one process does the imports, once for all graphs of a program, and never starts ROS;
 what it forks is a node as `python -m dfm_stage NAME` makes it, in a session of its own, with the
 environment and working folder that the program has now. It ends with the program, and the nodes
-with it.
+with it. The server of `multiprocessing` would run the user's main module again in every node.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ _POLL_S = 0.005
 _lock = threading.RLock()
 
 
-class NurseryError(DfmError):
+class ForkServerError(DfmError):
     """The process that forks the nodes has ended."""
 
 
 class NodeProcess:
     """A node that was forked; as far as it goes like `subprocess.Popen`."""
 
-    def __init__(self, nursery: Nursery, pid: int) -> None:
+    def __init__(self, server: ForkServer, pid: int) -> None:
         self.pid = pid
         self.returncode: int | None = None
-        self._nursery = nursery
+        self._server = server
 
     def poll(self) -> int | None:
         """Return the exit code, minus the signal that ended it, or None."""
         if self.returncode is None:
-            self.returncode = self._nursery.ask({"wait": self.pid})
+            self.returncode = self._server.ask({"wait": self.pid})
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
@@ -74,14 +74,14 @@ class NodeProcess:
         self.send_signal(signal.SIGKILL)
 
 
-class Nursery:
+class ForkServer:
     """The process that forks, as the program sees it."""
 
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "dfm_stage.harness.nursery", str(theirs.fileno())],
+                [sys.executable, "-m", "dfm_stage.harness.fork_server", str(theirs.fileno())],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True,
                 pass_fds=(theirs.fileno(),),
                 preexec_fn=interruption.block)  # noqa: PLW1509 nothing but a system call
@@ -97,7 +97,7 @@ class Nursery:
 
         Raises
         ------
-        NurseryError
+        ForkServerError
             If it has ended.
         """
         with _lock:
@@ -110,7 +110,7 @@ class Nursery:
                     if number == self._asked:
                         return answer
             except (OSError, ValueError):
-                raise NurseryError("the process that starts the nodes has ended with code "
+                raise ForkServerError("the process that starts the nodes has ended with code "
                                    f"{self._process.poll()}: begin again") from None
 
     def start(self, kind: str, arguments: Sequence[str], log: Path,
@@ -129,16 +129,16 @@ class Nursery:
         return self._process.poll() is not None
 
 
-_nurseries: dict[int, Nursery] = {}
-"""By the process whose nursery it is: a program may fork, too."""
+_servers: dict[int, ForkServer] = {}
+"""By the process whose server it is: a program may fork, too."""
 
 
-def nursery() -> Nursery:
-    """Return the nursery of this process; one that was just started loads beside the caller."""
+def shared_fork_server() -> ForkServer:
+    """Return the server of this process; one that was just started loads beside the caller."""
     with _lock:
-        found = _nurseries.get(os.getpid())
+        found = _servers.get(os.getpid())
         if found is None or found.ended() or found.made_for != _made_for():
-            found = _nurseries[os.getpid()] = Nursery()
+            found = _servers[os.getpid()] = ForkServer()
         return found
 
 
