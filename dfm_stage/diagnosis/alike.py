@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from dfm_stage.diagnosis.decisions import AT_END
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.description import EffectUse
 
 
 def at_upper_end(found: Fit, names: Sequence[str]) -> bool:
     """Whether an effect among `names` ran to the upper end of the range in which it is itself: a
-    resonance that is damped away is creep or a lag."""
+    resonance that is damped away is creep or a lag, a reading that falls while the stage advances
+    is no error of a scale."""
     if not found.ok:
         return False
     for use in found.model.effects:
+        if use.name in names and folds(use):
+            return True
         for parameter, value in use.parameters.items() if use.name in names else ():
             if value > AT_END * use.effect.search_range(parameter, found.system.at)[1]:
                 return True
     return False
+
+
+def folds(use: EffectUse) -> bool:
+    """Whether a wave along the scale is so steep that the reading falls while the stage
+    advances."""
+    wave = use.effect.wave
+    if wave is None or wave.over != "position" or use.effect.sense is None:
+        return False
+    return 2.0 * math.pi * use.parameters[use.effect.sizes[0]] > use.parameters[wave.parameter]
 
 
 def same_rounding(model: Model, hit: Hit) -> bool:

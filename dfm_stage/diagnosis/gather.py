@@ -39,7 +39,7 @@ from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
-from dfm_stage.identification.system import is_nonlinear, rounding_step
+from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Model
 
@@ -137,10 +137,10 @@ def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
 
 
 def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:
-    """The effect with what the force domain says of it; linear effects give it no force along the
-    motion to judge by."""
+    """The effect with what the force domain says of it; there, a lag or delay of the actuator is
+    a nuisance that is fitted away."""
     predictable = seen.predictable_share
-    if x.name not in alone or not is_nonlinear(x.name) or predictable < LEAST_HEARD:
+    if x.name not in alone or EFFECTS[x.name].late is not None or predictable < LEAST_HEARD:
         return x
     return replace(x, force_share=alone[x.name] / predictable,
                    in_best=any(n == x.name or shares_class(n, x.name) for n in seen.best.names))

@@ -14,13 +14,14 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.black_box import features, position_velocity
-from dfm_stage.diagnosis.blocks import Blocks
+from dfm_stage.diagnosis.blocks import Blocks, Solution
 from dfm_stage.diagnosis.decisions import SWAMPED
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_candidates import RIDGES, SAME, Candidates
 from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces, Terms
 from dfm_stage.diagnosis.force_setting import Setting, least_squares, settled
 from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.other_form import other_forms
 from dfm_stage.diagnosis.surface import Surface, binned
 from dfm_stage.model import Model
 
@@ -59,11 +60,9 @@ def _described(candidates: Candidates, noise: float) -> Surface | None:
                     candidates.edges, candidates.fitted)
     k, m = base.shape[1], base.shape[1] + 1 + own.shape[1]
     first = range(k)
-    whole = float(blocks.fit(first, k).errors @ blocks.sizes)
     by_motion = blocks.ridge_fit(first, range(k + 1, m), k, RIDGES)
     by_all = blocks.ridge_fit(first, range(m, m + black.shape[1]), k, RIDGES)
-    shares = [min(max((1.0 - float(s.errors @ blocks.sizes) / whole) / (1.0 - noise), 0.0), 1.0)
-              for s in (by_motion, by_all)]
+    shares = [_share(blocks, k, each, noise) for each in (by_motion, by_all)]
     plane = _Plane(candidates)
     fitted = np.repeat(candidates.fitted, blocks.sizes)
     edges = np.concatenate(([0], np.cumsum(blocks.sizes[candidates.fitted])))
@@ -78,7 +77,29 @@ def _described(candidates: Candidates, noise: float) -> Surface | None:
     lines = candidates.at.frequencies
     return Surface(found.runs[0].run.unit, bins.x, bins.v, bins.force, bins.standard_error,
                    bins.samples, shares[0], max(shares), float(np.sqrt(np.mean(of[0]**2))),
-                   lines[0] if lines else None)
+                   lines[0] if lines else None, _form_shares(candidates, noise))
+
+
+def _share(blocks: Blocks, base: int, found: Solution, noise: float) -> float:
+    """Share of the held-out power above the noise that a fit explains of what the first `base`
+    columns leave."""
+    whole = float(blocks.fit(range(base), base).errors @ blocks.sizes)
+    explained = 1.0 - float(found.errors @ blocks.sizes) / whole
+    return min(max(explained / (1.0 - noise), 0.0), 1.0)
+
+
+def _form_shares(candidates: Candidates, noise: float) -> dict[str, float]:
+    """That share of each effect of the model in other forms."""
+    base, shares = candidates.base, {}
+    for use in candidates.model.effects:
+        forms = other_forms(candidates, use)
+        if forms is not None:
+            k = base.shape[1]
+            columns = np.column_stack((base, candidates.missing, candidates.off_base(forms)))
+            blocks = Blocks(columns, candidates.edges, candidates.fitted)
+            fitted = blocks.ridge_fit(range(k), range(k + 1, k + 1 + forms.shape[1]), k, RIDGES)
+            shares[use.name] = _share(blocks, k, fitted, noise)
+    return shares
 
 
 class _Plane:

@@ -6,7 +6,8 @@ Source: Masri and Caughey, J. Appl. Mech. 46 (1979) 433.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from io import StringIO
 
 import numpy as np
@@ -38,8 +39,8 @@ class Surface:
 
     Of the missing force's held-out power above the noise, `position_velocity_share` is what
     position and velocity alone explain, `predictable_share` what a black box does that also knows
-    acceleration, past motion and amplitude. `rms` is of the missing force, `frequency_hz` where
-    its spectrum is highest.
+    acceleration, past motion and amplitude, `form_shares` what each effect of the model does in
+    other forms. `rms` is of the missing force, `frequency_hz` where its spectrum is highest.
     """
 
     unit: str
@@ -52,6 +53,7 @@ class Surface:
     predictable_share: float
     rms: float
     frequency_hz: float | None = None
+    form_shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def force_unit(self) -> str:

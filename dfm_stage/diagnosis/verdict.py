@@ -27,6 +27,7 @@ from dfm_stage.diagnosis.decisions import (
     NOT_EXERCISED,
     OFFSET_NOISE,
     OFFSET_SIGMAS,
+    OTHER_FORM,
     PARTIAL_SHARE,
     PRESLIDING_DISTANCE,
     RETUNE_GAIN,
@@ -212,11 +213,19 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
     explained = explained_share(e)
     kind: Kind = "unknown"
     if explained >= PARTIAL_SHARE and not _base_at_zero(e):
-        kind = "partial" if explained < NAMED_SHARE else "ambiguous" if undecided else "named"
+        in_part = explained < NAMED_SHARE or bool(other_form(e))
+        kind = "partial" if in_part else "ambiguous" if undecided else "named"
     if kind == "unknown":
         return Verdict(kind, Reason.GRADED, rejected=tuple(_rejected(e, set())), remainder=True)
     return Verdict(kind, Reason.GRADED, tuple(found), undecided, (), tuple(_rejected(e, names)),
                    True, "extended", "extended")
+
+
+def other_form(e: Evidence) -> tuple[str, ...]:
+    """Effects of the hypothesis that would explain much of what they leave in another form: the
+    true force is another."""
+    shares = {} if e.surface is None else e.surface.form_shares
+    return tuple(x.name for x in e.effects if shares.get(x.name, 0.0) > OTHER_FORM)
 
 
 def explained_share(e: Evidence) -> float:
@@ -276,13 +285,21 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
     unrelated = [r for r in x.rivals if _level(r) and not r.related]
     rules = (
         (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
-        (taken < FURTHER_PART * left or (further and _is_small(e, x)), DropReason.SMALL_PART),
+        (taken < _least_part(x, further) * left or (further and _is_small(e, x)),
+         DropReason.SMALL_PART),
         (x.constancy is not None and x.constancy.gain > INCONSTANT
          and x.constancy.gain > BLOCK_MARGIN * x.constancy.se, DropReason.INCONSTANT),
         (x.force_share is not None and not x.in_best
          and (further or x.force_share < LEAST_HEARD), DropReason.UNHEARD),
         (len(unrelated) > (0 if further else 1), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
+
+
+def _least_part(x: EffectEvidence, further: bool) -> float:
+    """Share of what is left that an effect must take; less of the main one where the force domain
+    finds it by itself."""
+    heard = x.force_share is not None and x.in_best and x.force_share > FURTHER_PART
+    return PARTIAL_SHARE if heard and not further else FURTHER_PART
 
 
 def small_parts(e: Evidence) -> tuple[str, ...]:

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, INCONSTANT, MARGIN, PARTIAL_SHARE
+from dfm_stage.diagnosis.decisions import (
+    FIRST,
+    FITTED_SHARE,
+    INCONSTANT,
+    MARGIN,
+    OTHER_FORM,
+    PARTIAL_SHARE,
+)
 from dfm_stage.diagnosis.evidence import DropReason, Evidence, Proposal
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
@@ -16,6 +23,7 @@ from dfm_stage.diagnosis.verdict import (
     Verdict,
     above,
     explained_share,
+    other_form,
 )
 from dfm_stage.model import EFFECTS
 from dfm_stage.quantity import format_quantity
@@ -95,8 +103,9 @@ def _part(e: Evidence, v: Verdict) -> str:
         left = max(1.0 - above(e, e.extended.held_out.power), 0.0)
         return (f"The model lacks {what}: it explains {how}; a remainder of {100.0 * left:.2g} % "
                 "of the gap's power stays.")
-    return (f"A part of what is missing behaves like {what}: {how}; the rest is in no effect of "
-            "the library.")
+    rest = "the true force has another form" if other_form(e) else \
+        "the rest is in no effect of the library"
+    return f"A part of what is missing behaves like {what}: {how}; {rest}."
 
 
 def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
@@ -116,6 +125,10 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
         if seen.constancy is not None:
             yield (f"another size for every size of motion gains {seen.constancy.gain:.3f} "
                    f"+- {seen.constancy.se:.3f} (limit {INCONSTANT:g})")
+        if e.surface is not None and found.name in e.surface.form_shares:
+            yield ("with a size that varies with position and speed, or another shape, it would "
+                   f"explain {e.surface.form_shares[found.name]:.0%} of the force that is left "
+                   f"(limit {OTHER_FORM:.0%})")
     for rival in seen.rivals[:2]:
         lost = f"{rival.margin:.1f} block standard errors" if e.graded else \
             f"{rival.cost:.0f} in chi-square"

@@ -138,16 +138,16 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
         found = _simplest(found, warnings, split)
     trial, hypothesis, evidence = found
     search = trial.search
-    settled = verdict(evidence)
-    if leaves_open(settled):
-        evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
     models = {"given": search.model, "retuned": hypothesis.bare.model,
               "extended": hypothesis.fit.model}
+    settled = verdict(evidence)
     if settled.remainder:
         evidence = with_surface(trial, models[settled.model], evidence)
+        settled = verdict(evidence)
+    if leaves_open(settled):
+        evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
     search.step("judging")
-    answer = verdict(evidence)
-    return told(evidence, answer, models[answer.model])
+    return told(evidence, settled, models[settled.model])
 
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
@@ -211,11 +211,11 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
 
 def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
                 split: bool) -> Judgement:
-    """What explains most; in windows where much of the motion is missed and the fits stay far
-    behind the force domain, because long simulations have many local minima then."""
+    """What explains most; in windows where the fits stay far behind the force domain, because long
+    simulations have many local minima."""
     found = trial, *graded(trial, h, warnings, split)
     seen = trial.witness
-    if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare) \
+    if seen is None or seen.cannot_tell or trial.search.runs[0].window \
             or seen.best.share < PARTIAL_SHARE \
             or explained_share(found[2]) > FAR_BEHIND * seen.best.share:
         return found

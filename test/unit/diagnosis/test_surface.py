@@ -92,6 +92,36 @@ def test_what_the_model_explains_is_not_in_the_surface_of_what_is_left():
     assert np.std(surface.force[told] - true) < 0.05 * np.std(true)
 
 
+def spring(x, v):
+    return -4e9 * x**3
+
+
+def drag(x, v):
+    """Damping that grows more slowly than speed, in no effect of the library."""
+    return -0.3 * np.sign(v) * np.sqrt(abs(v))
+
+
+def brake(x, v):
+    return -20.0 * v / (1.0 + (v / 0.02) ** 2)
+
+
+BRAKE = {"damping": 20.0, "critical_velocity": 0.02}
+
+
+@pytest.mark.parametrize(("force", "beside", "effect", "parameters", "low", "high"), [
+    (spring, damped_outside, "cubic_stiffness", {"k3": 4e9}, 0.0, 0.2),
+    (brake, contact, "eddy_current_damping", BRAKE, 0.0, 0.2),
+    (contact, None, "cubic_stiffness", {"k3": 3e9}, 0.8, 1.0),
+    (drag, None, "eddy_current_damping", BRAKE, 0.6, 1.0)])
+def test_what_a_stand_in_leaves_is_an_error_of_its_own_form(force, beside, effect, parameters,
+                                                            low, high):
+    moved = [truth.move(u, lambda x, v: force(x, v) + (beside(x, v) if beside else 0.0))
+             for u in FEEDS]
+    surface = missing_force(observed(moved), GIVEN.with_effect(effect, parameters))
+    assert surface is not None
+    assert low <= surface.form_shares[effect] <= high
+
+
 def test_a_force_that_is_not_of_the_motion_is_not_predictable():
     seconds = truth.PERIOD * np.arange(truth.SAMPLES)
     shaken = [truth.move(u + 0.05 * np.sin(2.0 * np.pi * 31.7 * seconds)) for u in FEEDS]

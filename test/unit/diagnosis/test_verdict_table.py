@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.evidence import (
@@ -28,6 +29,7 @@ from dfm_stage.diagnosis.evidence import (
 )
 from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Finding
+from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
     Reason,
     Rejected,
@@ -37,6 +39,7 @@ from dfm_stage.diagnosis.verdict import (
     small_parts,
     verdict,
 )
+from dfm_stage.diagnosis.wording import sentence
 
 module = importlib.import_module("dfm_stage.diagnosis.verdict")
 COUNT, NOISE = 10_000, 1e-7
@@ -401,11 +404,35 @@ def test_an_effect_falls_beside_a_remainder(evidence, reason):
 
 
 @pytest.mark.parametrize(("share", "in_best", "falls"), [
-    (0.09, False, True), (0.11, False, False), (0.09, True, False), (None, False, False)])
+    (0.49, False, True), (0.51, False, False), (0.49, True, False), (None, False, False)])
 def test_an_effect_that_the_force_domain_does_not_find_falls(share, in_best, falls):
     e = part(0.9)
     e = replace(e, effects=(replace(e.effects[0], force_share=share, in_best=in_best),))
     assert (fallen(e) is not None) is falls
+
+
+@pytest.mark.parametrize(("explained", "heard", "in_best", "falls"), [
+    (0.49, 0.61, True, False), (0.49, 0.59, True, True), (0.49, 0.61, False, True),
+    (0.29, 0.99, True, True)])
+def test_less_is_enough_of_the_main_effect_where_the_force_domain_finds_it(
+        explained, heard, in_best, falls):
+    e = part(explained)
+    e = replace(e, effects=(replace(e.effects[0], force_share=heard, in_best=in_best),))
+    assert (fallen(e) is not None) is falls
+
+
+def surface(share: float) -> Surface:
+    """A force that is left, of which friction in another form explains a `share`."""
+    grid = np.ones((1, 1))
+    return Surface("m", grid, grid, grid, grid, grid, 0.9, 0.9, 1.0,
+                   form_shares={"coulomb_friction": share})
+
+
+@pytest.mark.parametrize(("share", "kind"), [(0.39, "named"), (0.41, "partial")])
+def test_an_effect_that_leaves_an_error_of_its_own_form_is_a_part(share, kind):
+    e = part(0.99, surface=surface(share))
+    assert verdict(e).kind == kind
+    assert ("another form" in sentence(e, verdict(e))) is (kind == "partial")
 
 
 @pytest.mark.parametrize(("share", "confirmed", "named"), [
