@@ -321,8 +321,8 @@ STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration ste
 STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 60e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
 CONVENTION_PRICE = decision(
-    "CONVENTION_PRICE", 1, "1", meaning="Parameters that another convention of the input counts "
-    "for; it must spare more.", set_on="derivation: its kind is one choice")
+    "CONVENTION_PRICE", 2, "1", meaning="Parameters that another convention of the input counts "
+    "for; it must spare more.", set_on="derivation: its kind and its shift")
 CONVENTION_WORSE = decision(
     "CONVENTION_WORSE", 1.01, "1", meaning="RMS left by another convention over that left by the "
     "estimated one and a linear effect, up to which it explains as well.",

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -22,13 +22,11 @@ from scipy.interpolate import CubicSpline
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import (
-    EARLIEST,
     EARLY_SHIFT,
     FINER,
     FOLLOWED,
     HELD_LEAST,
     HELD_SIGMAS,
-    HOLD_RATIO,
     LATE_RATIO,
     TIMING_BLOCKS,
     TIMING_FLOOR,
@@ -255,20 +253,12 @@ def _reflected(values: Array) -> tuple[Array, Array]:
 @dataclass(frozen=True)
 class Timing:
     """What one filter says: the tau (samples) that leaves least and its block-jackknife standard
-    error, RMS left over that of the input, the same if tau may not be below half a sample, and the
-    logarithm of what is left in each block, (TIMING_BLOCKS,)."""
+    error, RMS left over that of the input, and the same if tau may not be below half a sample."""
 
     tau: float
     sigma: float
     left: float
     left_late: float
-    logs: Array
-
-    def beats(self, other: Timing) -> bool:
-        """Whether it leaves surely and clearly less than another kind of hold does."""
-        gain = other.logs - self.logs
-        sure = float(gain.mean()) - HELD_SIGMAS * float(np.std(gain)) / math.sqrt(gain.size)
-        return sure > 0.0 and HOLD_RATIO * self.left <= other.left
 
 
 def find_convention(input_: Array, output: Array, derivative: int = 0, *,
@@ -298,30 +288,19 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
                           late_sigma=sigma)
     if best.left_late < LATE_RATIO * best.left:
         return HELD
-    kind, tau = _kind(u, y, [width, *(w for w, _ in seen if w < width)], best, derivative)
-    early = tau - LATENESS[kind]
+    early = best.tau - LATENESS[kind := _kind(u, y, width, derivative)]
     if early > -max(EARLY_SHIFT, HELD_SIGMAS * sigma):
         return Convention(kind, 0.0, sigma, "estimated", early, sigma)
     return Convention(kind, early, sigma, "estimated", 0.0, sigma)
 
 
-def _kind(u: Array, y: Array, widths: Sequence[float], best: Timing,
-          derivative: int) -> tuple[Hold, float]:
-    """The kind of interpolation of an input that is not simply held, and its tau.
-
-    The first of some filters through which one kind leaves surely less than both others tells it;
-    the kinds differ at high frequencies, which the narrow ones let pass. Where none does, it is
-    band-limited, or held and a whole sample early where that is when it acts.
-    """
-    for width in widths:
-        kinds = {kind: found for kind, power in SINCS.items()
-                 if (found := timing(u, y, width, derivative, power)) is not None}
-        lowest = min(kinds, key=lambda k: kinds[k].left)
-        if all(kinds[lowest].beats(other) for k, other in kinds.items() if k != lowest):
-            return lowest, best.tau
-    if abs(best.tau - LATENESS["zero"] - EARLIEST) < EARLY_SHIFT:
-        return "zero", EARLIEST + LATENESS["zero"]
-    return "band_limited", best.tau
+def _kind(u: Array, y: Array, width: float, derivative: int) -> Hold:
+    """The kind of interpolation of an input that is not simply held: the one that leaves least
+    behind the filter that tells its timing best. Kinds differ at high frequencies: a wider filter
+    has none, a narrower one mostly noise."""
+    left = {kind: found.left for kind, power in SINCS.items()
+            if (found := timing(u, y, width, derivative, power)) is not None}
+    return min(left, key=lambda kind: left[kind])
 
 
 def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0) -> Timing | None:
@@ -354,17 +333,8 @@ def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0
     late = float(np.min(left[LATENESS["zero"] <= GRID]))
     at = _least(left)
     inside = GRID[0] < at < GRID[-1]
-    logs = _block_logs(gram, cross, power, int(np.argmin(left)))
     return Timing(at, spread if inside else math.inf, math.sqrt(float(left.min())),
-                  math.sqrt(late), logs)
-
-
-def _block_logs(gram: Array, cross: Array, power: Array, at: int) -> Array:
-    """Logarithm of what one solution leaves in each block (B,), at one tau of the grid."""
-    whole = np.linalg.pinv(gram.sum(axis=0), rcond=RANK, hermitian=True) @ cross.sum(axis=0)[at]
-    rest = power[:, at] - 2.0 * cross[:, at] @ whole + np.einsum("i,bij,j->b", whole, gram, whole)
-    least = RANK * float(power[:, at].sum())
-    return np.asarray(0.5 * np.log(np.maximum(rest, least)))
+                  math.sqrt(late))
 
 
 def _left(gram: Array, cross: Array, power: Array) -> Array | None:

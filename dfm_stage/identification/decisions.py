@@ -155,10 +155,6 @@ LATE_RATIO = decision(
     "LATE_RATIO", 1.3, "1", meaning="What the regression leaves with an input that is half a "
     "sample late or more, over what it leaves at best, above which it is not held: a second mode "
     "reaches 1.1.", set_on=TIMING_FORM)
-HOLD_RATIO = decision(
-    "HOLD_RATIO", 1.1, "1", meaning="What is left with other kinds of hold over what is left with "
-    "one, from which it is that one, where blocks are sure of it, too.",
-    set_on="Silverbox (3 and 6) and convention records of the measured-like corpus")
 UNEXPLAINED = decision(
     "UNEXPLAINED", 0.3, "1", meaning="Share of the input's RMS that the regression may leave and "
     "still tell its timing: a second mode in the middle of the band leaves 0.9.",
@@ -175,9 +171,6 @@ TIMING_BLOCKS = decision(
 EARLY_SHIFT = decision(
     "EARLY_SHIFT", 0.1, "samples", meaning="A shift smaller than this is none.",
     set_on=TIMING_FORM)
-EARLIEST = decision(
-    "EARLIEST", -1.0, "samples", meaning="Shift of a column that is a whole sample early.",
-    set_on="derivation: a logger that writes the command of the next sample")
 FINER = decision(
     "FINER", 4, "steps", meaning="Steps a sample, at most, for an input that is not held.",
     set_on="derivation: the images of a frequency f lie at 4 - f sampling rates and beyond, and a "

@@ -167,8 +167,9 @@ OUTSIDE: dict[str, Outside] = {
         lambda _r, a, s: {"soft_gain": s / a.u}, frozenset({"saturation"}),
         "a gain that falls with the command"),
     "root_drag": Outside(
-        lambda _r, a, s: {"root_drag": s * a.force / math.sqrt(a.v)}, FRICTION,
-        "sqrt(|v|) lies between dry and viscous friction"),
+        lambda _r, a, s: {"root_drag": s * a.force / math.sqrt(a.v)},
+        FRICTION | {"eddy_current_damping"}, "sqrt(|v|) lies between dry and viscous friction, "
+        "as an eddy-current brake does below its critical speed"),
     "sensor_even": Outside(
         lambda r, a, s: {"distortion_even": 0.3 * _sign(r) * s / a.x}, EVEN,
         "below the resonance a curved reading is a curved spring", force=False),

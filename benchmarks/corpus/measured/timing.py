@@ -58,8 +58,8 @@ class Convention:
 
     @property
     def must_be_found(self) -> bool:
-        """Whether it can be told from a lag at all."""
-        return self.late < FOUND_BELOW
+        """Whether it can be told from a lag at all: a column that is late is a delay, too."""
+        return self.late + max(self.shift, 0.0) < FOUND_BELOW
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a file."""

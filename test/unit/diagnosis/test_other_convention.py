@@ -82,7 +82,7 @@ def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
 
 
 @pytest.mark.parametrize(("names", "linear"), [
-    (("second_mode",), True), (("cubic_stiffness", "second_mode"), True), (("creep",), True),
+    (("second_mode",), True), (("cubic_stiffness", "second_mode"), True), (("creep",), False),
     (("cubic_stiffness",), False), (("transport_delay",), False),
     (("amplifier_bandwidth",), False),
     (("periodic_disturbance",), False), ((), False)])
