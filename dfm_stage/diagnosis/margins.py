@@ -17,7 +17,13 @@ import numpy as np
 
 from dfm_stage.arrays import Array, Lines
 from dfm_stage.diagnosis.blocks import Blocks, block_edges, by_size, log_ratio
-from dfm_stage.diagnosis.decisions import BLOCKS, SHORTEST_BLOCK, SIZE_GROUPS, SIZES_APART
+from dfm_stage.diagnosis.decisions import (
+    BLOCKS,
+    LONG_BLOCKS,
+    SHORTEST_BLOCK,
+    SIZE_GROUPS,
+    SIZES_APART,
+)
 from dfm_stage.diagnosis.fit import Fit
 
 Signal = Literal["position", "velocity", "acceleration"]
@@ -133,10 +139,30 @@ def _apart(sizes: Array, groups: Lines) -> float:
 
 def score_by_blocks(found: Fit) -> tuple[Array, float]:
     """The middle (n, n) of the sandwich covariance with blocks as clusters, and its degrees of
-    freedom (Liang and Zeger, Biometrika 73, 1986): it covers parameters that drift."""
+    freedom: it covers parameters that drift.
+
+    Each block's score is taken where the fit without that block has its minimum, to first order,
+    because a block that moves most has bent the fit towards itself (the jackknife form CR3;
+    Bell and McCaffrey, Survey Methodology 28, 2002, 169). Neighbours are put together, because
+    what a model leaves may outlast a block.
+    """
     blocks, _ = _rows(found)
-    scores = np.array([sum(found.jacobian[rows].T @ found.white[rows] for rows in block)
-                       for block in blocks])
-    count = len(blocks)
-    factor = count / max(count - 1.0, 1.0)
-    return np.asarray(scores.T @ scores) * factor, float(max(count - 1, 1))
+    count = min(len(blocks), LONG_BLOCKS)
+    begins = np.linspace(0, len(blocks), count, endpoint=False).astype(int)
+    clusters = [[rows for block in blocks[a:b] for rows in block]
+                for a, b in pairwise((*begins, len(blocks)))]
+    norms = np.linalg.norm(found.jacobian, axis=0)
+    norms[norms == 0.0] = 1.0
+    grams, scores = [], []
+    for cluster in clusters:
+        columns = np.concatenate([found.jacobian[rows] for rows in cluster]) / norms
+        grams.append(columns.T @ columns)
+        scores.append(columns.T @ np.concatenate([found.white[rows] for rows in cluster]))
+    gram = np.sum(grams, axis=0)
+    moved = np.array([gram @ np.linalg.pinv(gram - own, rcond=RANK, hermitian=True) @ score
+                      for own, score in zip(grams, scores, strict=True)]) * norms
+    return moved.T @ moved * (count - 1.0) / count, float(max(count - 1, 1))
+
+
+RANK = 1e-10
+"""Eigenvalue over the largest below which a parameter is seen in one block alone."""

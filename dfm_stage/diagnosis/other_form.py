@@ -2,8 +2,9 @@
 
 A stand-in follows the true force where most of the motion is, and leaves what it gets wrong of it:
 a cubic spring in the place of an end stop leaves a force that depends on position, too. So the
-effect is asked whether a size that varies with position or speed, or other values of what is no
-size of it, would explain what it leaves. What it leaves of another effect's force is none of that.
+effect is asked whether a size that varies with position, or other values of what is no size of it,
+would explain what it leaves. What it leaves of another effect's force is none of that. A size that
+varies with speed is not asked for: friction by direction is told as friction and a remainder.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from dfm_stage.diagnosis.force_domain import RunForces
 from dfm_stage.model.description import EffectUse
 
 POWERS = 5
-"""Up to this power of position and speed a size may vary."""
+"""Up to this power of position a size may vary."""
 BENDS = (-1.0, 0.0, 1.0)
-"""Where it may bend, over the standard deviation of position or speed, as contacts do."""
+"""Where it may bend, over the standard deviation of position, as contacts do."""
 FACTORS = (1.0 / 3.0, 3.0)
 """By these other parameters than sizes are taken smaller and larger."""
 
@@ -34,14 +35,12 @@ def other_forms(candidates: Candidates, use: EffectUse) -> Array | None:
         return None
     position = np.concatenate([run.trajectory.x for run in found.runs])
     middle, spread = float(np.mean(position)), max(float(np.std(position)), 1e-300)
-    speed = max(float(np.std(np.concatenate([run.trajectory.v for run in found.runs]))), 1e-300)
     others = [part for values in _reshaped(use)
               if (part := terms.parts(use.name, values)) is not None]
 
     def forms(run: RunForces) -> Array:
         force = own(run)
-        x, v = (run.trajectory.x - middle) / spread, run.trajectory.v / speed
-        return np.array([*(force * g for z in (x, v) for g in _functions(z)),
+        return np.array([*(force * g for g in _functions((run.trajectory.x - middle) / spread)),
                          *(part(run) for part in others)])
 
     return found.stacked(forms)

@@ -126,7 +126,7 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
             yield (f"another size for every size of motion gains {seen.constancy.gain:.3f} "
                    f"+- {seen.constancy.se:.3f} (limit {INCONSTANT:g})")
         if e.surface is not None and found.name in e.surface.form_shares:
-            yield ("with a size that varies with position and speed, or another shape, it would "
+            yield ("with a size that varies with position, or another shape, it would "
                    f"explain {e.surface.form_shares[found.name]:.0%} of the force that is left "
                    f"(limit {OTHER_FORM:.0%})")
     for rival in seen.rivals[:2]:

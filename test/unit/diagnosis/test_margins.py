@@ -192,28 +192,28 @@ def test_constancy_is_not_told_of_what_is_unknown_or_short_or_in_windows():
 # -- the score by blocks -------------------------------------------------------------------------
 
 def test_independent_samples_have_the_usual_covariance():
-    """The middle of a sandwich is sigma^2 J'J; 24 clusters estimate it to a fifth on average."""
+    """The middle of a sandwich is sigma^2 J'J; the jackknife form is no less on average."""
     ratios = []
-    for seed in range(30):
+    for seed in range(100):
         x, rng = swings(seed)
         columns = np.column_stack((x, x**3, np.cos(np.arange(x.size)), np.ones(x.size)))
         middle, dof = score_by_blocks(hand_made(rng.standard_normal(x.size), columns, x))
-        assert dof == 23.0
+        assert dof == 7.0
         ratios.append(np.diag(middle) / np.diag(columns.T @ columns))
-    assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.2)
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(ratios, axis=0) == pytest.approx(1.15, abs=0.2)
+    assert np.mean(ratios) > 1.0
 
 
 def test_a_parameter_that_drifts_over_blocks_is_as_unsure_as_it_drifts():
-    """y = (1 + d_b) u with d_b for each block: the estimate is the mean of d_b to first order."""
+    """y = (1 + d_b) u with d_b for each long block: the estimate is the mean of d_b."""
     rng = np.random.default_rng(3)
     u = rng.standard_normal(24 * BLOCK)
-    drift = rng.normal(0.0, 0.2, 24)
+    drift = np.repeat(rng.normal(0.0, 0.2, 8), 3)
     target = (1.0 + np.repeat(drift, BLOCK)) * u + 0.05 * rng.standard_normal(u.size)
     found = hand_made(target, u[:, None], u)
     gram = float(u @ u)
     sandwich = math.sqrt(float(score_by_blocks(found)[0][0, 0])) / gram
-    assert sandwich == pytest.approx(float(np.std(drift, ddof=1)) / math.sqrt(24.0), rel=0.15)
+    assert sandwich == pytest.approx(float(np.std(drift[::3], ddof=1)) / math.sqrt(8.0), rel=0.15)
     white = float(np.std(found.white)) / math.sqrt(gram)
     assert sandwich > 5.0 * white
 
