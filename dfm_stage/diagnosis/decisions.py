@@ -133,7 +133,7 @@ FAR_BEHIND = decision(
 FURTHER_PART = decision(
     "FURTHER_PART", 0.6, "1", meaning="Share of what is left above the noise that a further "
     "effect must take of held-out power where a remainder stays; the main one, too, unless the "
-    "force domain explains as much by it alone.", set_on=PARTS)
+    "force domain explains as much by it alone, clearly before all others.", set_on=PARTS)
 INCONSTANT = decision(
     "INCONSTANT", 0.1, "1", meaning="Gain of a parameter that may differ with the size of motion, "
     "above which the effect stands in for another.", set_on=REAL)

@@ -95,7 +95,8 @@ class EffectEvidence:
     held-out records exercise it. `margin` is by how much the held-out blocks are worse without it,
     in block standard errors, `constancy` whether its size is the same for every size of motion.
     `force_share` is what it explains by itself of the force that is predictable, None where the
-    force domain cannot judge it; `in_best` says that this has it, or one of its class, in its best
+    force domain cannot judge it, `force_margin` its lead there over every rival outside its class,
+    in block standard errors; `in_best` says that this has it, or one of its class, in its best
     set; `confirmed` that it has the effect itself there."""
 
     name: str
@@ -106,6 +107,7 @@ class EffectEvidence:
     margin: float = math.inf
     constancy: Constancy | None = None
     force_share: float | None = None
+    force_margin: float = -math.inf
     in_best: bool = True
     confirmed: bool = False
 

@@ -142,7 +142,9 @@ def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> Effe
     predictable = seen.predictable_share
     if x.name not in alone or EFFECTS[x.name].late is not None or predictable < LEAST_HEARD:
         return x
-    return replace(x, force_share=alone[x.name] / predictable,
+    lead = min((m for n, m in seen.margins.items() if not shares_class(n, x.name)),
+               default=math.inf)
+    return replace(x, force_share=alone[x.name] / predictable, force_margin=lead,
                    in_best=any(n == x.name or shares_class(n, x.name) for n in seen.best.names))
 
 

@@ -297,8 +297,9 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
 
 def _least_part(x: EffectEvidence, further: bool) -> float:
     """Share of what is left that an effect must take; less of the main one where the force domain
-    finds it by itself."""
-    heard = x.force_share is not None and x.in_best and x.force_share > FURTHER_PART
+    finds it by itself, and before all others."""
+    heard = x.force_share is not None and x.in_best and x.force_share > FURTHER_PART \
+        and x.force_margin > BLOCK_MARGIN
     return PARTIAL_SHARE if heard and not further else FURTHER_PART
 
 

@@ -211,11 +211,11 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
 
 def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
                 split: bool) -> Judgement:
-    """What explains most; in windows where the fits stay far behind the force domain, because long
-    simulations have many local minima."""
+    """What explains most; in windows where much of the motion is missed and the fits stay far
+    behind the force domain, because long simulations have many local minima then."""
     found = trial, *graded(trial, h, warnings, split)
     seen = trial.witness
-    if seen is None or seen.cannot_tell or trial.search.runs[0].window \
+    if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare) \
             or seen.best.share < PARTIAL_SHARE \
             or explained_share(found[2]) > FAR_BEHIND * seen.best.share:
         return found

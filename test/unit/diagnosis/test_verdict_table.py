@@ -411,13 +411,14 @@ def test_an_effect_that_the_force_domain_does_not_find_falls(share, in_best, fal
     assert (fallen(e) is not None) is falls
 
 
-@pytest.mark.parametrize(("explained", "heard", "in_best", "falls"), [
-    (0.49, 0.61, True, False), (0.49, 0.59, True, True), (0.49, 0.61, False, True),
-    (0.29, 0.99, True, True)])
+@pytest.mark.parametrize(("explained", "heard", "lead", "in_best", "falls"), [
+    (0.49, 0.61, 3.1, True, False), (0.49, 0.59, 3.1, True, True), (0.49, 0.61, 2.9, True, True),
+    (0.49, 0.61, 3.1, False, True), (0.29, 0.99, 9.0, True, True)])
 def test_less_is_enough_of_the_main_effect_where_the_force_domain_finds_it(
-        explained, heard, in_best, falls):
+        explained, heard, lead, in_best, falls):
     e = part(explained)
-    e = replace(e, effects=(replace(e.effects[0], force_share=heard, in_best=in_best),))
+    e = replace(e, effects=(replace(e.effects[0], force_share=heard, force_margin=lead,
+                                    in_best=in_best),))
     assert (fallen(e) is not None) is falls
 
 
