@@ -105,6 +105,14 @@ def test_equations_are_drawn_and_pages_are_searched(site: Path, built: dict[Path
     assert "hysteresi" in (site / "searchindex.js").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(("name", "figures"), [("csv_to_effect", 4), ("graph_to_model", 3)])
+def test_the_figures_of_a_notebook_are_drawn(site: Path, built: dict[Path, Page], name: str,
+                                             figures: int) -> None:
+    drawn = {site / url for url in built[site / f"{name}.html"].loaded
+             if f"{name}-" in url}
+    assert len({path.read_bytes() for path in drawn}) == figures
+
+
 @pytest.mark.parametrize("width", [390, 1440])
 def test_no_page_is_wider_than_the_window(site: Path, built: dict[Path, Page], width: int,
                                           tmp_path: Path) -> None:

@@ -70,6 +70,8 @@ def run_page(page: Path, tmp_path: Path) -> None:
             if block.before:
                 exec(compile(block.before, f"before {block}", "exec"), namespace)  # noqa: S102
             runs[block.language](block, namespace)
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
 
 
 def _python(block: Block, namespace: dict[str, Any]) -> None:
