@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 from benchmarks.blind.rates import beside, figures_of, report
 from benchmarks.blind.scoring import Score, judge
@@ -116,10 +115,3 @@ def _fresh_seed(folder: Path, resume: bool) -> int:
     drawn = secrets.randbelow(2**31)
     write_whole(path, f"{drawn}\n")
     return drawn
-
-
-def score_kept(folder: Path) -> dict[str, Any]:
-    """Figures, by key, of the answers kept in a folder, without running anything."""
-    answers = sorted((folder / "answers").glob("case_*.json"))
-    scores = read_scores(answers)
-    return {figure.key: figure for figure in figures_of(scores)}

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.discovery import PROFILES
 
 TOOLS = ("unshare", "nsenter", "ip")
 DOMAIN = 5
@@ -117,11 +118,16 @@ class Hosts:
 
     def start(self, name: str, arguments: Sequence[str], log: Path,
               **environment: str) -> subprocess.Popen[bytes]:
-        """Start this Python with `arguments` on a host, output into `log`."""
+        """Start this Python with `arguments` on a host, output into `log`.
+
+        A profile that this process has for itself stays here: with loopback alone, a program on
+        one host would not reach another.
+        """
+        own = {key: value for key, value in os.environ.items() if key != PROFILES}
         with log.open("wb") as file:
             process = subprocess.Popen(
                 [*self._enter(name), sys.executable, *arguments], stdin=subprocess.DEVNULL,
-                stdout=file, stderr=file, env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN),
+                stdout=file, stderr=file, env={**own, "ROS_DOMAIN_ID": str(DOMAIN),
                                                "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
                                                **environment})
         self._started.append(process)

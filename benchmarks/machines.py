@@ -40,8 +40,12 @@ for kind, name, request in (
         (Trigger, "amplifier_driver/arm", Trigger.Request()),
         (Trigger, "trajectory_generator/start", Trigger.Request())):
     client = node.create_client(kind, name)
-    client.wait_for_service(20.0)
-    rclpy.spin_until_future_complete(node, client.call_async(request), timeout_sec=20.0)
+    if not client.wait_for_service(20.0):
+        raise SystemExit(f"{name} is not there")
+    answer = client.call_async(request)
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=20.0)
+    if not answer.done():
+        raise SystemExit(f"{name} does not answer")
 """
 TOPICS = ("measurement", "reference", "command", "amplifier", "plant")
 
@@ -98,7 +102,9 @@ def run(folder: Path, phase_s: float) -> Seen:
                               time.time_ns()))
         for host in ("plant", "control"):
             hosts.shape(host)
-        hosts.start("control", ["-c", REARM], folder / "operator.log").wait(UP_S)
+        log = folder / "operator.log"
+        if hosts.start("control", ["-c", REARM], log).wait(UP_S):
+            raise DfmError(f"the output could not be armed again: {log.read_text().strip()}")
         time.sleep(1.0)
         cut_ns = time.time_ns()
         hosts.pull("control")

@@ -1,15 +1,20 @@
 """The site of the manual, built by ./run docs: Sphinx reads the Markdown pages as GitHub does.
 
-The pages hold no directives, so that they read well everywhere. The order of the pages, and the
-objects of the API reference, are added here while Sphinx reads them.
+The pages hold no directives, so that they read well everywhere. The order of the pages, the
+objects of the API reference and the plots of the notebooks are added here while Sphinx reads them.
 """
 
 from __future__ import annotations
 
+import re
+import tempfile
+import textwrap
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
+from matplotlib.sphinxext.plot_directive import PlotDirective
 
 import dfm_stage
 
@@ -31,13 +36,18 @@ autodoc_default_options = {"members": True, "member-order": "bysource",
 autodoc_preserve_defaults = True
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
+_work = tempfile.TemporaryDirectory()       # the notebooks write here; it goes with the process
+plot_working_directory = _work.name
+plot_pre_code = "pass"      # a notebook imports what it uses
+plot_formats = [("png", 110)]
+plot_html_show_formats = plot_html_show_source_link = False
 html_theme = "furo"
 html_title = f"dfm_stage {version}"
 html_show_copyright = html_show_sphinx = html_copy_source = False
 html_math_renderer = "mathml"
 
 ORDER = {
-    "Tutorial": ["start"],
+    "Tutorial": ["start", "csv_to_effect", "graph_to_model"],
     "How to: analyse records": ["diagnose", "identify", "simulate", "matlab", "library"],
     "How to: run the stage": ["nodes", "live", "control", "hardware", "trust", "ros2"],
     "How to: repeat the paper": ["characterize", "paper"],
@@ -51,7 +61,7 @@ ORDER = {
 
 
 def add_order(_app: Any, name: str, source: list[str]) -> None:
-    """Give the first page the order of all pages, and the API page its objects."""
+    """Give the first page the order of all pages, the API page its objects, notebooks figures."""
     if name == root_doc:
         source[0] += "".join(
             f"\n```{{toctree}}\n:hidden:\n:caption: '{title}'\n\n" + "\n".join(pages) + "\n```\n"
@@ -60,6 +70,36 @@ def add_order(_app: Any, name: str, source: list[str]) -> None:
         source[0] += "".join(
             f"\n```{{eval-rst}}\n.. auto{_kind(each)}:: dfm_stage.{each}\n```\n"
             for each in sorted(dfm_stage.__all__, key=str.lower))
+    if source[0].startswith("---\njupyter:"):
+        source[0] = with_plots(source[0])
+
+
+def with_plots(notebook: str) -> str:
+    """Have the cells of a notebook run, one after the other, and show the figure of each below it.
+
+    Where ROS is not installed, a notebook that starts nodes keeps its code and has no figures.
+    """
+    if "dfm_stage.harness" in notebook and find_spec("rclpy") is None:
+        return notebook
+
+    def cell(found: re.Match[str]) -> str:
+        plot = ".. plot::\n   :context: close-figs\n   :include-source:\n\n"
+        return f"```{{eval-rst}}\n{plot}{textwrap.indent(found[1], '   ')}```\n"
+
+    return re.sub(r"^```python\n(.*?)^```\n", cell, notebook, flags=re.DOTALL | re.MULTILINE)
+
+
+class NumberedPlot(PlotDirective):
+    """A plot whose file has a number of its own.
+
+    matplotlib counts the plots of a document, and to MyST each block of reStructuredText is one.
+    """
+
+    def run(self) -> list[Any]:
+        """Go on counting over the whole page."""
+        document = self.state_machine.document
+        document.attributes["_plot_counter"] = document.settings.env.new_serialno("plot")
+        return super().run()
 
 
 def _kind(name: str) -> str:
@@ -81,6 +121,8 @@ def show_equation(writer: Any, node: Any) -> None:
 def setup(app: Any) -> None:
     """Sphinx calls this once."""
     app.connect("source-read", add_order)
+    app.setup_extension("matplotlib.sphinxext.plot_directive")
+    app.add_directive("plot", NumberedPlot, override=True)
     app.add_html_math_renderer("mathml", (show_equation, None), (show_equation, None))
 
 

@@ -1,4 +1,4 @@
-"""docs/pictures/detection.png: how often each effect is named, by severity, from the kept answers.
+"""docs/pictures/detection.png: how often each effect is named, by severity, from the kept counts.
 
     ./run exec python -m benchmarks.blind.curves
 """
@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.blind.published import archives, kept_scores
-from benchmarks.blind.scoring import Score, detection_limit, wilson
+from benchmarks.blind.published import effects_by_severity, kept
+from benchmarks.blind.scoring import detection_limit, wilson
 from benchmarks.picture import DOCS, write_picture
 
 COLUMNS = 5
@@ -22,16 +22,15 @@ def main() -> int:
     """Draw and write the picture."""
     from matplotlib.figure import Figure
 
-    scores = [s for archive in archives() for s in kept_scores(archive) if s.kind == "effect"]
-    names = sorted({s.label for s in scores})
+    effects = effects_by_severity(list(kept().values()))
+    names = list(effects)
     rows = math.ceil((len(names) + 1) / COLUMNS)
     figure = Figure(figsize=(12.0, 2.0 * rows), layout="constrained")
     axes = figure.subplots(rows, COLUMNS, sharex=True, sharey=True)
     for place, (axis, name) in enumerate(zip(axes.flat, names, strict=False)):
-        of_effect = [s for s in scores if s.label == name]
         for exact, shift, colour, style in ((False, WIDER, "0.55", "o--"),
                                             (True, NARROWER, "C0", "o-")):
-            _curve(axis, of_effect, exact, shift, colour, style)
+            _curve(axis, effects[name], exact, shift, colour, style)
         axis.axhline(50.0, color="0.8", linewidth=0.8, zorder=0)
         axis.set_title(name.replace("_", " "), fontsize=9)
         axis.set(xscale="log", ylim=(-6.0, 106.0))
@@ -53,14 +52,14 @@ def main() -> int:
     return 0
 
 
-def _curve(axis: Any, scores: Sequence[Score], exact: bool, shift: float, colour: str,
-           style: str) -> None:
+def _curve(axis: Any, counts: Mapping[float, Sequence[int]], exact: bool, shift: float,
+           colour: str, style: str) -> None:
     """The share of cases by severity with its Wilson interval, moved aside by `shift`."""
-    sizes = sorted({s.severity for s in scores})
-    hits = {z: [s.exact if exact else s.right_class for s in scores if s.severity == z]
-            for z in sizes}
-    shares = [100.0 * sum(hits[z]) / len(hits[z]) for z in sizes]
-    ends = [wilson(sum(hits[z]), len(hits[z])) for z in sizes]
+    sizes = list(counts)
+    hits = [counts[z][0 if exact else 1] for z in sizes]
+    cases = [counts[z][2] for z in sizes]
+    shares = [100.0 * of / all_of for of, all_of in zip(hits, cases, strict=True)]
+    ends = [wilson(of, all_of) for of, all_of in zip(hits, cases, strict=True)]
     away = [[max(share - low, 0.0) for share, (low, _) in zip(shares, ends, strict=True)],
             [max(high - share, 0.0) for share, (_, high) in zip(shares, ends, strict=True)]]
     axis.errorbar([shift * z for z in sizes], shares, yerr=away, fmt=style, color=colour,

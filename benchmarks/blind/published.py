@@ -1,10 +1,14 @@
-"""The tables of rates in docs/benchmarks_diagnosis.md, made from the kept answers.
+"""The tables of rates in docs/benchmarks_diagnosis.md, made from the counts in `benchmarks/kept`.
 
-    ./run exec python -m benchmarks.blind.published
+    ./run exec python -m benchmarks.blind.published           # prints the tables
+    ./run exec python -m benchmarks.blind.published FOLDER    # counts the answers in FOLDER first
 
-prints the tables and writes the wrong answers to `benchmarks/kept/misses.csv`. That folder holds a
-.tar.xz for each seed: the folder that `./run bench diagnose --keep` writes. Unpacked into such a
-folder, `--resume` goes on from there.
+FOLDER is what `./run bench diagnose --keep FOLDER` wrote. Of each seed in it the command keeps the
+counts (`seed_<seed>.json`) and the wrong answers (`misses.csv`). The answers behind the counts are
+made again, in some five hours of processor time, by
+
+    mkdir FOLDER && echo 2006629740 >FOLDER/fresh_seed.json
+    ./run bench diagnose --keep FOLDER --resume --cases 2140
 """
 
 from __future__ import annotations
@@ -12,9 +16,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import statistics
 import sys
-import tarfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,108 +26,136 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.rates import LARGE, large_effects, limits
-from benchmarks.blind.scoring import Score, judge, wilson
+from benchmarks.blind.rates import LARGE, large_effects, limits_of, shares_by_severity
+from benchmarks.blind.scoring import Score, wilson
+from benchmarks.diagnose import SEED, read_scores
 from dfm_stage.files import write_whole
 
 KEPT = Path(__file__).resolve().parents[1] / "kept"
 MISSES = KEPT / "misses.csv"
+MISS_COLUMNS = ("seed", "case", "severity", "answer", "times")
 MEASURED = KEPT / "measured_corpus.json"
 """Seed and figures of a run of `benchmarks.blind.measured`; what it missed is beside it."""
-Row = tuple[str, Sequence[bool], str, Callable[[float], bool]]
+Row = tuple[str, str, str, Callable[[float], bool]]
+ROWS: tuple[Row, ...] = (
+    ("exact", "one effect at severity 3 or 10: exact name", "95 %", lambda r: r >= 95.0),
+    ("right_class", "the same: right class", "99 %", lambda r: r >= 99.0),
+    ("false_name", "nothing missing, but a name", "1 %", lambda r: r <= 1.0),
+    ("trap_name", "a trap, but a name", "", lambda _: True),
+    ("retune", "only wrong numbers: `retune`", "95 %", lambda r: r >= 95.0),
+    ("pair", "two effects at severity 10: both named", "85 %", lambda r: r >= 85.0),
+    ("third_name", "the same: a third that is not there", "2 %", lambda r: r <= 2.0),
+    ("unknown", "left out of the library: `unknown`", "90 %", lambda r: r >= 90.0),
+    ("wrong_name", "the same: a wrong name", "3 %", lambda r: r <= 3.0),
+    ("covered", "intervals that hold the truth", "92 to 98 %", lambda r: 92.0 <= r <= 98.0))
+"""Key, words, bar, and whether a rate in percent meets it."""
 
 
-def archives() -> list[Path]:
-    """The kept seeds, the frozen one first."""
-    from benchmarks.diagnose import SEED
+def tally(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count what the tables need: the content of a kept file.
 
-    return sorted(KEPT.glob("seed_*.tar.xz"), key=lambda p: (str(SEED) not in p.name, p.name))
-
-
-def kept_scores(archive: Path) -> list[Score]:
-    """Judge every answer of one archive by its label, in the order of the cases."""
-    answers: dict[str, Any] = {}
-    labels: dict[str, Any] = {}
-    with tarfile.open(archive) as packed:
-        for member in packed:
-            file = packed.extractfile(member)
-            if file is not None:
-                place = answers if Path(member.name).parent.name == "answers" else labels
-                place[Path(member.name).name] = json.loads(file.read())
-    return [judge(labels[name], kept["answer"], kept["seconds"])
-            for name, kept in sorted(answers.items())]
-
-
-def rates(scores: Sequence[Score]) -> list[str]:
-    """Rows of the table of rates, those that miss their bar marked."""
-    large = large_effects(scores)
+    `rates` has hits and cases by the keys of ROWS, `by_severity` exact names, right classes and
+    cases by effect and severity, `unanswered` the error by the number of the case.
+    """
     of_kind = {kind: [s for s in scores if s.kind == kind] for kind in (
         "none", "trap", "retune", "pair", "left_out")}
+    large = large_effects(scores)
     pairs = [s for s in of_kind["pair"] if s.counted]
     left = [s for s in of_kind["left_out"] if s.counted]
-    rows: list[Row] = [
-        ("one effect at severity 3 or 10: exact name", [s.exact for s in large], "95 %",
-         lambda r: r >= 95.0),
-        ("the same: right class", [s.right_class for s in large], "99 %", lambda r: r >= 99.0),
-        ("nothing missing, but a name", [s.false_name for s in of_kind["none"]], "1 %",
-         lambda r: r <= 1.0),
-        ("a trap, but a name", [s.false_name for s in of_kind["trap"]], "", lambda _: True),
-        ("only wrong numbers: `retune`", [s.exact for s in of_kind["retune"]], "95 %",
-         lambda r: r >= 95.0),
-        ("two effects at severity 10: both named", [s.exact for s in pairs], "85 %",
-         lambda r: r >= 85.0),
-        ("the same: a third that is not there", [s.spurious for s in pairs], "2 %",
-         lambda r: r <= 2.0),
-        ("left out of the library: `unknown`", [s.exact for s in left], "90 %",
-         lambda r: r >= 90.0),
-        ("the same: a wrong name", [s.spurious for s in left], "3 %", lambda r: r <= 3.0),
-        ("intervals that hold the truth", [hit for s in scores for hit in s.covered],
-         "92 to 98 %", lambda r: 92.0 <= r <= 98.0)]
-    table = ["| figure | measured | cases | 95 % interval | bar |", "|---|---|---|---|---|"]
-    for what, found, bar, met in rows:
-        low, high = wilson(sum(found), len(found))
-        rate = 100.0 * sum(found) / max(len(found), 1)
-        missed = "" if met(rate) else " **missed**"
-        table.append(f"| {what} | {rate:.1f} %{missed} | {sum(found)} of {len(found)} | "
-                     f"{low:.0f} to {high:.0f} | {bar} |")
+    hits: dict[str, list[bool]] = {
+        "exact": [s.exact for s in large], "right_class": [s.right_class for s in large],
+        "false_name": [s.false_name for s in of_kind["none"]],
+        "trap_name": [s.false_name for s in of_kind["trap"]],
+        "retune": [s.exact for s in of_kind["retune"]], "pair": [s.exact for s in pairs],
+        "third_name": [s.spurious for s in pairs], "unknown": [s.exact for s in left],
+        "wrong_name": [s.spurious for s in left],
+        "covered": [hit for s in scores for hit in s.covered]}
     over = [s.held_out_over_floor for s in scores
             if s.held_out_over_floor is not None and s.severity >= LARGE]
     times = [s.seconds for s in scores if s.seconds is not None]
+    return {
+        "cases": len(scores),
+        "rates": {key: [sum(found), len(found)] for key, found in hits.items()},
+        "held_out_over_floor": {"percentile_95": round(float(np.percentile(over, 95.0)), 4),
+                                "cases": len(over)},
+        "seconds": {"median": round(statistics.median(times), 2),
+                    "percentile_90": round(float(np.percentile(times, 90.0)), 2),
+                    "longest": round(max(times), 1), "sum": round(sum(times)),
+                    "cases": len(times)},
+        "by_severity": shares_by_severity(scores),
+        "unanswered": {str(s.index): s.notes[0] for s in scores if s.verdict == "error"}}
+
+
+def kept() -> dict[str, dict[str, Any]]:
+    """The kept counts by seed, the fixed seed first."""
+    files = {path.stem.removeprefix("seed_"): path for path in KEPT.glob("seed_*.json")}
+    return {seed: json.loads(files[seed].read_text("utf-8"))
+            for seed in sorted(files, key=lambda seed: (seed != str(SEED), seed))}
+
+
+def rates(counts: Mapping[str, Any]) -> list[str]:
+    """Rows of the table of rates of one seed, those that miss their bar marked."""
+    table = ["| figure | measured | cases | 95 % interval | bar |", "|---|---|---|---|---|"]
+    for key, words, bar, met in ROWS:
+        hits, cases = counts["rates"][key]
+        low, high = wilson(hits, cases)
+        rate = 100.0 * hits / max(cases, 1)
+        missed = "" if met(rate) else " **missed**"
+        table.append(f"| {words} | {rate:.1f} %{missed} | {hits} of {cases} | "
+                     f"{low:.0f} to {high:.0f} | {bar} |")
+    over, times = counts["held_out_over_floor"], counts["seconds"]
     table.append("| held-out error over the floor, 95 % within | "
-                 f"{np.percentile(over, 95.0):.2f} | {len(over)} | | 1.2 |")
-    table.append(f"| processor time a case, median (90 %; longest) | "
-                 f"{statistics.median(times):.1f} s ({np.percentile(times, 90.0):.1f}; "
-                 f"{max(times):.0f}) | {len(times)} | | 10 s |")
+                 f"{over['percentile_95']:.2f} | {over['cases']} | | 1.2 |")
+    table.append("| processor time a case, median (90 %; longest) | "
+                 f"{times['median']:.1f} s ({times['percentile_90']:.1f}; {times['longest']:.0f}) "
+                 f"| {times['cases']} | | 10 s |")
     return table
 
 
 def misses(seeds: Mapping[str, Sequence[Score]]) -> str:
-    """CSV of what went wrong: seed, case, severity, answer, and how often."""
+    """CSV of what went wrong, the kept rows of other seeds included."""
     wrong: Counter[tuple[str, ...]] = Counter()
     for seed, scores in seeds.items():
         for s in scores:
             if s.counted and not s.exact and (s.kind != "effect" or s.severity >= LARGE):
                 answer = " ".join([s.answer, *s.notes[:1]])
                 wrong[seed, s.label, f"{s.severity:g}" if s.severity else "", answer] += 1
+    rows = [(*which, str(times)) for which, times in wrong.items()]
+    rows += [tuple(row.values()) for row in kept_misses() if row["seed"] not in seeds]
     out = io.StringIO()
-    rows = csv.writer(out, lineterminator="\n")
-    rows.writerow(("seed", "case", "severity", "answer", "times"))
-    rows.writerows((*which, times) for which, times in sorted(wrong.items()))
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow(MISS_COLUMNS)
+    table.writerows(sorted(rows))
     return out.getvalue()
 
 
-def by_severity(scores: Sequence[Score]) -> list[str]:
+def kept_misses() -> list[dict[str, str]]:
+    """The rows of the kept list of wrong answers."""
+    with MISSES.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def effects_by_severity(seeds: Sequence[Mapping[str, Any]]) -> dict[str, dict[float, list[int]]]:
+    """Exact names, right classes and cases of all seeds together, by effect and severity."""
+    found: dict[str, dict[float, list[int]]] = {}
+    for counts in seeds:
+        for name, row in counts["by_severity"].items():
+            for size, three in row.items():
+                place = found.setdefault(name, {}).setdefault(float(size), [0, 0, 0])
+                place[:] = [a + b for a, b in zip(place, three, strict=True)]
+    return {name: dict(sorted(row.items())) for name, row in sorted(found.items())}
+
+
+def by_severity(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
     """Exact names of each effect by severity, and the severity at which half would be named."""
-    found = limits(scores)
-    sizes = sorted({size for row in found.values() for size in row["cases"]})
+    found = effects_by_severity(seeds)
+    sizes = sorted({size for row in found.values() for size in row})
     table = ["| effect | " + " | ".join(f"{size:g}" for size in sizes)
              + " | half named at (95 % range) |", "|---|" + "---|" * (len(sizes) + 1)]
     for name, row in found.items():
-        cells = [f"{row['shares'][size] * row['cases'][size]:.0f} of {row['cases'][size]}"
-                 if size in row["cases"] else "" for size in sizes]
-        least, most = row["range"]
-        table.append(f"| `{name}` | " + " | ".join(cells)
-                     + f" | {row['text']} ({least} to {most}) |")
+        cells = [f"{row[size][0]} of {row[size][2]}" if size in row else "" for size in sizes]
+        text, (least, most) = limits_of({size: (each[0], each[2]) for size, each in row.items()})
+        table.append(f"| `{name}` | " + " | ".join(cells) + f" | {text} ({least} to {most}) |")
     return table
 
 
@@ -140,17 +172,28 @@ def measured_rates(path: Path = MEASURED) -> list[str]:
     return table
 
 
-def main() -> int:
-    """Print every table, and write the list of misses."""
-    seeds = {archive.name.split(".")[0].removeprefix("seed_"): kept_scores(archive)
-             for archive in archives()}
-    for seed, found in seeds.items():
-        print(f"seed {seed}: {len(found)} cases", *rates(found), "", sep="\n")
-    print(*by_severity([s for found in seeds.values() for s in found]), "", sep="\n")
-    print(*measured_rates(), sep="\n")
+def keep(folder: Path) -> None:
+    """Count the answers of every seed in the folder of a bench, and keep counts and misses."""
+    seeds = {place.name.removeprefix("seed_"): read_scores(sorted(place.glob("answers/*.json")))
+             for place in sorted(folder.glob("seed_*"))}
+    for seed, scores in seeds.items():
+        text = json.dumps(tally(scores), indent=1)
+        text = re.sub(r"\[[\d\s,]*\]", lambda counts: " ".join(counts[0].split()), text)
+        write_whole(KEPT / f"seed_{seed}.json", text + "\n")
     write_whole(MISSES, misses(seeds))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Keep the counts of a folder, if one is given; print every table."""
+    for folder in arguments:
+        keep(Path(folder))
+    seeds = kept()
+    for seed, counts in seeds.items():
+        print(f"seed {seed}: {counts['cases']} cases", *rates(counts), "", sep="\n")
+    print(*by_severity(list(seeds.values())), "", sep="\n")
+    print(*measured_rates(), sep="\n")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -122,22 +122,36 @@ def beside(ours: Sequence[Figure], others: Mapping[str, Sequence[Score]]) -> lis
     return found
 
 
-def limits(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
-    """Per effect: share named exactly and cases by severity, the detection limit, and its range:
-    the limits at the upper and lower ends of the shares' Wilson intervals, in words."""
-    found: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
+def shares_by_severity(scores: Iterable[Score]) -> dict[str, dict[str, list[int]]]:
+    """Count exact names, right classes and cases, by effect and by severity in words."""
+    found: dict[str, dict[float, list[int]]] = defaultdict(lambda: defaultdict(lambda: [0, 0, 0]))
     for score in scores:
         if score.kind == "effect":
-            found[score.label][score.severity].append(score.exact)
+            place = found[score.label][score.severity]
+            place[:] = [place[0] + score.exact, place[1] + score.right_class, place[2] + 1]
+    return {name: {f"{size:g}": three for size, three in sorted(row.items())}
+            for name, row in sorted(found.items())}
+
+
+def limits(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
+    """Per effect: shares named exactly and cases by severity, detection limit and its range."""
     table = {}
-    for name, by_size in sorted(found.items()):
-        shares = {size: sum(hits) / len(hits) for size, hits in sorted(by_size.items())}
-        bounds = {size: wilson(sum(hits), len(hits)) for size, hits in sorted(by_size.items())}
-        table[name] = {"shares": shares, "cases": {s: len(h) for s, h in sorted(by_size.items())},
-                       "limit": detection_limit(shares), "text": _limit_text(shares),
-                       "range": tuple(_limit_text({s: b[end] / 100.0 for s, b in bounds.items()})
-                                      for end in (1, 0))}
+    for name, row in shares_by_severity(scores).items():
+        counts = {float(size): (exact, cases) for size, (exact, _, cases) in row.items()}
+        shares = {size: hits / cases for size, (hits, cases) in counts.items()}
+        text, ends = limits_of(counts)
+        table[name] = {"shares": shares, "cases": {size: n for size, (_, n) in counts.items()},
+                       "limit": detection_limit(shares), "text": text, "range": ends}
     return table
+
+
+def limits_of(counts: Mapping[float, tuple[int, int]]) -> tuple[str, tuple[str, str]]:
+    """Detection limit in words, of hits and cases by severity, and its range: the limits at the
+    upper and lower ends of the shares' Wilson intervals."""
+    bounds = {size: wilson(*each) for size, each in counts.items()}
+    high, low = (_limit_text({size: b[end] / 100.0 for size, b in bounds.items()})
+                 for end in (1, 0))
+    return _limit_text({size: hits / cases for size, (hits, cases) in counts.items()}), (high, low)
 
 
 def _limit_text(shares: Mapping[float, float]) -> str:

@@ -8,6 +8,7 @@ What the first line of a block says decides what is done with it:
   (`...` stands for anything);
 - ```` ```yaml ````: loaded as the model or experiment that it is;
 - a second word `slow`: its page runs only where DFM_SLOW is set, as `.ci/run` does;
+- a second word `real_time`: the same, and the page has the machine to itself;
 - a second word `file`: a file of the package, named in a comment; the page's Python then runs in a
   copy of the package that has it;
 - a second word `fragment`: a part that does not stand alone; it has to compile.
@@ -52,6 +53,11 @@ def blocks(page: Path) -> Iterator[Block]:
         line = text.count("\n", 0, found.start("code")) + 1
         words = [*found["info"].split(), "", ""]
         yield Block(page, line, words[0], words[1], found["code"], found["before"] or "")
+
+
+def marks(page: Path) -> set[str]:
+    """Return the second words of the blocks of a page."""
+    return {block.mark for block in blocks(page)}
 
 
 def prose(page: Path) -> str:

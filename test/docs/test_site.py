@@ -18,6 +18,7 @@ from pages import ROOT
 import dfm_stage
 
 pytestmark = pytest.mark.slow
+WIDTHS = (390, 1440)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
 PROBE = """<script>window.onload = () => {
   const found = [...document.querySelectorAll("iframe")].map(frame => {
@@ -105,23 +106,41 @@ def test_equations_are_drawn_and_pages_are_searched(site: Path, built: dict[Path
     assert "hysteresi" in (site / "searchindex.js").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("width", [390, 1440])
-def test_no_page_is_wider_than_the_window(site: Path, built: dict[Path, Page], width: int,
-                                          tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "figures"), [("csv_to_effect", 4), ("graph_to_model", 3)])
+def test_the_figures_of_a_notebook_are_drawn(site: Path, built: dict[Path, Page], name: str,
+                                             figures: int) -> None:
+    drawn = {site / url for url in built[site / f"{name}.html"].loaded
+             if f"{name}-" in url}
+    assert len({path.read_bytes() for path in drawn}) == figures
+
+
+@pytest.fixture(scope="module")
+def opened(built: dict[Path, Page], tmp_path_factory: pytest.TempPathFactory
+           ) -> list[tuple[int, str, int, int]]:
+    """Width of the frame, page, width of its content and of its window, of every page."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         pytest.skip("no Chromium here to open the pages in (requirements/system.txt)")
-    frames = "".join(f'<iframe src="{path.as_uri()}" width="{width}" height="900"></iframe>'
-                     for path in built)
-    probe = tmp_path / "probe.html"
-    probe.write_text(f"<body>{frames}{PROBE}</body>", encoding="utf-8")
+    frames = [(width, path) for width in WIDTHS for path in built]
+    folder = tmp_path_factory.mktemp("opened")
+    probe = folder / "probe.html"
+    probe.write_text("<body>" + "".join(
+        f'<iframe src="{path.as_uri()}" width="{width}" height="900"></iframe>'
+        for width, path in frames) + f"{PROBE}</body>", encoding="utf-8")
     done = subprocess.run(
         [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--dump-dom",
-         f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files",
+         f"--user-data-dir={folder / 'profile'}", "--allow-file-access-from-files",
          "--virtual-time-budget=20000", probe.as_uri()],
         capture_output=True, text=True, timeout=120, check=True)
     found = re.search(r"<pre>(.*?)</pre>", done.stdout, re.DOTALL)
     assert found, done.stdout[:2000]
     seen = json.loads(unescape(found[1]))
-    assert len(seen) == len(built)
-    assert [name for name, content, window in seen if content > window] == []
+    assert [name for name, _, _ in seen] == [path.name for _, path in frames]
+    return [(width, *each) for (width, _), each in zip(frames, seen, strict=True)]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_page_is_wider_than_the_window(opened: list[tuple[int, str, int, int]],
+                                          width: int) -> None:
+    assert [name for frame, name, content, window in opened
+            if frame == width and content > window] == []
