@@ -32,6 +32,11 @@ SMOOTH = {
     "periodic_disturbance": {"amplitude": 0.2, "frequency": 37.3, "phase": 0.7},
     "eddy_current_damping": {"damping": 4.0, "critical_velocity": 0.05},
 }
+ON_REQUEST = {
+    "gravity": {"weight": 0.9, "length": 2e-3, "tilt": 0.2},
+    "cogging": {"amplitude": 0.1, "period": 7e-4, "phase": 0.5},
+    "directional_friction": {"difference": 1.5},
+}
 
 
 def multisine(samples: int, seed: int, amplitude: float = 1.5) -> np.ndarray:
@@ -45,7 +50,7 @@ def multisine(samples: int, seed: int, amplitude: float = 1.5) -> np.ndarray:
 
 
 def compare(effects: dict[str, dict[str, float]], seed: int, samples: int = 240,
-            base: dict[str, float] = BASE) -> None:
+            base: dict[str, float] = BASE, tolerance: float = 1e-6) -> None:
     model = Model("test", PERIOD, base)
     given = dict(base)
     for name, values in effects.items():
@@ -55,15 +60,17 @@ def compare(effects: dict[str, dict[str, float]], seed: int, samples: int = 240,
     ours = Simulator(model).run(inputs)
     states, equations = integrate(given, inputs, PERIOD)
     points = np.array([equations.point(y) for y in states])
+    read = np.array([equations.reading(y) for y in states])
     for name, own, theirs in (("position", ours.position, points[:, 0]),
-                              ("velocity", ours.velocity, points[:, 1])):
+                              ("velocity", ours.velocity, points[:, 1]),
+                              ("reading", ours.reading, read)):
         scale = np.max(np.abs(theirs))
-        assert_allclose(own / scale, theirs / scale, rtol=0, atol=1e-6, err_msg=name)
+        assert_allclose(own / scale, theirs / scale, rtol=0, atol=tolerance, err_msg=name)
 
 
-@pytest.mark.parametrize("name", sorted(SMOOTH))
+@pytest.mark.parametrize("name", sorted(SMOOTH | ON_REQUEST))
 def test_effect_alone(name: str) -> None:
-    compare({name: SMOOTH[name]}, seed=1)
+    compare({name: (SMOOTH | ON_REQUEST)[name]}, seed=1)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -1,0 +1,71 @@
+"""Each effect on request is named, where it is asked for, on a stage that has it at clear size."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis import DiagnosisError, diagnose
+from dfm_stage.identification import Run, fit_model
+from dfm_stage.model import Model, Simulator
+from dfm_stage.recording import AxisRecord, Provenance, Record
+
+PERIOD, SAMPLES, NOISE = 1e-3, 4000, 2e-7
+STIFFNESS = (2.0 * np.pi * 20.0) ** 2
+BASE = {"mass": 1.0, "damping": 4.0, "stiffness": STIFFNESS, "force_constant": 1.0, "noise": NOISE}
+BELIEVED = Model("s", PERIOD, {**BASE, "damping": 3.8, "stiffness": 1.01 * STIFFNESS})
+CASES = {
+    "cogging": ({"amplitude": 0.05, "period": 2e-4},
+                ("cubic_stiffness", "encoder_periodic_error")),
+    "dead_zone": ({"width": 0.05}, ("saturation", "coulomb_friction")),
+    "directional_friction": ({"difference": 0.3}, ("quadratic_damping", "quadratic_stiffness")),
+    "gravity": ({"weight": 0.6, "length": 4e-4}, ("cubic_stiffness", "quadratic_damping")),
+}
+"""Effect on request -> its parameters and two rivals of the usual library."""
+TOLERANCE = 0.02
+"""Relative error of a parameter that the noise lets be."""
+CLASSES: dict[str, set[str]] = {}
+"""Those that these records do not part from others."""
+
+
+def record(name: str, values: dict[str, float], seed: int, amplitude: float) -> Record:
+    """A multisine from 0.5 to 100 Hz, V RMS, with noise on the reading."""
+    rng = np.random.default_rng(seed)
+    t = PERIOD * np.arange(SAMPLES)
+    f = np.arange(0.5, 100.0, 0.5)
+    feed = np.cos(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.283, (f.size, 1))).sum(axis=0)
+    feed *= amplitude / np.std(feed)
+    moved = Simulator(Model("s", PERIOD, BASE).with_effect(name, values)).run(feed)
+    return Record(t, PERIOD, {"x": AxisRecord(feed, moved.measured(seed))},
+                  Provenance(f"run {seed}", "csv"))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_fit_finds_the_parameters(name: str) -> None:
+    values, _ = CASES[name]
+    run = record(name, values, 10, 3.0).axes["x"]
+    off = BELIEVED.with_effect(name, {n: 0.97 * v for n, v in values.items()})
+    free = ["damping", "stiffness", *(f"{name}.{n}" for n in values)]
+    found = fit_model(off, [Run("r", run.input, run.position, PERIOD)], free).model.parameters()
+    assert {n: found[f"{name}.{n}"] for n in values} == pytest.approx(values, rel=TOLERANCE)
+
+
+def test_who_asks_for_an_unknown_effect_is_told_of_all() -> None:
+    run = Record(PERIOD * np.arange(100), PERIOD, {"x": AxisRecord(np.ones(100), np.ones(100))},
+                 Provenance("run", "csv"))
+    with pytest.raises(DiagnosisError, match=r"no effect hum.*creep.*gravity"):
+        diagnose([run], BELIEVED, library=["hum"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_the_effect_or_its_class_is_named(name: str) -> None:
+    values, rivals = CASES[name]
+    runs = [record(name, values, 10 + k, a) for k, a in enumerate((3.0, 1.5, 2.0))]
+    found = diagnose(runs[:2], BELIEVED, holdout=runs[2:], library=(name, *rivals))
+    members = CLASSES.get(name, {name})
+    assert [set(e.members) for e in found.effects] == [members]
+    assert found.verdict == ("named" if len(members) == 1 else "ambiguous")
+    for parameter, value in values.items():
+        low, high = found.effects[0].parameters[parameter].ci95
+        assert low - (high - low) < value < high + (high - low), parameter
