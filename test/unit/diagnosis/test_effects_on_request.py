@@ -13,13 +13,24 @@ from dfm_stage.recording import AxisRecord, Provenance, Record
 PERIOD, SAMPLES, NOISE = 1e-3, 4000, 2e-7
 STIFFNESS = (2.0 * np.pi * 20.0) ** 2
 BASE = {"mass": 1.0, "damping": 4.0, "stiffness": STIFFNESS, "force_constant": 1.0, "noise": NOISE}
-BELIEVED = Model("s", PERIOD, {**BASE, "damping": 3.8, "stiffness": 1.01 * STIFFNESS})
+STAGE = Model("s", PERIOD, BASE)
+BELIEVED = STAGE.with_parameters({"damping": 3.8, "stiffness": 1.01 * STIFFNESS})
 CASES = {
+    "backlash": ({"stiffness": 0.2 * STIFFNESS, "gap": 8e-4},
+                 ("cubic_stiffness", "quadratic_damping")),
     "cogging": ({"amplitude": 0.05, "period": 2e-4},
                 ("cubic_stiffness", "encoder_periodic_error")),
     "dead_zone": ({"width": 0.05}, ("saturation", "coulomb_friction")),
     "directional_friction": ({"difference": 0.3}, ("quadratic_damping", "quadratic_stiffness")),
+    "end_stop": ({"stiffness": 5.0 * STIFFNESS, "position": 1.3e-3},
+                 ("cubic_stiffness", "quadratic_stiffness")),
     "gravity": ({"weight": 0.6, "length": 4e-4}, ("cubic_stiffness", "quadratic_damping")),
+    "hardening_hysteresis": ({"stiffness": 0.02 * STIFFNESS, "distance": 1e-3, "shape": 1.5},
+                             ("hysteresis", "cubic_stiffness")),
+    "one_sided_cable": ({"stiffness": 0.01 * STIFFNESS, "slack": 1e-4},
+                        ("quadratic_stiffness", "cubic_stiffness")),
+    "sensor_clipping": ({"limit": 1e-3}, ("saturation", "cubic_stiffness")),
+    "structural_damping": ({"loss_stiffness": 0.02 * STIFFNESS}, ("creep", "quadratic_damping")),
 }
 """Effect on request -> its parameters and two rivals of the usual library."""
 TOLERANCE = 0.02
@@ -35,7 +46,7 @@ def record(name: str, values: dict[str, float], seed: int, amplitude: float) -> 
     f = np.arange(0.5, 100.0, 0.5)
     feed = np.cos(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.283, (f.size, 1))).sum(axis=0)
     feed *= amplitude / np.std(feed)
-    moved = Simulator(Model("s", PERIOD, BASE).with_effect(name, values)).run(feed)
+    moved = Simulator(STAGE.with_effect(name, values)).run(feed)
     return Record(t, PERIOD, {"x": AxisRecord(feed, moved.measured(seed))},
                   Provenance(f"run {seed}", "csv"))
 
@@ -44,7 +55,7 @@ def record(name: str, values: dict[str, float], seed: int, amplitude: float) -> 
 def test_a_fit_finds_the_parameters(name: str) -> None:
     values, _ = CASES[name]
     run = record(name, values, 10, 3.0).axes["x"]
-    off = BELIEVED.with_effect(name, {n: 0.97 * v for n, v in values.items()})
+    off = STAGE.with_effect(name, {n: 0.97 * v for n, v in values.items()})
     free = ["damping", "stiffness", *(f"{name}.{n}" for n in values)]
     found = fit_model(off, [Run("r", run.input, run.position, PERIOD)], free).model.parameters()
     assert {n: found[f"{name}.{n}"] for n in values} == pytest.approx(values, rel=TOLERANCE)

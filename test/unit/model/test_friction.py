@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from friction_equations import bouc_wen, coulomb, fine_steps, lugre
+from friction_equations import bouc_wen, coulomb, fine_steps, hardening, lugre
 from scipy.integrate import solve_ivp
 from stage_equations import integrate
 
@@ -103,6 +103,15 @@ def test_coulomb_with_a_second_mode_against_a_smoothed_fine_integration() -> Non
                 method="LSODA", rtol=1e-9, atol=1e-13).y[:, -1]
     assert np.mean(ours.velocity == 0.0) > 0.01
     assert error(ours.position, np.array(x)) < 1e-3
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 0.1])
+def test_hardening_hysteresis(amplitude: float) -> None:
+    inputs = drive(100, 2, amplitude)
+    values = {"stiffness": 300.0, "distance": 6e-4, "shape": 1.7}
+    model = Model("test", PERIOD, STATIC).with_effect("hardening_hysteresis", values)
+    ours = Simulator(model).run(inputs).position
+    assert error(ours, fine_steps(STATIC, inputs, PERIOD, 250, *hardening(values))) < 1e-4
 
 
 @pytest.mark.parametrize("values", [

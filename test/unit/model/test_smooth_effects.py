@@ -36,6 +36,10 @@ ON_REQUEST = {
     "gravity": {"weight": 0.9, "length": 2e-3, "tilt": 0.2},
     "cogging": {"amplitude": 0.1, "period": 7e-4, "phase": 0.5},
     "directional_friction": {"difference": 1.5},
+    "one_sided_cable": {"stiffness": -300.0, "slack": 2e-4},
+    "end_stop": {"stiffness": 4e3, "position": 7e-4, "dissipation": 3.0},
+    "backlash": {"stiffness": 900.0, "gap": 8e-4, "centre": 1e-4},
+    "structural_damping": {"loss_stiffness": 60.0},
 }
 
 
