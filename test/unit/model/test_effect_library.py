@@ -97,6 +97,15 @@ def test_coordinates_for_fitting_are_one_to_one(name: str) -> None:
     np.testing.assert_allclose(effect.coordinates.backward(fitted), values, rtol=1e-9)
 
 
+@pytest.mark.parametrize("name", [n for n in EVERY if EFFECTS[n].twins])
+def test_twins_are_given_parameters_that_they_have(name: str) -> None:
+    effect = EFFECTS[name]
+    for twin, parameters in effect.twins.items():
+        given = parameters({n: prior.typical for n, prior in effect.priors.items()})
+        assert set(given) <= set(EFFECTS[twin].defaults)
+        assert Model("m", 1e-3, BASE).with_effect(twin, {**EFFECTS[twin].defaults, **given})
+
+
 @pytest.mark.parametrize("name", EVERY)
 def test_effect_runs_within_its_priors_and_changes_something(name: str) -> None:
     """In the middle of its prior each effect is seen in a large fast record."""

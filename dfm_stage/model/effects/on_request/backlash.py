@@ -8,7 +8,6 @@ model has one driven point.
 Source: Nordin and Gutman, Automatica 38 (2002) 1633 (dead-zone model).
 """
 
-
 from __future__ import annotations
 
 import math

@@ -5,7 +5,6 @@
 Source: Otten et al., IEEE/ASME Trans. Mechatronics 2 (1997) 179.
 """
 
-
 from __future__ import annotations
 
 import math

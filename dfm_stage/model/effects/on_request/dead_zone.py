@@ -7,7 +7,6 @@ Source: Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor 
 (1996), ch. 2.
 """
 
-
 from __future__ import annotations
 
 from dfm_stage.model.effect import (

@@ -9,7 +9,6 @@ Source: Armstrong-Helouvry, Control of Machines with Friction (1991), ch. 4; Jan
 Brunot, EMPS benchmark (2019).
 """
 
-
 from __future__ import annotations
 
 from dfm_stage.model.effect import Effect, Equivalence, Parameter, Prior, Values

@@ -8,7 +8,6 @@ side. The contact never pulls. A dissipation c gives a coefficient of restitutio
 Source: Hunt and Crossley, J. Appl. Mech. 42 (1975) 440, with an exponent of one.
 """
 
-
 from __future__ import annotations
 
 import math

@@ -7,7 +7,6 @@ cube of the angle.
 Source: Nayfeh and Mook, Nonlinear Oscillations (1979), sec. 2.1.
 """
 
-
 from __future__ import annotations
 
 import math

@@ -11,7 +11,6 @@ Source: Wen, J. Eng. Mech. Div. ASCE 102 (1976) 249; Ikhouane, Manosa and Rodell
 (2007) 1; Noel and Schoukens, Hysteretic benchmark with a dynamic nonlinearity (2016).
 """
 
-
 from __future__ import annotations
 
 import math

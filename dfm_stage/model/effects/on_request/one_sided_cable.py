@@ -9,7 +9,6 @@ Source: Shaw and Holmes, J. Sound Vib. 90 (1983) 129 (piecewise linear oscillato
 Structures (1981), ch. 1.
 """
 
-
 from __future__ import annotations
 
 import math

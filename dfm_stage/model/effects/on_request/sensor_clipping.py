@@ -5,7 +5,6 @@
 Source: Webster and Eren, Measurement, Instrumentation, and Sensors Handbook (2014), ch. 1.
 """
 
-
 from __future__ import annotations
 
 import numpy as np
