@@ -84,6 +84,18 @@ def test_effect_alone(name: str) -> None:
     compare({name: (SMOOTH | ON_REQUEST)[name]}, seed=1, tolerance=tolerance)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_effects_on_request_beside_others(seed: int) -> None:
+    rng = np.random.default_rng(2000 + seed)
+    forces = sorted(ON_REQUEST.keys() - {"sensor_lag", "sensor_mount", "supply_sag",
+                                         "coil_heating"})
+    chosen = [*rng.choice(sorted(SMOOTH), 2, replace=False), *rng.choice(forces, 3, replace=False),
+              str(rng.choice(["sensor_lag", "sensor_mount"]))]
+    # no step ends at a kink of a contact
+    compare({str(name): (SMOOTH | ON_REQUEST)[str(name)] for name in chosen}, seed, samples=160,
+            tolerance=1e-5)
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_random_combination(seed: int) -> None:
     rng = np.random.default_rng(1000 + seed)
