@@ -27,8 +27,8 @@ from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
 from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
-from dfm_stage.model import EFFECTS, Model, load_model, save_model
-from dfm_stage.model.registry import effects_of
+from dfm_stage.model import Model, load_model, save_model
+from dfm_stage.model.registry import effects_of, library_of
 from dfm_stage.quantity import format_quantity
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ OPTIONS: Options = (
     option("--axis", metavar="NAME", help="axis, where a record has several"),
     *(option(name, action="append", default=[], metavar="NAME[,NAME]", help=words)
       for name, words in (
-          ("--library", "effects that may be named (default: all)"),
+          ("--library", "effects that may be named, or all (default: all but those on request)"),
           ("--without", "effects that may not be named"),
           ("--free", "re-estimate these as well, for instance mass"),
           ("--fix", "hold these at the model's values"))),
@@ -104,7 +104,7 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
     from dfm_stage.diagnosis import diagnose
     from dfm_stage.identification.model_fit import default_free
 
-    library = names_in(options.library) or list(EFFECTS)
+    library = library_of(names_in(options.library) or None)
     for name in names_in(options.without):
         if name not in library:
             raise DfmError(f"--without {name}: there is no such effect among "

@@ -26,6 +26,8 @@ def excluded(name: str, model: Model, at: Conditions) -> str | None:
         return "it changes the reading of a position, and the output is none"
     if effect.per_run and any(run.window for run in at.runs):
         return "its phase is lost where the state starts anew in every window"
+    if effect.registers and any(run.window for run in at.runs):
+        return "what it remembers is lost where the state starts anew in every window"
     return effect.hidden_because(at)
 
 

@@ -56,6 +56,7 @@ from dfm_stage.diagnosis.wording import lost_samples
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.identification.system import steps_taken
 from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.registry import ALL, library_of
 from dfm_stage.recording import Record
 
 Judgement = tuple[Trial, Hypothesis, Evidence]
@@ -79,7 +80,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         Records to predict and never to fit. Without one, the last 30 % of each record are held
         out, and a warning says so.
     library
-        Effects that may be named, by default all of `dfm_stage.model.EFFECTS`.
+        Effects that may be named, by default those listed in `dfm_stage.model.EFFECTS`; `all`
+        stands for these and the effects on request.
     free
         Base parameters to re-estimate, without those in `fixed`. By default damping, stiffness,
         force constant, lag and delay where the model has them, and the effects it has.
@@ -101,11 +103,11 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         raise DiagnosisError("no record was given; name at least one")
     chosen = model.usual_axis(axis)
     one = model.axis(chosen)
-    known = tuple(EFFECTS) if library is None else tuple(library)
+    known = tuple(library_of(library))
     for name in known:
         if name not in EFFECTS:
             raise DiagnosisError(f"library: there is no effect {name}; choose among "
-                                 f"{', '.join(EFFECTS)}")
+                                 f"{', '.join(library_of([ALL]))}")
     tell("reading")
     labels = [*names, *[""] * (len(records) + len(holdout) - len(names))]
     runs = [observe(r, one, chosen if chosen in r.axes else axis, n or None)

@@ -121,10 +121,11 @@ def to_physical(found: Estimate, groups: Sequence[Coordinates], model: Model) ->
     at_bound = tuple(n for n in found.at_bound if n in names)
     for coordinates in groups:
         at = np.array([names.index(n) for n in coordinates.names])
-        near = 1e-6 * max(np.abs(values[at]).max(), 1e-300)
+        near = np.array([1e-6 * max(abs(values[j]) for j in at if units[j] == units[k])
+                         for k in at])
         values[at] = np.where(values[at] - low[at] <= near, low[at], values[at])
-        stopped = [n for n, k in zip(coordinates.names, at, strict=True)
-                   if values[k] == low[k] or high[k] - values[k] <= near]
+        stopped = [n for n, k, least in zip(coordinates.names, at, near, strict=True)
+                   if values[k] == low[k] or high[k] - values[k] <= least]
         if not stopped and any(n in found.at_bound for n in coordinates.fitted):
             stopped = list(coordinates.names)
         at_bound += tuple(stopped)

@@ -91,6 +91,8 @@ class System(Problem):
         self.nonlinear = [u.name for u in self.model.effects if is_nonlinear(u.name)]
         self.slow = any(EFFECTS[n].memory for n in self.nonlinear)
         """Whether a simulation follows states with memory, and is worth being spared."""
+        self.remembers = any(u.effect.registers for u in self.model.effects)
+        """Whether the commands before a run count, which are none then."""
         self._finer: dict[tuple[int, bool], Simulator] = {}
         self.work = 0.0
         """Integration steps that simulations with nonlinear forces have taken."""
@@ -181,7 +183,8 @@ class System(Problem):
         """Whether the output depends on where the point is when it begins to move: a velocity of
         a body without a spring does not, unless a force does."""
         return run.order == 0 or not self.springless or any(
-            reads(use.effect.force, 0) or reads(use.effect.flow, 1) for use in self.model.effects)
+            reads(use.effect.force, 0) or reads(use.effect.friction, 0)
+            or reads(use.effect.flow, 1) for use in self.model.effects)
 
     def _offset(self, run: Run, index: int) -> Iterable[Unknown]:
         """Offset and drift of the output, as far as the run's trend goes; usually of a position
@@ -301,7 +304,8 @@ class System(Problem):
         try:
             found = simulator.run_many(
                 driven, own_names, rows, signal=signal, other=other, steady_state=periodic,
-                past_input=0.0 if run.start == "rest" else float(driven[0]), partial=periodic,
+                past_input=0.0 if run.start == "rest" or self.remembers else float(driven[0]),
+                partial=periodic,
                 dither=self.dither or None, steps=steps, parts=parts,
                 threads=1 if driven.size * len(table) < PARALLEL else None)[:, ::drive.factor]
         except SimulationError:

@@ -17,7 +17,7 @@ from dfm_stage.model.effect import Effect
 from dfm_stage.model.formula import Formula, FormulaEffect
 from dfm_stage.model.kernel.slots import ABSENT
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
-from dfm_stage.model.registry import EFFECTS, coupling_effect
+from dfm_stage.model.registry import ALL, EFFECTS, coupling_effect, library_of
 
 SCHEMA_VERSION = 1
 Drive = Literal["voltage", "current"]
@@ -70,7 +70,7 @@ class EffectUse:
     def __post_init__(self) -> None:
         effect = EFFECTS.get(self.name) if self.formula is None else self.formula.effect()
         if effect is None:
-            raise ModelError(unknown_name("effect", self.name, EFFECTS))
+            raise ModelError(unknown_name("effect", self.name, library_of([ALL])))
         if isinstance(effect, FormulaEffect):
             EFFECTS.hold(effect)
             _set(self, formula=effect.formula, _own=effect)

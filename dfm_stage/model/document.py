@@ -26,7 +26,7 @@ from dfm_stage.model.description import (
 from dfm_stage.model.effect import Effect
 from dfm_stage.model.formula import KINDS, FormulaEffect, formula_of
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
-from dfm_stage.model.registry import EFFECTS, coupling_effect
+from dfm_stage.model.registry import ALL, EFFECTS, coupling_effect, library_of
 from dfm_stage.share import config_folder
 
 T = TypeVar("T")
@@ -174,7 +174,7 @@ def _effect(node: _Node) -> EffectUse:
     if any(key in node.data for key in _FORMULA_KEYS):
         return _formula(node)
     if name not in EFFECTS:
-        node.fail(unknown_name("effect", name, EFFECTS), "name")
+        node.fail(unknown_name("effect", name, library_of([ALL])), "name")
     values = _values(node.child("parameters"), str(name)) if "parameters" in node.data else {}
     return node.build(lambda: EffectUse(str(name), values, _origin(node)))
 

@@ -11,6 +11,9 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
 `force(x, v, actuator, p) -> N`
     A smooth force on the driven point. Where it is `by_current`, `actuator` is the current (A; V
     with a voltage drive and no coil_resistance).
+`friction(x, v, actuator, p) -> N`
+    The size of a dry friction that varies, never negative. It acts against the motion, and holds
+    the point at rest up to what it is there.
 `advance(z, dx, v0, v1, p) -> z` with `bristle_force(z, v, p) -> N`
     A force with memory: the state `z` after the point moved by `dx` without reversing, while its
     velocity went from `v0` to `v1`; and the force that goes with it.
@@ -24,6 +27,9 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
     `start(state, first, p)` gives them initial values.
 `added(u, t, p) -> V or A`
     What is added to the command u, given for time t (s), after dead time and limit.
+`command(u, z, period, p) -> V or A`
+    What the actuator makes of a command u that lasts a period (s), before dead time and limit. `z`
+    are `registers` numbers that it keeps from one command to the next, zero at first.
 `sense(x, t, other, p) -> m`
     What is added to the encoder's reading at time `t` (s); `other` (m) is the position of the
     neighbouring axis.
@@ -170,14 +176,17 @@ class Effect:
     fit: Reparametrisation | None = None
     adds_to: str | None = None
     states: tuple[str, ...] = ()
-    stage: Literal["modes", "amplifier", "mechanics"] = "mechanics"
+    stage: Literal["modes", "amplifier", "mechanics", "sensor"] = "mechanics"
+    registers: int = 0
     force: Callable[..., float] | None = field(default=None, repr=False)
+    friction: Callable[..., float] | None = field(default=None, repr=False)
     advance: Callable[..., float] | None = field(default=None, repr=False)
     bristle_force: Callable[..., float] | None = field(default=None, repr=False)
     by_current: bool = False
     flow: Callable[..., float] | None = field(default=None, repr=False)
     side_of_kinks: Callable[..., float] | None = field(default=None, repr=False)
     added: Callable[..., float] | None = field(default=None, repr=False)
+    command: Callable[..., float] | None = field(default=None, repr=False)
     stamp: Callable[..., None] | None = field(default=None, repr=False)
     start: Callable[..., None] | None = field(default=None, repr=False)
     sense: Callable[..., float] | None = field(default=None, repr=False)
@@ -247,7 +256,7 @@ class Effect:
     def curves(self) -> bool:
         """Whether it is a force that makes the motion nonlinear."""
         return self.adds_to == "dry_friction" or any(
-            hook is not None for hook in (self.force, self.advance, self.flow))
+            hook is not None for hook in (self.force, self.friction, self.advance, self.flow))
 
     @property
     def on_the_clock(self) -> bool:

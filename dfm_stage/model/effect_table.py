@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.registry import EFFECTS
+from dfm_stage.model.registry import ALL, EFFECTS, ON_REQUEST, library_of
 
 HEAD = """\
 # Effects
@@ -14,12 +14,16 @@ or `v` the velocity of the driven point. The first range of a parameter is what 
 accepts, the second what such stages typically show. This page is generated from the registry
 (`python -m dfm_stage.model.effect_table`).
 
-![What each effect adds to the motion of one sweep from 1 to 13 Hz, at the middle of its typical \
-range](pictures/effects.png)
+A diagnosis looks for an effect on request only where `--library` names it, or says `all`. Each
+further candidate makes a diagnosis slower and wrong names likelier.
+
+![What each usual effect adds to the motion of one sweep from 1 to 13 Hz, at the middle of its \
+typical range](pictures/effects.png)
 
 | effect | equation | parameters (unit, accepted, typical) | side | what shows it |
 |---|---|---|---|---|
 """
+REQUEST = " (on request)"
 CLASSES = """
 ## What the data cannot tell apart
 
@@ -34,8 +38,9 @@ SOURCES = """
 
 def effect_table() -> str:
     """The text of docs/effects.md: parameters, equivalence classes and sources of all effects."""
-    effects = [EFFECTS[name] for name in sorted(EFFECTS)]
-    rows = [_row(f"`{e.name}`: {e.meaning}", e.equation, _parameters(e), e.side, e.shown_by)
+    effects = [EFFECTS[name] for name in sorted(library_of([ALL]))]
+    rows = [_row(f"`{e.name}`{REQUEST * (e.name in ON_REQUEST)}: {e.meaning}", e.equation,
+                 _parameters(e), e.side, e.shown_by)
             for e in effects]
     classes = [_row(f"`{e.name}`", ", ".join(f"`{m}`" for m in c.members if m != e.name), c.on,
                     c.split_by) for e in effects for c in e.classes]

@@ -2,8 +2,8 @@
 
     s' = a s + b u(t - delay) + g f,    y = c s
 
-with command u (V or A), a force f (N) on the driven point and its position y (m). It is what the
-simulator assembles (`kernel.setup`), so whatever an effect stamps into it is in it.
+with command u (V or A), a force f (N) on the driven point and the reading y (m) of its position.
+It is what the simulator assembles (`kernel.setup`), so whatever an effect stamps into it is in it.
 """
 
 from __future__ import annotations
@@ -171,6 +171,6 @@ def linear_part(model: Model) -> LinearPart:
     rows = rows[:, np.append(kept, n)]
     return LinearPart(
         a[np.ix_(kept, kept)], a[kept, n], rows[slots.ROW_FORCE_IN, :-1],
-        rows[slots.ROW_POSITION, :-1], float(plan.theta[slots.DELAY]),
+        rows[slots.ROW_READING, :-1], float(plan.theta[slots.DELAY]),
         rows[slots.ROW_VELOCITY, :-1], rows[slots.ROW_DRIVE],
         float(plan.theta[slots.FORCE_CONSTANT]), motion, tuple(names[i] for i in kept))

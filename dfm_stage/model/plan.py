@@ -15,7 +15,7 @@ from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.kernel import slots
 from dfm_stage.model.kernel.collocated import STAGES
 from dfm_stage.model.kernel.events import TERMS
-from dfm_stage.model.kernel.hooks import address
+from dfm_stage.model.kernel.hooks import SUMMED, address
 from dfm_stage.model.kernel.setup import SMOOTH_LEVELS
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError
@@ -29,15 +29,18 @@ _TABLES: dict[int, tuple[str, Callable[[Effect], bool]]] = {
     slots.MODE_STAMPS: ("stamp", lambda effect: effect.stage == "modes"),
     slots.AMPLIFIER_STAMPS: ("stamp", lambda effect: effect.stage == "amplifier"),
     slots.MECHANICS_STAMPS: ("stamp", lambda effect: effect.stage == "mechanics"),
+    slots.SENSOR_STAMPS: ("stamp", lambda effect: effect.stage == "sensor"),
     slots.STARTS: ("start", lambda _: True),
     slots.FORCES: ("force", lambda _: True),
     slots.ACTUATOR_FORCES: ("force", lambda effect: effect.side == "actuator"),
+    slots.FRICTIONS: ("friction", lambda _: True),
     slots.BRISTLE_STEPS: ("advance", lambda _: True),
     slots.SENSES: ("sense", lambda _: True),
     slots.ENCODES: ("encode", lambda _: True),
     slots.OTHER_FORCES: ("other_force", lambda _: True),
     slots.FLOWS: ("flow", lambda _: True),
-    slots.ADDED: ("added", lambda _: True)}
+    slots.ADDED: ("added", lambda _: True),
+    slots.COMMANDS: ("command", lambda _: True)}
 """Table of hooks -> the hook, and which of the effects that have it stand in the table."""
 
 
@@ -57,10 +60,10 @@ class Plan:
         effects = [use.effect for use in model.effects]
         theta = np.array([*_slot_values(model.effective_base()), *(
             value for use in model.effects for value in use.parameters.values())])
-        dry = any(effect.adds_to == "dry_friction" for effect in effects)
+        dry = any(e.adds_to == "dry_friction" or e.friction is not None for e in effects)
         bristles = [effect for effect in effects if effect.advance is not None]
         memory = [*bristles, *(e for e in effects if e.flow is not None and e.states)]
-        forces = [effect.force for effect in effects if effect.force is not None]
+        forces = [hook for effect in effects for hook in (effect.force, effect.friction)]
         states = ["position", "velocity"]
         head = [-1] * slots.LAYOUT_FIXED
         for state, slot, at in _LAGS:
@@ -84,7 +87,7 @@ class Plan:
         head[slots.USES_DRIVE] = any(reads(force, 2) for force in forces) \
             or any(reads(effect.flow, 4) for effect in effects)
         states.extend(name for effect in memory for name in effect.state_names)
-        _place_blocks(head)
+        _place_blocks(head, sum(effect.registers for effect in effects))
         head[slots.AT_INITIAL] = len(theta)
         entries = _hook_tables(effects, states, head)
         return cls(model, np.array(head + entries, dtype=np.int64),
@@ -118,14 +121,15 @@ class Plan:
         return self.addresses[address]
 
 
-def _place_blocks(head: list[int]) -> None:
+def _place_blocks(head: list[int], registers: int) -> None:
     """Give each block of `work` its first index."""
     n, levels, bristles = head[slots.ORDER], head[slots.LEVELS], head[slots.BRISTLES]
     sticks = levels if head[slots.DIRECTED] else 0
     sizes = {slots.AT_HEAD: slots.HEAD_SIZE, slots.AT_STATE: n, slots.AT_BRISTLE: bristles,
-             slots.AT_HISTORY: head[slots.HISTORY], slots.AT_A: n * (n + 1),
-             slots.AT_ROWS: slots.ROWS * (n + 1), slots.AT_DISCRETE: n * (n + 7),
-             slots.AT_HELD: n * (n + 1), slots.AT_NODE: 18 * levels * (n + 5),
+             slots.AT_HISTORY: head[slots.HISTORY], slots.AT_REGISTERS: registers,
+             slots.AT_A: n * (n + 1), slots.AT_ROWS: slots.ROWS * (n + 1),
+             slots.AT_DISCRETE: n * (n + 7), slots.AT_HELD: n * (n + 1),
+             slots.AT_NODE: 18 * levels * (n + 5),
              slots.AT_END: 2 * levels * n * (n + 5), slots.AT_STICK_NODE: 12 * sticks * (n + 1),
              slots.AT_STICK_END: 2 * sticks * n * (n + 1),
              slots.AT_SCRATCH: n + bristles + (n + 1) * TERMS,
@@ -138,16 +142,19 @@ def _hook_tables(effects: Sequence[Effect], states: Sequence[str], head: list[in
     """The entries of all tables; where each table begins goes to `head`."""
     sizes = (len(effect.parameters) for effect in effects)
     own = [*accumulate(sizes, initial=len(slots.SLOT_NAMES))]
+    kept = [*accumulate((effect.registers for effect in effects), initial=0)]
     entries: list[int] = []
     for table, (hook, belongs) in _TABLES.items():
         head[table] = slots.LAYOUT_FIXED + len(entries)
         uses = [(effect, first) for effect, first in zip(effects, own, strict=False)
                 if getattr(effect, hook) is not None and belongs(effect)]
-        for entry in [uses] if hook == "force" and uses else [[use] for use in uses]:
+        for entry in [uses] if hook in SUMMED and uses else [[use] for use in uses]:
             effect, first = entry[0]
             state = states.index(effect.state_names[0]) if effect.state_names else 0
             if state >= head[slots.ORDER]:          # behind the linear ones
                 state -= head[slots.ORDER]
+            if hook == "command":
+                state = kept[effects.index(effect)]
             entries += [address(hook, entry), first, state]
     head[slots.TABLES_END] = slots.LAYOUT_FIXED + len(entries)
     return entries

@@ -1,8 +1,9 @@
 """All effects: those of the package `dfm_stage.model.effects`, and those registered at run time.
 
 Whoever needs an effect looks it up here when it is needed, so that one that is registered later,
-or replaced, counts from then on. A formula that a model holds is found by its name as long as
-somebody holds the formula, but it is no member: what is listed here is what may be named.
+or replaced, counts from then on. What is listed here is what a diagnosis may name. Two kinds are
+found by their name and are no members: those of `effects.on_request`, which are loaded when they
+are first asked for, and a formula that a model holds, as long as somebody holds the formula.
 """
 
 from __future__ import annotations
@@ -10,23 +11,31 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import itertools
 import os
 import pkgutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from weakref import WeakValueDictionary
 
 from dfm_stage.model import effects
 from dfm_stage.model.effect import Effect
+from dfm_stage.model.effects import on_request
 from dfm_stage.model.formula import FormulaEffect
 from dfm_stage.model.formula_file import YAML_ENDINGS, read_formulas
 from dfm_stage.model.parameter import ModelError
 
+ON_REQUEST = sorted(module.name for module in pkgutil.iter_modules(on_request.__path__))
+"""Effects that are found by their name, and not listed."""
+ALL = "all"
+"""Stands for every effect where effects are named."""
+
 
 class Effects(dict[str, Effect]):
-    """The effects by name; formulas of models that are in use are found, and not listed."""
+    """The effects by name; those on request, and formulas of models, are found and not listed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -37,10 +46,12 @@ class Effects(dict[str, Effect]):
         self._of_models[effect.name] = effect
 
     def __missing__(self, name: str) -> Effect:
+        if name in ON_REQUEST:
+            return _loaded(on_request, name)
         return self._of_models[name]
 
     def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or name in self._of_models
+        return super().__contains__(name) or name in ON_REQUEST or name in self._of_models
 
     def get(self, name: str, default: Any = None) -> Any:
         """As of any mapping."""
@@ -48,6 +59,15 @@ class Effects(dict[str, Effect]):
 
 
 EFFECTS = Effects()
+
+
+def library_of(names: Iterable[str] | None = None) -> list[str]:
+    """The effects that a diagnosis may name: those that are listed, or `names`, of which ALL
+    stands for these and all on request."""
+    if names is None:
+        return list(EFFECTS)
+    return list(dict.fromkeys(itertools.chain.from_iterable(
+        (*EFFECTS, *ON_REQUEST) if name == ALL else (name,) for name in names)))
 
 
 def register(effect: Effect) -> Effect:
@@ -138,5 +158,12 @@ def coupling_effect() -> Effect:
     raise ModelError("no effect is registered by which one axis acts on another")
 
 
+def _loaded(package: ModuleType, name: str) -> Effect:
+    """The effect of a module of a package."""
+    effect: Effect = importlib.import_module(f"{package.__name__}.{name}").EFFECT
+    return effect
+
+
 for _module in sorted(pkgutil.iter_modules(effects.__path__), key=lambda m: m.name):
-    register(importlib.import_module(f"{effects.__name__}.{_module.name}").EFFECT)
+    if not _module.ispkg:
+        register(_loaded(effects, _module.name))

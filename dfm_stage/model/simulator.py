@@ -34,9 +34,10 @@ class SimulationResult:
 
     `position` (m) and `velocity` (m/s) are those of the driven point, `current` in A (with a
     voltage drive and no coil_resistance: the drive in V), `force` (N) that of the actuator on
-    the moving mass. `reading` (m) is what the encoder sees, without noise and rounding: position,
-    zero, periodic error, drift, cross-axis. `output` is the same with the effects that round,
-    if one is on, as their mean over the noise; it is what a measured record is compared with.
+    the moving mass. `reading` (m) is what the encoder sees, without noise and rounding: position
+    behind what belongs to the sensor, zero, periodic error, drift, cross-axis. `output` is the
+    same with the effects that round, if one is on, as their mean over the noise; it is what a
+    measured record is compared with.
     """
 
     time: Array
@@ -129,7 +130,8 @@ class Simulator:
         encoded = any(effect.encode for effect in effects)
         if not encoded:
             rows[slots.OUTPUT] = -1
-        if not (encoded or theta[slots.ZERO] or any(effect.sense for effect in effects)):
+        if not (encoded or theta[slots.ZERO] or any(
+                effect.sense or effect.stage == "sensor" for effect in effects)):
             rows[slots.READING] = -1
         out = np.empty((int(rows.max()) + 1, len(inputs)))
         _check(_simulate(plan, theta, work, float(past_input), inputs, force, neighbour,

@@ -33,6 +33,7 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
     back = int(work[layout[slots.AT_HEAD] + slots.WHOLE]) + 1
     past = inputs[np.arange(-back, 0) % len(inputs)]
     at_state, at_history = layout[slots.AT_STATE], layout[slots.AT_HISTORY]
+    registers = work[layout[slots.AT_REGISTERS]:layout[slots.AT_A]]
     nothing = np.empty((0, len(inputs)))
 
     def after_period(point: Array, which: Layout) -> Array:
@@ -46,6 +47,15 @@ def settle(plan: Plan, theta: Array, work: Array, inputs: Array, force: Array,
 
     straight = layout.copy()
     straight[slots.CURVED] = 0
+    if registers.size:
+        def remembered(point: Array) -> Array:
+            registers[:] = point
+            run(straight, theta, work, inputs, force, other, _NOWHERE, nothing)
+            return np.array(registers)
+
+        if _fixed_point(remembered, np.array(registers)) is None:
+            return UNSETTLED
+        past = work[at_history:at_history + back].copy()
     forced = after_period(np.zeros(n), straight)
     first = layout[slots.AT_DISCRETE]
     propagator = work[first:first + n * (n + 7)].reshape(n, n + 7)[:, :n]

@@ -27,7 +27,7 @@ Testing (2000), ch. 2.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -98,6 +98,11 @@ MOST_DAMPED = 0.5
 """Damping ratio up to which a mode is a resonance."""
 
 
+def _as_mount(values: Mapping[str, float]) -> Parameters:
+    """The mount of a sensor that acts back on nothing: a mode with a share far below zero."""
+    return {n: values[n] for n in ("frequency", "damping_ratio")}
+
+
 EFFECT = SecondMode(
     name="second_mode",
     meaning="a second resonance of the structure that actuator and encoder take part in",
@@ -124,5 +129,6 @@ EFFECT = SecondMode(
     stage="modes",
     fit=Reparametrisation(("force_constant", ".share"), (".first_residue", ".residue_ratio"),
                           _forward, _backward),
+    twins={"sensor_mount": _as_mount},
     stamp=stamp,
 )

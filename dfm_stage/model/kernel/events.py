@@ -19,6 +19,7 @@ from dfm_stage.model.kernel.slots import (
     DRY_FRICTION,
     FORCE_CONSTANT,
     FORCES,
+    FRICTIONS,
     KEPT,
     NOW,
     ORDER,
@@ -44,10 +45,24 @@ def bristle_force(layout: Layout, theta: Array, work: Array, v: float) -> float:
     return bristle_steps(layout, theta, work, z, 0.0, v, v, z, layout[AT_HEAD] + OUT)
 
 
+@inlined
+def friction(layout: Layout, theta: Array, x: float, v: float, d: float) -> float:
+    """The size of the dry friction at one point, N; `d` is the actuator's force."""
+    return float(theta[DRY_FRICTION] + point_force(layout, theta, FRICTIONS, x, v, d))
+
+
+@inlined
+def beyond(push: float, dry: float) -> float:
+    """The part of a force at rest that dry friction does not hold, N."""
+    if push > dry:
+        return push - dry
+    return push + dry if push < -dry else 0.0
+
+
 @lean
 def pushed(layout: Layout, theta: Array, work: Array, u: float, force: Array,
            r: float) -> float:
-    """Force beyond what holds the point at rest, without dry friction, N; it moves that way."""
+    """The force that dry friction does not hold at rest, N; the point moves that way."""
     n, rows, state = layout[ORDER], layout[AT_ROWS], layout[AT_STATE]
     x = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     drive = theta[FORCE_CONSTANT] * row_value(work, rows + ROW_DRIVE * (n + 1), state, n, u)
@@ -55,7 +70,7 @@ def pushed(layout: Layout, theta: Array, work: Array, u: float, force: Array,
             + point_force(layout, theta, FORCES, x, 0.0, drive)
             + flow_force(layout, theta, work, x, 0.0, drive, u, 0.0, layout[AT_BRISTLE])
             - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u)) + outside(force, r)
-    return push
+    return beyond(push, friction(layout, theta, x, 0.0, drive))
 
 
 @lean
@@ -85,7 +100,7 @@ def cell(layout: Layout, theta: Array, work: Array, u: float, force: Array, r0: 
         if taken < left:
             _halt(work, n, rows, state, u)
             push = pushed(layout, theta, work, u, force, r0 + rate * done)
-            mode = 0 if abs(push) <= theta[DRY_FRICTION] else (1 if push > 0.0 else -1)
+            mode = 0 if push == 0.0 else (1 if push > 0.0 else -1)
     speed = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
     if mode != 0 and mode * speed < 0.0:
         _halt(work, n, rows, state, u)
@@ -119,13 +134,16 @@ def _held(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     work[series] += theta[CONSTANT_FORCE] + bristle_force(layout, theta, work, 0.0) + f
     work[series + 1] += (f_end - f) / left
     push = _value(work, series, left)
-    if abs(push) <= theta[DRY_FRICTION] or last:
+    dry = friction(layout, theta, x, 0.0, drive)
+    dry_end = friction(layout, theta, x, 0.0, drive_end)
+    if abs(push) <= dry_end or last:
         _at(work, n, terms, left, state)
         for i in range(layout[KEPT], layout[BRISTLES]):
             work[z + i] = work[moved + i]
         return left, 0
     mode = 1 if push > 0.0 else -1
-    work[series] -= mode * theta[DRY_FRICTION]
+    work[series] -= mode * dry
+    work[series + 1] -= mode * (dry_end - dry) / left
     t = _root(work, series, 0.0, left) if mode * work[series] < 0.0 else 0.0
     _at(work, n, terms, t, state)
     if t > 0.0:
@@ -148,12 +166,15 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
     x_row, v_row = rows + ROW_POSITION * (n + 1), rows + ROW_VELOCITY * (n + 1)
     d_row, push_row = rows + ROW_DRIVE * (n + 1), rows + ROW_FORCE_IN * (n + 1)
     gain = theta[FORCE_CONSTANT]
-    plain = theta[CONSTANT_FORCE] - mode * theta[DRY_FRICTION]
     x, v = row_value(work, x_row, state, n, u), row_value(work, v_row, state, n, u)
     d = gain * row_value(work, d_row, state, n, u)
+    plain = theta[CONSTANT_FORCE] - mode * theta[DRY_FRICTION]
+    varies = layout[FRICTIONS] < layout[FRICTIONS + 1]      # asked once: most have none
     f = (plain + bristle_force(layout, theta, work, v)
          + point_force(layout, theta, FORCES, x, v, d) + outside(force, start)
          + flow_force(layout, theta, work, x, v, d, u, 0.0, z))
+    if varies:
+        f -= mode * point_force(layout, theta, FRICTIONS, x, v, d)
     slope = 0.0
     for _ in range(2):
         _series(work, n, layout[AT_A], push_row, state, u, f, slope, terms)
@@ -164,6 +185,8 @@ def _moving(layout: Layout, theta: Array, work: Array, u: float, force: Array,
                  + point_force(layout, theta, FORCES, x_end, v_end, d_end)
                  + outside(force, start + rate * left)
                  + flow_ends(layout, theta, work, x, x_end, v, v_end, d, d_end, u, left))
+        if varies:
+            f_end -= mode * point_force(layout, theta, FRICTIONS, x_end, v_end, d_end)
         slope = (f_end - f) / left
     t = left
     if mode * v_end < 0.0 and not last:

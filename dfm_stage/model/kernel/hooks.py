@@ -31,8 +31,10 @@ from dfm_stage.model.kernel.compiled import (
 )
 from dfm_stage.model.kernel.slots import (
     ADDED,
+    AT_REGISTERS,
     BRISTLE_STEPS,
     CODE,
+    COMMANDS,
     ENCODES,
     ENTRY,
     FIRST,
@@ -173,6 +175,16 @@ def _added(hook: Hook, values: Hook) -> Hook:
     return added
 
 
+def _command(hook: Hook, values: Hook, registers: int) -> Hook:
+    def command(u: Any, count: int, period: float, z: Any, p: Any) -> None:
+        """Replace `count` commands that last a period (s) each."""
+        own, kept = values(p), carray(z, (registers,))
+        for k in range(count):
+            u[k] = hook(u[k], kept, period, own)
+
+    return command
+
+
 def _other_force(hook: Hook, values: Hook) -> Hook:
     def other_force(p: Any) -> float:
         return float(hook(values(p)))
@@ -182,6 +194,7 @@ def _other_force(hook: Hook, values: Hook) -> Hook:
 
 _KINDS: dict[str, tuple[Any, Callable[..., Hook]]] = {
     "force": (_number(*[_number] * 9, POINTER, POINTER, _index), _force),
+    "friction": (_number(*[_number] * 9, POINTER, POINTER, _index), _force),
     "advance": (_number(*[_number] * 8, POINTER, POINTER, _index), _bristle),
     "stamp": (types.void(POINTER, POINTER, _index, _index, POINTER), _stamp),
     "start": (types.void(POINTER, _index, _index, POINTER), _start),
@@ -190,8 +203,11 @@ _KINDS: dict[str, tuple[Any, Callable[..., Hook]]] = {
     "encode": (types.void(POINTER, _index, _number, POINTER), _encode),
     "other_force": (_number(POINTER), _other_force),
     "flow": (_number(*[_number] * 16, *[POINTER] * 5, _index, _index), collocated),
-    "added": (types.void(POINTER, _index, _index, _number, POINTER), _added)}
+    "added": (types.void(POINTER, _index, _index, _number, POINTER), _added),
+    "command": (types.void(POINTER, _index, _number, POINTER, POINTER), _command)}
 """Kind of hook -> the signature of its machine code, and what makes that of hooks."""
+SUMMED = ("force", "friction")
+"""Kinds whose hooks share one entry, the code of their sum."""
 
 
 def address(kind: str, uses: Sequence[tuple[Effect, int]]) -> int:
@@ -206,7 +222,7 @@ def address(kind: str, uses: Sequence[tuple[Effect, int]]) -> int:
         ((getattr(effect, kind), *([effect.bristle_force] if kind == "advance" else []),
           *([effect.side_of_kinks or one_side] if kind == "flow" else [])),
          first - begin, len(effect.parameters), len(effect.states) if kind == "flow" else
-         -begin if effect.by_current and begin else 0)
+         effect.registers if kind == "command" else -begin if effect.by_current and begin else 0)
         for effect, first in uses)).address)
 
 
@@ -216,18 +232,18 @@ def _code(kind: str, *parts: tuple[tuple[Hook, ...], int, int, int]) -> Any:
     ready = [(*(lean(hook) for hook in hooks), values_at(first, count))
              for hooks, first, count, _ in parts]
     further = [each[-1] for each in parts]
-    if kind == "force":
+    if kind in SUMMED:
         made = make(*((*each, values_at(at, len(BASE_PARAMETERS)) if at else None)
                       for each, at in zip(ready, further, strict=True)))
     else:
-        made = make(*ready[0], *(further if kind == "flow" else []))
+        made = make(*ready[0], *(further if kind in ("flow", "command") else []))
     return callback(made, signature, (kind, parts))
 
 
 call_force, call_bristle, call_stamp, call_start, call_sense, call_encode, call_other, \
-    call_flow, call_added = (caller(_KINDS[kind][0]) for kind in (
+    call_flow, call_added, call_command = (caller(_KINDS[kind][0]) for kind in (
         "force", "advance", "stamp", "start", "sense", "encode", "other_force", "flow",
-        "added"))
+        "added", "command"))
 
 
 @inlined
@@ -309,3 +325,14 @@ def add_to_commands(layout: Layout, theta: Array, applied: Array, first: int,
     for entry in range(layout[ADDED], layout[ADDED + 1], ENTRY):
         call_added(layout[entry + CODE], (pointer(applied, 0), applied.shape[0], first, period,
                                             pointer(theta, layout[entry + OWN])))
+
+
+@lean
+def command_inputs(layout: Layout, theta: Array, work: Array, inputs: Array,
+                   period: float) -> None:
+    """Replace commands that last a period (s) each by what the effects make of them, V or A."""
+    for entry in range(layout[COMMANDS], layout[COMMANDS + 1], ENTRY):
+        call_command(layout[entry + CODE], (
+            pointer(inputs, 0), inputs.shape[0], period,
+            pointer(work, layout[AT_REGISTERS] + layout[entry + FIRST]),
+            pointer(theta, layout[entry + OWN])))

@@ -23,7 +23,7 @@ from dfm_stage.model.kernel.algebra import cubic_at, outside, row_value
 from dfm_stage.model.kernel.collocated import FEW, SWEEPS
 from dfm_stage.model.kernel.collocated import UNSETTLED as UNSETTLED_STATES
 from dfm_stage.model.kernel.compiled import at, inlined, lean, pointer
-from dfm_stage.model.kernel.events import bristle_force, cell, pushed
+from dfm_stage.model.kernel.events import bristle_force, cell, friction, pushed
 from dfm_stage.model.kernel.flows import flow_force, flow_steps
 from dfm_stage.model.kernel.hooks import THREE, call_bristle, call_force, point_force
 from dfm_stage.model.kernel.slots import (
@@ -50,6 +50,7 @@ from dfm_stage.model.kernel.slots import (
     FLOWS,
     FORCE_CONSTANT,
     FORCES,
+    FRICTIONS,
     KEPT,
     LEVEL,
     LEVELS,
@@ -102,10 +103,10 @@ def slip(layout: Layout, theta: Array, work: Array, table: int, direction: int, 
     e0, e1, e2, e3 = _given(theta, direction, force, r0, dr)
     x0 = row_value(work, rows + ROW_POSITION * (n + 1), state, n, u)
     v0 = row_value(work, rows + ROW_VELOCITY * (n + 1), state, n, u)
-    f0 = e0 + _force_now(layout, theta, work, x0, v0, u)
+    f0 = e0 + _force_now(layout, theta, work, x0, v0, u, direction)
     f1, f2, f3, v1, v2, v3, largest, settled = _collocated(
         layout, theta, work, at(layout, AT_NODE) + 9 * (n + 5) * table, x0, v0, u, f0,
-        (e1, e2, e3))
+        (e1, e2, e3), direction)
     if directed and _reverses(direction * v0, direction * v1, direction * v2, direction * v3):
         return REVERSAL
     unresolved = abs(C0 * f0 + C1 * f1 + C2 * f2 + C3 * f3)
@@ -122,15 +123,17 @@ def slip(layout: Layout, theta: Array, work: Array, table: int, direction: int, 
 
 
 @inlined
-def _force_now(layout: Layout, theta: Array, work: Array, x: float, v: float, u: float) -> float:
+def _force_now(layout: Layout, theta: Array, work: Array, x: float, v: float, u: float,
+               direction: int) -> float:
     """The force of the effects at the beginning of a step, N."""
     n, drive = at(layout, ORDER), 0.0
     if at(layout, USES_DRIVE) == 1:
         row = at(layout, AT_ROWS) + ROW_DRIVE * (n + 1)
         drive = theta[FORCE_CONSTANT] * row_value(work, row, at(layout, AT_STATE), n, u)
     force = point_force(layout, theta, FORCES, x, v, drive)
-    if at(layout, KEPT) > 0:
-        force += bristle_force(layout, theta, work, v)
+    if at(layout, FRICTIONS) < at(layout, BRISTLE_STEPS + 1):   # the two stand side by side
+        force += (bristle_force(layout, theta, work, v)
+                  - direction * point_force(layout, theta, FRICTIONS, x, v, drive))
     if at(layout, FLOWS) < at(layout, FLOWS + 1):
         force += flow_force(layout, theta, work, x, v, drive, u, 0.0, at(layout, AT_BRISTLE))
     return force
@@ -138,7 +141,7 @@ def _force_now(layout: Layout, theta: Array, work: Array, x: float, v: float, u:
 
 @inlined
 def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float, v0: float,
-                u: float, f0: float, given: Three) -> tuple[
+                u: float, f0: float, given: Three, direction: int) -> tuple[
                     float, float, float, float, float, float, float, bool]:
     """Find the forces at the three later points: these, the speeds there, the largest force so
     far, and whether the iteration has settled on a force without a kink. `given` does not depend
@@ -167,7 +170,8 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
             v2 = vb + (at(work, p + 3) * f1 + at(work, q + 3) * f2 + at(work, w + 3) * f3)
             v3 = vc + (at(work, p + 5) * f1 + at(work, q + 5) * f2 + at(work, w + 5) * f3)
         d = _drives(layout, work, node + 6, u, (f0, f1, f2, f3))
-        g1, g2, g3 = _three_forces(layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), d)
+        g1, g2, g3 = _three_forces(layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), d,
+                                   direction)
         if flows:
             e1, e2, e3, crossed = flow_steps(
                 layout, theta, work, (x0, x1, x2, x3), (v0, v1, v2, v3), (d0, d[0], d[1], d[2]), u,
@@ -189,7 +193,7 @@ def _collocated(layout: Layout, theta: Array, work: Array, node: int, x0: float,
 
 @inlined
 def _three_forces(layout: Layout, theta: Array, work: Array, x: Four, v: Four,
-                  d: Three) -> Three:
+                  d: Three, direction: int) -> Three:
     """The forces of the effects at the three later points of a step, N."""
     g1 = g2 = g3 = 0.0
     out = at(layout, AT_HEAD) + OUT
@@ -199,6 +203,14 @@ def _three_forces(layout: Layout, theta: Array, work: Array, x: Four, v: Four,
             pointer(theta, at(layout, entry + OWN)), pointer(work, out), THREE))
         g2 += at(work, out)
         g3 += at(work, out + 1)
+    if at(layout, FRICTIONS) == at(layout, BRISTLE_STEPS + 1):  # the two stand side by side
+        return g1, g2, g3
+    for entry in range(at(layout, FRICTIONS), at(layout, FRICTIONS + 1), ENTRY):
+        g1 -= direction * call_force(at(layout, entry + CODE), (
+            x[1], x[2], x[3], v[1], v[2], v[3], d[0], d[1], d[2],
+            pointer(theta, at(layout, entry + OWN)), pointer(work, out), THREE))
+        g2 -= direction * at(work, out)
+        g3 -= direction * at(work, out + 1)
     z, moved = at(layout, AT_BRISTLE), at(layout, AT_SCRATCH) + at(layout, ORDER)
     for entry in range(at(layout, BRISTLE_STEPS), at(layout, BRISTLE_STEPS + 1), ENTRY):
         own = at(layout, entry + FIRST)
@@ -305,7 +317,8 @@ def stick(layout: Layout, theta: Array, work: Array, table: int, u: float, force
             drive += work[node + 6 * j + 3 + i] * work[state + j]
         push = (rest + point_force(layout, theta, FORCES, x, 0.0, drive) - hold
                 + flowing[i] + outside(force, r0 + dr * POINTS[i]))
-        if not abs(push) <= theta[DRY_FRICTION]:        # not a number is no answer
+        dry = friction(layout, theta, x, 0.0, drive)
+        if not abs(push) <= dry:                        # not a number is no answer
             return REVERSAL
     for i in range(n):
         total = work[end + n * n + i] * u
@@ -356,7 +369,7 @@ def advance_piece(layout: Layout, theta: Array, work: Array, which: int, u: floa
         table = which * layout[LEVELS] + level
         if directed and mode == 0:
             push = pushed(layout, theta, work, u, force, r)
-            if abs(push) > theta[DRY_FRICTION]:
+            if push != 0.0:
                 mode = 1 if push > 0.0 else -1
                 _rescale(work, head, 0.0)
                 continue

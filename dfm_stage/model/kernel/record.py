@@ -6,10 +6,11 @@ import numpy as np
 
 from dfm_stage.model.kernel.algebra import outside, row_value
 from dfm_stage.model.kernel.compiled import at, compiled, entry, lean
-from dfm_stage.model.kernel.events import bristle_force
+from dfm_stage.model.kernel.events import bristle_force, friction
 from dfm_stage.model.kernel.flows import flow_force
 from dfm_stage.model.kernel.hooks import (
     add_to_commands,
+    command_inputs,
     encode_means,
     other_stiffness,
     point_force,
@@ -32,7 +33,6 @@ from dfm_stage.model.kernel.slots import (
     CURRENT,
     CURVED,
     DIRECTED,
-    DRY_FRICTION,
     ENCODES,
     FORCE,
     FORCE_CONSTANT,
@@ -52,6 +52,7 @@ from dfm_stage.model.kernel.slots import (
     ROW_FORCE_IN,
     ROW_HOLD,
     ROW_POSITION,
+    ROW_READING,
     ROW_VELOCITY,
     ROWS,
     SAMPLE,
@@ -136,6 +137,7 @@ def _applied(layout: Layout, theta: Array, work: Array, inputs: Array) -> Array:
         applied[k] = history[k]
     for k in range(samples):
         applied[back + k] = inputs[k]
+    command_inputs(layout, theta, work, applied[back:], head[PERIOD])
     for k in range(back):
         history[k] = applied[samples + k]
     for k in range(samples + back):
@@ -210,7 +212,7 @@ def _acceleration(layout: Layout, theta: Array, work: Array, u: float, force: Ar
             + flow_force(layout, theta, work, x, v, drive, u, 0.0, layout[AT_BRISTLE])
             - row_value(work, rows + ROW_HOLD * (n + 1), state, n, u)) + outside(force, 0.0)
     if layout[DIRECTED] == 1:
-        mode, dry = at(work, layout[AT_HEAD] + MODE), theta[DRY_FRICTION]
+        mode, dry = at(work, layout[AT_HEAD] + MODE), friction(layout, theta, x, v, drive)
         push -= mode * dry if mode != 0.0 else min(max(push, -dry), dry)
     return float(push * _mobility(block(work, layout, AT_ROWS, ROWS, n + 1), n))
 
@@ -251,7 +253,8 @@ def _signals(layout: Layout, rows: Array, theta: Array, states: Array, applied: 
              count: int, rows_out: Layout, out: Array) -> None:
     for signal in (POSITION, VELOCITY, READING, OUTPUT):
         if rows_out[signal] >= 0:
-            row = rows[ROW_VELOCITY if signal == VELOCITY else ROW_POSITION]
+            row = rows[ROW_VELOCITY if signal == VELOCITY else
+                       ROW_POSITION if signal == POSITION else ROW_READING]
             _signal(row, 1.0, states, applied, first, count, out[rows_out[signal]])
     if rows_out[CURRENT] >= 0:
         per_ohm = 1.0 / theta[RESISTANCE] if theta[RESISTANCE] > 0.0 else 1.0

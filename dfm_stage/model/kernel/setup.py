@@ -7,7 +7,8 @@ limited input u. `rows` has shape (ROWS, n + 1) and tells, in the same columns, 
 velocity of the driven point and the drive are; ROW_FORCE_IN holds ds/dt per newton at the point.
 
 An effect's stamp changes them: in the stage "modes" position, velocity and force input, in the
-stage "amplifier" the drive, in the stage "mechanics" it adds forces at the point.
+stage "amplifier" the drive, in the stage "mechanics" it adds forces at the point, and in the stage
+"sensor" it changes the reading, which is the position before.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from dfm_stage.model.kernel.algebra import exponential, fill, put_scaled, row_value
 from dfm_stage.model.kernel.compiled import compiled, entry, lean
-from dfm_stage.model.kernel.hooks import stamp, start_states
+from dfm_stage.model.kernel.hooks import command_inputs, stamp, start_states
 from dfm_stage.model.kernel.slots import (
     AMPERES,
     AMPLIFIER,
@@ -32,6 +33,7 @@ from dfm_stage.model.kernel.slots import (
     AT_HISTORY,
     AT_INITIAL,
     AT_NODE,
+    AT_REGISTERS,
     AT_ROWS,
     AT_STAGES,
     AT_STATE,
@@ -64,10 +66,12 @@ from dfm_stage.model.kernel.slots import (
     ROW_FORCE_IN,
     ROW_HOLD,
     ROW_POSITION,
+    ROW_READING,
     ROW_VELOCITY,
     ROWS,
     SAMPLE,
     SCALE,
+    SENSOR_STAMPS,
     SLOPE,
     STEP,
     STEPS,
@@ -82,6 +86,8 @@ from dfm_stage.model.kernel.tables import fastest_rate, fill_tables, hold_row
 
 SHORTEST = 0.2
 """The shortest step times the fastest rate, for which the Taylor series of events are exact."""
+SETTLED_S = 1e12
+"""The constant input before a record has lasted so long, s."""
 SMOOTH_LEVELS = 9
 """Levels of halving where no force has a kink or a reversal to come close to."""
 INSTANT = 1e-6
@@ -132,6 +138,10 @@ def assemble(layout: Layout, theta: Array, period: float, a: Array,
             for j in range(n + 1):
                 a[i, j] += share * rows[ROW_DRIVE, j]
     stamp(layout, theta, MECHANICS_STAMPS, a, rows)
+
+    for j in range(n + 1):
+        rows[ROW_READING, j] = rows[ROW_POSITION, j]
+    stamp(layout, theta, SENSOR_STAMPS, a, rows)
 
 
 @compiled
@@ -234,9 +244,14 @@ def reset(layout: Layout, theta: Array, past_input: float, work: Array) -> None:
     for i in range(n + layout[BRISTLES]):           # the bristles stand behind the state
         work[layout[AT_STATE] + i] = theta[layout[AT_INITIAL] + i]
     start_states(layout, theta, state)
+    for k in range(layout[AT_REGISTERS], layout[AT_A]):
+        work[k] = 0.0
     first = layout[AT_HISTORY]
-    for k in range(layout[HISTORY]):
-        work[first + k] = past_input
+    work[first] = past_input
+    if past_input != 0.0:
+        command_inputs(layout, theta, work, work[first:first + 1], SETTLED_S)
+    for k in range(1, layout[HISTORY]):
+        work[first + k] = work[first]
     head[SAMPLE] = head[STEPS] = 0.0
     restart(layout, work)
 

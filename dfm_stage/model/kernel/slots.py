@@ -28,12 +28,13 @@ ABSENT = {"force_constant": 1.0, "command_limit": math.inf}
 ORDER, HISTORY, CURVED, DIRECTED, LEVELS, BRISTLES, USES_SPEED, USES_DRIVE = range(8)
 # BRISTLES counts the states behind the linear ones; the first KEPT of them rest where the point
 # rests, the others are those of flows
-AT_HEAD, AT_STATE, AT_BRISTLE, AT_HISTORY, AT_A, AT_ROWS, AT_DISCRETE, AT_HELD, AT_NODE, AT_END, \
-    AT_STICK_NODE, AT_STICK_END, AT_SCRATCH, WORK_SIZE = range(8, 22)
-AT_INITIAL, AMPLIFIER_STATE, COIL_STATE, KEPT, AT_STAGES = range(22, 27)
+AT_HEAD, AT_STATE, AT_BRISTLE, AT_HISTORY, AT_REGISTERS, AT_A, AT_ROWS, AT_DISCRETE, AT_HELD, \
+    AT_NODE, AT_END, AT_STICK_NODE, AT_STICK_END, AT_SCRATCH, WORK_SIZE = range(8, 23)
+AT_INITIAL, AMPLIFIER_STATE, COIL_STATE, KEPT, AT_STAGES = range(23, 28)
 # for each table of hooks the index of its first entry; a table ends where the next one begins
-MODE_STAMPS, AMPLIFIER_STAMPS, MECHANICS_STAMPS, STARTS, FORCES, ACTUATOR_FORCES, BRISTLE_STEPS, \
-    SENSES, ENCODES, OTHER_FORCES, FLOWS, ADDED, TABLES_END, LAYOUT_FIXED = range(27, 41)
+MODE_STAMPS, AMPLIFIER_STAMPS, MECHANICS_STAMPS, SENSOR_STAMPS, STARTS, FORCES, ACTUATOR_FORCES, \
+    FRICTIONS, BRISTLE_STEPS, SENSES, ENCODES, OTHER_FORCES, FLOWS, ADDED, COMMANDS, TABLES_END, \
+    LAYOUT_FIXED = range(28, 45)
 # an entry of a table: address of the machine code, its parameters in `theta`, its first state
 CODE, OWN, FIRST, ENTRY = range(4)
 
@@ -42,9 +43,10 @@ PERIOD, SAMPLE, WHOLE, FRACTION, MODE, LEVEL, SCALE, DEPTH, SLOPE, CURVATURE, \
     CUBIC_PART, STEP, TRIED, STEPS, NOW, SPAN, AMPERES, OUT = range(18)
 HEAD_SIZE = OUT + 3         # what the hooks return beside their result
 
-# rows of the block AT_ROWS; the last one is filled where friction can hold the point
-ROW_POSITION, ROW_VELOCITY, ROW_DRIVE, ROW_FORCE_IN, ROW_HOLD = range(5)
-ROWS = 5
+# rows of the block AT_ROWS; the reading is the position as the sensor gives it, and what holds the
+# point is filled where friction can
+ROW_POSITION, ROW_VELOCITY, ROW_DRIVE, ROW_FORCE_IN, ROW_HOLD, ROW_READING = range(6)
+ROWS = 6
 
 # signals of a result
 POSITION, VELOCITY, CURRENT, FORCE, READING, OUTPUT, ACCELERATION = range(7)

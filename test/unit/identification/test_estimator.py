@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from dfm_stage.identification import Problem, Run, Unknown
+from dfm_stage.identification import Problem, Run, Unknown, fit_model
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.fit import search
 from dfm_stage.identification.system import System, rounding_step
@@ -175,3 +175,12 @@ def test_a_value_left_next_to_zero_does_not_freeze_the_search():
     found = search(system, white(system), system.start, iterations=60)
     assert found.chi2 < 1.1 * N
     assert found.model.base["delay"] == pytest.approx(1.3e-3, rel=0.05)
+
+
+def test_a_small_parameter_beside_a_large_one_of_another_unit_is_not_at_its_limit():
+    values = {"stiffness": 600.0, "yield_displacement": 3e-4}
+    model = STAGE.with_effect("hysteresis", values)
+    found = fit_model(model, [run_of(model, noise=1e-8)], [
+        "damping", *(f"hysteresis.{n}" for n in values)])
+    for n, value in values.items():
+        assert found.model.parameters()[f"hysteresis.{n}"] == pytest.approx(value, rel=0.02)

@@ -11,10 +11,17 @@ from stage_equations import Equations, hold_segments
 
 def coulomb(given: dict[str, float], friction: float, inputs: np.ndarray, period: float,
             start: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """States (N, 8) with Coulomb friction at the point, events located by SciPy.
+    """States with Coulomb friction at the point, see `dry_friction`."""
+    return dry_friction(given, lambda x, v, d: friction, inputs, period, start)
 
-    In slip the friction is constant; at a reversal the stage sticks when friction can hold it,
-    and leaves when the other forces exceed the friction. One mode only.
+
+def dry_friction(given: dict[str, float], most, inputs: np.ndarray, period: float,
+                 start: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """States (N, 21) with dry friction at the point, events located by SciPy.
+
+    most(x, v, d) is the friction (N) at position, speed and actuator force. At a reversal the
+    stage sticks when friction can hold it, and leaves when the other forces exceed the friction.
+    One mode only.
     """
     equations = Equations(given)
     y = equations.start()
@@ -27,6 +34,9 @@ def coulomb(given: dict[str, float], friction: float, inputs: np.ndarray, period
         return (equations.force(y, u, t) - given.get("stiffness", 0.0) * y[0]
                 - given.get("damping", 0.0) * y[1])
 
+    def friction(y: np.ndarray, u: float) -> float:
+        return most(y[0], abs(y[1]), given["force_constant"] * equations.drive(y, u))
+
     for pieces in hold_segments(inputs, period, delay):
         states.append(y)
         for begin, end, u in pieces:
@@ -34,7 +44,7 @@ def coulomb(given: dict[str, float], friction: float, inputs: np.ndarray, period
             while t < end - 1e-15:
                 if mode == 0:
                     push = net(t, y, u)
-                    if abs(push) > friction * (1 + 1e-12):
+                    if abs(push) > friction(y, u) * (1 + 1e-12):
                         mode = 1 if push > 0 else -1
                         continue
 
@@ -44,7 +54,7 @@ def coulomb(given: dict[str, float], friction: float, inputs: np.ndarray, period
                         return rates
 
                     def breakaway(t: float, y: np.ndarray, u: float = u) -> float:
-                        return abs(net(t, y, u)) - friction
+                        return abs(net(t, y, u)) - friction(y, u)
 
                     breakaway.terminal, breakaway.direction = True, 1
                     got = solve_ivp(held, (t, end), y, method="DOP853", rtol=1e-10, atol=1e-15,
@@ -58,13 +68,13 @@ def coulomb(given: dict[str, float], friction: float, inputs: np.ndarray, period
 
                     reversal.terminal, reversal.direction = True, -mode
                     got = solve_ivp(lambda t, y, u=u, m=mode: equations.rates(
-                        t, y, u, -m * friction), (t, end), y, method="DOP853", rtol=1e-10,
+                        t, y, u, -m * friction(y, u)), (t, end), y, method="DOP853", rtol=1e-10,
                         atol=1e-15, events=reversal)
                     y, t = got.y[:, -1].copy(), got.t[-1]
                     if got.status == 1:
                         y[1] = 0.0
                         push = net(t, y, u)
-                        mode = 0 if abs(push) <= friction else int(np.sign(push))
+                        mode = 0 if abs(push) <= friction(y, u) else int(np.sign(push))
     return np.array(states)
 
 
@@ -107,6 +117,19 @@ def lugre(p: dict[str, float]):
 
     def force(v: float, z: float) -> float:
         return -p["stiffness"] * z - p.get("damping", 0.0) * rate(v, z)
+    return rate, force
+
+
+def hardening(p: dict[str, float]):
+    """rate(v, z), force(v, z) of a Bouc-Wen loop z' = v - beta |v| z + gamma v |z| that hardens;
+    z in metres."""
+    beta, gamma = p["shape"] / p["distance"], (1.0 + p["shape"]) / p["distance"]
+
+    def rate(v: float, z: float) -> float:
+        return v - beta * abs(v) * z + gamma * v * abs(z)
+
+    def force(v: float, z: float) -> float:
+        return -p["stiffness"] * z
     return rate, force
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import ast
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dfm_stage.model
-from dfm_stage.model import BASE_PARAMETERS, EFFECTS, Model, Simulator
+from dfm_stage.model import BASE_PARAMETERS, EFFECTS, Model, ModelError, Simulator
 from dfm_stage.model.effect_table import effect_table
+from dfm_stage.model.registry import ALL, ON_REQUEST, library_of
 
 NAMES = [
     "cubic_stiffness", "quadratic_stiffness", "coulomb_friction", "presliding_friction",
@@ -20,6 +23,7 @@ NAMES = [
     "second_mode", "cross_axis_coupling", "encoder_quantization", "encoder_periodic_error",
     "creep", "thermal_drift", "periodic_disturbance", "eddy_current_damping",
 ]
+EVERY = sorted(library_of([ALL]))
 BASE = {"mass": 1.0, "damping": 2.0, "stiffness": 600.0, "coil_resistance": 8.0}
 ROOT = Path(dfm_stage.model.__file__).parents[2]
 
@@ -33,17 +37,38 @@ def test_the_table_in_docs_is_what_the_registry_says() -> None:
 
 
 def test_library_is_complete() -> None:
-    assert set(NAMES) <= set(EFFECTS)
+    assert set(NAMES) == set(EFFECTS) == set(library_of())
 
 
-@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_effects_on_request_are_known_and_not_listed() -> None:
+    assert all(name in EFFECTS and EFFECTS.get(name).name == name for name in ON_REQUEST)
+    assert not set(ON_REQUEST) & set(EFFECTS)
+    assert library_of(["gravity", ALL]) == list(dict.fromkeys(["gravity", *EFFECTS, *ON_REQUEST]))
+    assert library_of(["creep", "gravity"]) == ["creep", "gravity"]
+    with pytest.raises(ModelError, match="did you mean gravity"):
+        Model("m", 1e-3, BASE).with_effect("gravitiy", {})
+
+
+def test_effects_on_request_are_loaded_when_they_are_asked_for() -> None:
+    code = """
+import sys
+from dfm_stage.model import EFFECTS, load_model
+there = {m for m in sys.modules if m.startswith("dfm_stage.model.effects.on_request.")}
+assert "gravity" in EFFECTS and not there, there
+assert EFFECTS["gravity"].name == "gravity"
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize("name", EVERY)
 def test_effect_describes_itself(name: str) -> None:
     effect = EFFECTS[name]
     assert effect.name == name
     assert effect.meaning
     assert effect.source
     assert effect.shown_by
-    module = Path(dfm_stage.model.__file__).parent / "effects" / f"{name}.py"
+    folder = Path(dfm_stage.model.__file__).parent / "effects"
+    module = folder / ("on_request" if name in ON_REQUEST else "") / f"{name}.py"
     assert "Source:" in (ast.get_docstring(ast.parse(module.read_text())) or "")
     assert set(effect.priors) == {p.name for p in effect.parameters}
     for parameter in effect.parameters:
@@ -51,7 +76,7 @@ def test_effect_describes_itself(name: str) -> None:
         assert parameter.low <= prior.low < prior.high <= parameter.high
         assert prior.low > 0.0 or not prior.log
         assert parameter.low <= parameter.default <= parameter.high
-    known = {*EFFECTS, *(p.name for p in BASE_PARAMETERS)}
+    known = {*EVERY, *(p.name for p in BASE_PARAMETERS)}
     for equivalence in effect.classes:
         assert name in equivalence.members
         assert set(equivalence.members) <= known
@@ -59,7 +84,7 @@ def test_effect_describes_itself(name: str) -> None:
         assert equivalence.split_by
 
 
-@pytest.mark.parametrize("name", sorted(n for n, e in EFFECTS.items() if e.fit is not None))
+@pytest.mark.parametrize("name", [n for n in EVERY if EFFECTS[n].fit is not None])
 def test_coordinates_for_fitting_are_one_to_one(name: str) -> None:
     effect = EFFECTS[name]
     assert effect.coordinates is not None
@@ -72,7 +97,16 @@ def test_coordinates_for_fitting_are_one_to_one(name: str) -> None:
     np.testing.assert_allclose(effect.coordinates.backward(fitted), values, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", sorted(EFFECTS))
+@pytest.mark.parametrize("name", [n for n in EVERY if EFFECTS[n].twins])
+def test_twins_are_given_parameters_that_they_have(name: str) -> None:
+    effect = EFFECTS[name]
+    for twin, parameters in effect.twins.items():
+        given = parameters({n: prior.typical for n, prior in effect.priors.items()})
+        assert set(given) <= set(EFFECTS[twin].defaults)
+        assert Model("m", 1e-3, BASE).with_effect(twin, {**EFFECTS[twin].defaults, **given})
+
+
+@pytest.mark.parametrize("name", EVERY)
 def test_effect_runs_within_its_priors_and_changes_something(name: str) -> None:
     """In the middle of its prior each effect is seen in a large fast record."""
     effect = EFFECTS[name]

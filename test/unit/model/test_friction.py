@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
-from friction_equations import bouc_wen, coulomb, fine_steps, lugre
+from friction_equations import (
+    bouc_wen,
+    coulomb,
+    dry_friction,
+    fine_steps,
+    hardening,
+    lugre,
+)
 from scipy.integrate import solve_ivp
 from stage_equations import integrate
 
@@ -60,6 +69,55 @@ def test_coulomb_without_amplifier_lag_and_with_moving_force_constant() -> None:
     assert error(ours.position, states[:, 0]) < 1e-8
 
 
+DRY = {
+    "stribeck_friction": ({"force": 0.3, "sliding_ratio": 0.5, "stribeck_velocity": 5e-3,
+                           "exponent": 1.5},
+                          lambda x, v, d: 0.3 * (0.5 + 0.5 * math.exp(-(v / 5e-3)**1.5))),
+    "position_dependent_friction": ({"force": 0.1, "length": 4e-4, "centre": 2e-4},
+                                    lambda x, v, d: 0.1 * (1 + ((x - 2e-4) / 4e-4)**2)),
+    "load_dependent_friction": ({"force": 0.1, "load": 0.7},
+                                lambda x, v, d: 0.1 * (1 + abs(d) / 0.7)),
+}
+
+
+@pytest.mark.parametrize("name", sorted(DRY))
+@pytest.mark.parametrize("amplitude", [0.3, 1.0])
+def test_dry_friction_that_varies(name: str, amplitude: float) -> None:
+    values, most = DRY[name]
+    inputs = drive(250, 3, amplitude)
+    model = Model("test", PERIOD, BASE).with_effect(name, values)
+    ours = Simulator(model).run(inputs, initial={"position": 2e-4})
+    states = dry_friction(BASE, most, inputs, PERIOD, (2e-4, 0.0))
+    if amplitude < 1.0:
+        assert np.mean(states[:, 1] == 0.0) > 0.01
+    assert np.array_equal(ours.velocity == 0.0, states[:, 1] == 0.0)
+    assert error(ours.position, states[:, 0]) < 1e-5
+
+
+@pytest.mark.parametrize("name", sorted(DRY))
+def test_a_dry_force_sticks_as_coulomb_friction_does(name: str) -> None:
+    """In the limit in which they are the same effect, sample by sample."""
+    limit = {"stribeck_friction": {"force": 0.2, "sliding_ratio": 1.0, "stribeck_velocity": 1.0},
+             "position_dependent_friction": {"force": 0.2, "length": 1e3},
+             "load_dependent_friction": {"force": 0.2, "load": 1e9}}[name]
+    inputs = drive(250, 5, 0.4)
+    stage = Model("test", PERIOD, BASE).with_effect("cubic_stiffness", {"k3": 3e6})
+    same = Simulator(stage.with_effect("coulomb_friction", {"force": 0.2})).run(inputs)
+    ours = Simulator(stage.with_effect(name, limit)).run(inputs)
+    assert np.mean(same.velocity == 0.0) > 0.05
+    assert np.array_equal(ours.velocity == 0.0, same.velocity == 0.0)
+    assert error(ours.position, same.position) < 1e-8
+
+
+def test_a_dry_force_beside_coulomb_friction_adds_to_it() -> None:
+    inputs = drive(250, 3, 1.0)
+    values, most = DRY["position_dependent_friction"]
+    model = (Model("test", PERIOD, BASE).with_effect("coulomb_friction", {"force": 0.15})
+             .with_effect("position_dependent_friction", values))
+    states = dry_friction(BASE, lambda x, v, d: 0.15 + most(x, v, d), inputs, PERIOD)
+    assert error(Simulator(model).run(inputs).position, states[:, 0]) < 1e-6
+
+
 def test_released_stage_stops_where_the_envelope_says() -> None:
     """Free vibration with Coulomb friction loses 4 F/k of amplitude a cycle, exactly."""
     base = {"mass": 1.0, "stiffness": 600.0}
@@ -103,6 +161,15 @@ def test_coulomb_with_a_second_mode_against_a_smoothed_fine_integration() -> Non
                 method="LSODA", rtol=1e-9, atol=1e-13).y[:, -1]
     assert np.mean(ours.velocity == 0.0) > 0.01
     assert error(ours.position, np.array(x)) < 1e-3
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 0.1])
+def test_hardening_hysteresis(amplitude: float) -> None:
+    inputs = drive(100, 2, amplitude)
+    values = {"stiffness": 300.0, "distance": 6e-4, "shape": 1.7}
+    model = Model("test", PERIOD, STATIC).with_effect("hardening_hysteresis", values)
+    ours = Simulator(model).run(inputs).position
+    assert error(ours, fine_steps(STATIC, inputs, PERIOD, 250, *hardening(values))) < 1e-4
 
 
 @pytest.mark.parametrize("values", [

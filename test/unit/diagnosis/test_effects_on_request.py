@@ -1,0 +1,97 @@
+"""Each effect on request is named, where it is asked for, on a stage that has it at clear size."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis import DiagnosisError, diagnose
+from dfm_stage.identification import Run, fit_model
+from dfm_stage.model import Model, Simulator
+from dfm_stage.recording import AxisRecord, Provenance, Record
+
+PERIOD, SAMPLES, NOISE = 1e-3, 4000, 2e-7
+STIFFNESS = (2.0 * np.pi * 20.0) ** 2
+BASE = {"mass": 1.0, "damping": 4.0, "stiffness": STIFFNESS, "force_constant": 1.0, "noise": NOISE}
+STAGE = Model("s", PERIOD, BASE)
+BELIEVED = STAGE.with_parameters({"damping": 3.8, "stiffness": 1.01 * STIFFNESS})
+CASES = {
+    "backlash": ({"stiffness": 0.2 * STIFFNESS, "gap": 8e-4},
+                 ("cubic_stiffness", "quadratic_damping")),
+    "coil_heating": ({"rise": 2e-3, "time_constant": 0.5},
+                     ("force_constant_droop", "saturation")),
+    "cogging": ({"amplitude": 0.05, "period": 2e-4},
+                ("cubic_stiffness", "encoder_periodic_error")),
+    "dead_zone": ({"width": 0.05}, ("saturation", "coulomb_friction")),
+    "directional_friction": ({"difference": 0.3}, ("quadratic_damping", "quadratic_stiffness")),
+    "end_stop": ({"stiffness": 5.0 * STIFFNESS, "position": 1.3e-3},
+                 ("cubic_stiffness", "quadratic_stiffness")),
+    "gravity": ({"weight": 0.6, "length": 4e-4}, ("cubic_stiffness", "quadratic_damping")),
+    "hardening_hysteresis": ({"stiffness": 0.02 * STIFFNESS, "distance": 1e-3, "shape": 1.5},
+                             ("hysteresis", "cubic_stiffness")),
+    "load_dependent_friction": ({"force": 0.05, "load": 1.0},
+                                ("coulomb_friction", "quadratic_damping")),
+    "one_sided_cable": ({"stiffness": 0.01 * STIFFNESS, "slack": 1e-4},
+                        ("quadratic_stiffness", "cubic_stiffness")),
+    "position_dependent_friction": ({"force": 0.05, "length": 3e-4},
+                                    ("coulomb_friction", "quadratic_damping")),
+    "prandtl_ishlinskii": ({"weight": 0.1, "range": 2.0}, ("hysteresis", "saturation")),
+    "sensor_clipping": ({"limit": 1e-3}, ("saturation", "cubic_stiffness")),
+    "sensor_lag": ({"time_constant": 2e-4}, ("amplifier_bandwidth", "transport_delay")),
+    "sensor_mount": ({"frequency": 60.0, "damping_ratio": 0.02},
+                     ("creep", "transport_delay")),
+    "slew_limit": ({"rate": 800.0}, ("amplifier_bandwidth", "saturation")),
+    "stiffness_drift": ({"rate": 0.005 * STIFFNESS}, ("cubic_stiffness", "thermal_drift")),
+    "stribeck_friction": ({"force": 0.1, "sliding_ratio": 0.5, "stribeck_velocity": 0.01},
+                          ("coulomb_friction", "quadratic_damping")),
+    "structural_damping": ({"loss_stiffness": 0.02 * STIFFNESS}, ("creep", "quadratic_damping")),
+    "supply_sag": ({"sag": 0.01, "time_constant": 0.1}, ("force_constant_droop", "saturation")),
+}
+"""Effect on request -> its parameters and two rivals of the usual library."""
+TOLERANCE = 0.02
+"""Relative error of a parameter that the noise lets be."""
+CLASSES = {"sensor_lag": {"sensor_lag", "amplifier_bandwidth"}}
+"""Those that these records do not part from others."""
+
+
+def record(name: str, values: dict[str, float], seed: int, amplitude: float) -> Record:
+    """A multisine from 0.5 to 100 Hz, V RMS, with noise on the reading."""
+    rng = np.random.default_rng(seed)
+    t = PERIOD * np.arange(SAMPLES)
+    f = np.arange(0.5, 100.0, 0.5)
+    feed = np.cos(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.283, (f.size, 1))).sum(axis=0)
+    feed *= amplitude / np.std(feed)
+    moved = Simulator(STAGE.with_effect(name, values)).run(feed)
+    return Record(t, PERIOD, {"x": AxisRecord(feed, moved.measured(seed))},
+                  Provenance(f"run {seed}", "csv"))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_fit_finds_the_parameters(name: str) -> None:
+    values, _ = CASES[name]
+    run = record(name, values, 10, 3.0).axes["x"]
+    off = STAGE.with_effect(name, {n: 0.97 * v for n, v in values.items()})
+    free = ["damping", "stiffness", *(f"{name}.{n}" for n in values)]
+    found = fit_model(off, [Run("r", run.input, run.position, PERIOD)], free).model.parameters()
+    assert {n: found[f"{name}.{n}"] for n in values} == pytest.approx(values, rel=TOLERANCE)
+
+
+def test_who_asks_for_an_unknown_effect_is_told_of_all() -> None:
+    run = Record(PERIOD * np.arange(100), PERIOD, {"x": AxisRecord(np.ones(100), np.ones(100))},
+                 Provenance("run", "csv"))
+    with pytest.raises(DiagnosisError, match=r"no effect hum.*creep.*gravity"):
+        diagnose([run], BELIEVED, library=["hum"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_the_effect_or_its_class_is_named(name: str) -> None:
+    values, rivals = CASES[name]
+    runs = [record(name, values, 10 + k, a) for k, a in enumerate((3.0, 1.5, 2.0))]
+    found = diagnose(runs[:2], BELIEVED, holdout=runs[2:], library=(name, *rivals))
+    members = CLASSES.get(name, {name})
+    assert [set(e.members) for e in found.effects] == [members]
+    assert found.verdict == ("named" if len(members) == 1 else "ambiguous")
+    for parameter, value in values.items() if len(members) == 1 else ():
+        low, high = found.effects[0].parameters[parameter].ci95
+        assert low - (high - low) < value < high + (high - low), parameter
