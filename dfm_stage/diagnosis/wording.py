@@ -26,6 +26,7 @@ from dfm_stage.diagnosis.verdict import (
     other_form,
 )
 from dfm_stage.model import EFFECTS
+from dfm_stage.model.registry import ON_REQUEST
 from dfm_stage.quantity import format_quantity
 
 SENTENCES = {
@@ -42,8 +43,8 @@ SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHAR
          "record are held out; a record of another kind would be a harder test")
 CUT_SHORT = ("not compared to the end for want of work: {names}; diagnose shorter records or "
              "fewer effects (--without)")
-MOST_TIMES = 5
-"""Times of lost samples that are told."""
+MOST_TOLD = 5
+"""Times of lost samples, and effects on request, that are told."""
 COLOURED = ("{name}: what is left is stronger than its high frequencies, but neither input nor "
             "motion foretells it: noise with a colour, or a disturbance from outside, no gap")
 DOUBTS = {
@@ -143,7 +144,14 @@ def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
                 if not v.remainder and any(f.coloured for f in each)]
     return (*e.warnings, *([SPLIT] if e.split else []), *short, *coloured,
             *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
-              for d in v.doubts), *_disagreement(e, v))
+              for d in v.doubts), *_disagreement(e, v), *_not_tried(e, v))
+
+
+def _not_tried(e: Evidence, v: Verdict) -> Iterator[str]:
+    """Where something stays without a name, the effects that a diagnosis tries on request."""
+    if v.kind in ("unknown", "partial") and not {c.name for c in e.library} & set(ON_REQUEST):
+        yield (f"{len(ON_REQUEST)} further effects are tried on request (--library all), among "
+               f"them {', '.join(map(_spoken, ON_REQUEST[:MOST_TOLD]))}")
 
 
 def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:
@@ -161,8 +169,8 @@ def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:
 
 def lost_samples(name: str, times: Sequence[float]) -> str:
     """Where a record lacks samples."""
-    listed = ", ".join(f"{t:.6g}" for t in times[:MOST_TIMES])
-    more = ", ..." if len(times) > MOST_TIMES else ""
+    listed = ", ".join(f"{t:.6g}" for t in times[:MOST_TOLD])
+    more = ", ..." if len(times) > MOST_TOLD else ""
     many = "1 sample seems" if len(times) == 1 else f"{len(times)} samples seem"
     return (f"{name}: {many} to be missing, at {listed}{more} s, though the time stamps do not "
             "show it; what they must have been was put in")
