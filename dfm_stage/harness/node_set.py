@@ -26,10 +26,16 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.harness.domain import claim_domain
 from dfm_stage.harness.fork_server import NodeProcess, shared_fork_server
+from dfm_stage.middleware.hand_over import handing_over
 from dfm_stage.middleware.security import OVERRIDE, require_what_was_asked
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 from dfm_stage.nodes.base import node_class
-from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
+from dfm_stage.nodes.process import (
+    StopRequest,
+    helper_node,
+    make_executor,
+    steady_interpreter,
+)
 
 _ASK_AGAIN_S = 2.0
 _ASKED_BY_ONE = 3
@@ -119,7 +125,7 @@ class NodeSet:
             self._open()
             self.start_nodes()
             if self.composed:
-                quiet_collector()
+                steady_interpreter()
         except BaseException:
             self.close()
             raise
@@ -139,6 +145,7 @@ class NodeSet:
         self._cleanup.callback(self._let_go)
         self._cleanup.callback(self._context.try_shutdown)
         self._executor = make_executor(self._context)
+        self._cleanup.enter_context(handing_over(self._context, self._executor))
         self._client_node = helper_node("harness", "/stage", self._context)
         self._own_ports = PortWatch()
         self._client_node.create_subscription(DiagnosticArray, "/diagnostics",

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet, RunFailedError
+from dfm_stage.middleware.hand_over import Receiver
 from dfm_stage.middleware.wire import codec
 from dfm_stage.model import load_model
 from dfm_stage.nodes.base import LoopNode
@@ -296,10 +297,9 @@ class StageGraph(NodeSet):
         link, heard = LINKS[topic], []
         qos = LOCKSTEP_QOS if self.lockstep else LOSSY_QOS if lossy else PUBLISHER_QOS
         decode = codec(link.type).decode
-        subscription = self._client_node.create_subscription(
-            link.type, f"/stage/{axis}/{topic}", lambda data: heard.append(decode(data)),
-            qos, raw=True)
-        self.spin_until(lambda: subscription.get_publisher_count() > 0,
+        ears = Receiver(self._client_node, link.type, f"/stage/{axis}/{topic}",
+                        lambda data: heard.append(decode(data)), qos)
+        self.spin_until(lambda: ears.ros.get_publisher_count() > 0,
                         self._start_timeout_s, f"a publisher of {topic}")
         return heard
 

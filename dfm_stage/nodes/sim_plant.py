@@ -101,7 +101,7 @@ class SimPlant(LoopNode):
         self._period_ns = round(self._model.sample_period * 1e9)
         self.seq = 0
         self._published = False
-        self._clock_out = self.side_publisher("/clock")
+        self._clock_out = self.side_sender("/clock")
         self._axes = self._wire(names)
         self._stages = list({id(axis.stage): axis.stage for axis in self._axes}.values())
         self._next_ns: int | None = None
@@ -193,7 +193,7 @@ class SimPlant(LoopNode):
             if axis.current is not None:
                 axis.current.send(stamp_ns, self.seq, sample.current)
         if self.lockstep and self.seq:  # after what the loop waits for
-            self._clock_out.handle.publish_raw(encode_clock(stamp_ns))
+            self._clock_out.put(encode_clock(stamp_ns))
         for axis, sample in zip(self._axes, samples, strict=True):
             axis.truth.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
                             sample.current, sample.force_n)
