@@ -22,6 +22,8 @@ from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 
 _GIVE_UP_SAMPLES = 100
+SEEDS_APART = 1000
+"""From the seed of one axis to that of the next, where each has a plant of its own."""
 
 
 class _Stage:
@@ -118,7 +120,7 @@ class SimPlant(LoopNode):
         known = self._model.axis_names
         seed = self.settings["seed"]
         if not known:
-            return [_Axis(self, name, _Stage(self._model, seed + 1000 * index), 0)
+            return [_Axis(self, name, _Stage(self._model, seed + SEEDS_APART * index), 0)
                     for index, name in enumerate(names)]
         for name in names:
             if name not in known:

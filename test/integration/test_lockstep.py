@@ -42,10 +42,11 @@ def run(bag, experiments=(SCAN,), **options):
     return results
 
 
-@pytest.mark.parametrize("composed", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_a_run_in_processes_is_identical_to_another(composed, tmp_path):
+@pytest.mark.parametrize("layout", ["composed", "per_axis", pytest.param(
+    "processes", marks=pytest.mark.slow)])
+def test_a_run_in_processes_is_identical_to_another(layout, tmp_path):
     run(tmp_path / "a", (SHAKE, SCAN), composed=False)
-    run(tmp_path / "b", (SHAKE, SCAN), composed=composed)
+    run(tmp_path / "b", (SHAKE, SCAN), layout=layout)
     first, second = content(tmp_path / "a"), content(tmp_path / "b")
     for topic in LOOP:
         assert first[f"/stage/x/{topic}"] == second[f"/stage/x/{topic}"], topic
