@@ -52,8 +52,8 @@ COMMON = (
 LOOP_HEALTH = "loop_health"
 PRIORITY = Setting(
     "realtime_priority", 20, "SCHED_RR priority of the node's process (recorder: 10) where the "
-    "user has the right to it (rtprio in limits.conf); 0 = none; not in a process that the node "
-    "shares", "", 0, 99)
+    "user has the right to it (rtprio in limits.conf); 0 = none; of nodes that share a process, "
+    "the first that is no recorder sets it; not in the process of a program", "", 0, 99)
 
 
 class Publisher(Sender):
