@@ -32,6 +32,7 @@ TOOLS: dict[str, str] = {
     "compare": "several models beside the same records, in one table and one picture",
     "check": "whether a model still explains its machine, by new records; exit code 1 if not",
     "view": "the loop as it runs, on a page for this machine: errors, faults, arm, stop",
+    "compose": "several nodes in one process, where they hand messages over by a call",
     "diagnose_batch": "diagnose many bags, each by itself, on all cores or a Dask cluster",
     "emulate": "a serial device that is not there, on a pseudo-terminal, with faults to order",
     "learn": "repeat a scan on the graph until its error is learnt away; keep and replay that",

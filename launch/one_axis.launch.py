@@ -8,6 +8,8 @@ from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
 
+LAYOUTS = ("processes", "per_axis", "composed")
+AXES = ("x",)
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 
 
@@ -17,16 +19,28 @@ def nodes(context):
     parameters = [LaunchConfiguration("parameters"),
                   *([{"sample_period_s": float(period)}] if period else [])]
 
-    def node(name, namespace, condition=None):
+    recording = IfCondition(LaunchConfiguration("record"))
+    names = {axis: [f"/stage/{axis}/{name}" for name in AXIS_NODES] for axis in AXES}
+    names[AXES[0]].insert(0, "/stage/sim_plant")
+
+    def alone(full_name, condition=None):
+        namespace, _, name = full_name.rpartition("/")
         return Node(package="dfm_stage", executable=name, namespace=namespace, name=name,
                     parameters=parameters, output="screen", condition=condition,
-                    ros_arguments=["--enclave", f"{namespace}/{name}"])
+                    ros_arguments=["--enclave", full_name])
 
-    return [
-        node("recorder", "/stage", IfCondition(LaunchConfiguration("record"))),
-        node("sim_plant", "/stage"),
-        *[node(name, "/stage/x") for name in AXIS_NODES],
-    ]
+    def together(full_names):
+        return Node(package="dfm_stage", executable="compose", arguments=full_names,
+                    parameters=parameters, output="screen",
+                    ros_arguments=["--enclave", full_names[0]])
+
+    layout = LaunchConfiguration("layout").perform(context)
+    if layout == "composed":
+        first = ["/stage/recorder"] if recording.evaluate(context) else []
+        return [together([*first, *(name for axis in AXES for name in names[axis])])]
+    return [alone("/stage/recorder", recording), *(
+        [together(names[axis]) for axis in AXES] if layout == "per_axis" else
+        [alone(name) for axis in AXES for name in names[axis]])]
 
 
 def generate_launch_description():
@@ -39,5 +53,8 @@ def generate_launch_description():
                               "parameters say"),
         DeclareLaunchArgument("record", default_value="false",
                               description="record a bag into bags/<date and time>"),
+        DeclareLaunchArgument("layout", default_value="processes", choices=LAYOUTS,
+                              description="a process for each node, one for each axis and one for "
+                              "the recorder, or one for all"),
         OpaqueFunction(function=nodes),
     ])

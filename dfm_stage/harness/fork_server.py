@@ -30,6 +30,8 @@ from dfm_stage.errors import DfmError
 
 NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator", "sim_plant",
          "recorder")
+SEVERAL = "compose"
+"""What is asked for in place of a node, to run several: their full names come first."""
 _READ_ONCE = ("PYTHON", "NUMBA", "RMW_", "LD_", "OPENBLAS", "MKL")
 """What variables begin with that are read by imports: where one changes, a new process is due."""
 _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
@@ -215,7 +217,8 @@ def _run(request: Mapping[str, Any]) -> int:
     sys.argv = ["dfm_stage", kind, *arguments]
     sys.orig_argv = [sys.executable, "-m", "dfm_stage", kind, *arguments]
     interruption.end_at_once()
-    return int(importlib.import_module(f"dfm_stage.nodes.{kind}").main(arguments))
+    place = "harness" if kind == SEVERAL else "nodes"
+    return int(importlib.import_module(f"dfm_stage.{place}.{kind}").main(arguments))
 
 
 if __name__ == "__main__":

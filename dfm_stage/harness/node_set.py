@@ -25,11 +25,17 @@ from rclpy.parameter import Parameter as RosParameter
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.harness.domain import claim_domain
-from dfm_stage.harness.fork_server import NodeProcess, shared_fork_server
+from dfm_stage.harness.fork_server import SEVERAL, NodeProcess, shared_fork_server
+from dfm_stage.middleware.hand_over import handing_over
 from dfm_stage.middleware.security import OVERRIDE, require_what_was_asked
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 from dfm_stage.nodes.base import node_class
-from dfm_stage.nodes.process import StopRequest, helper_node, make_executor, quiet_collector
+from dfm_stage.nodes.process import (
+    StopRequest,
+    helper_node,
+    make_executor,
+    steady_interpreter,
+)
 
 _ASK_AGAIN_S = 2.0
 _ASKED_BY_ONE = 3
@@ -119,7 +125,7 @@ class NodeSet:
             self._open()
             self.start_nodes()
             if self.composed:
-                quiet_collector()
+                steady_interpreter()
         except BaseException:
             self.close()
             raise
@@ -139,6 +145,7 @@ class NodeSet:
         self._cleanup.callback(self._let_go)
         self._cleanup.callback(self._context.try_shutdown)
         self._executor = make_executor(self._context)
+        self._cleanup.enter_context(handing_over(self._context, self._executor))
         self._client_node = helper_node("harness", "/stage", self._context)
         self._own_ports = PortWatch()
         self._client_node.create_subscription(DiagnosticArray, "/diagnostics",
@@ -152,26 +159,48 @@ class NodeSet:
     def launch(self, kind: str, namespace: str, parameters: Mapping[str, Any],
                make: Callable[..., Any] | None = None) -> Launched:
         """Start one node of the set; one that `make` returns is always in this process."""
-        launched = Launched(kind, namespace, parameters=dict(parameters))
-        file = self.folder / f"{launched.full_name.strip('/').replace('/', '_')}.yaml"
-        file.write_text(json.dumps(
-            {launched.full_name: {"ros__parameters": dict(parameters)}}))
-        ros_args = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file),
-                    "--enclave", launched.full_name]
         if self.composed and make is None:
             make = node_class(kind)
-        if make is not None:
-            launched.node = make(context=self._context, cli_args=ros_args)
-            self.launched.append(launched)
-            self._executor.add_node(launched.node)
-            launched.node.begin()
-            return launched
-        launched.log = file.with_suffix(".log")
-        launched.process = shared_fork_server().start(kind, ros_args, launched.log, {
-            **{name: value for name, value in os.environ.items() if name != OVERRIDE},
-            "ROS_DOMAIN_ID": str(self._domain_id)})
+        if make is None:
+            return self.launch_together([(kind, namespace, parameters)])[0]
+        launched = Launched(kind, namespace, parameters=dict(parameters))
+        launched.node = make(context=self._context, cli_args=[
+            "--ros-args", "-r", f"__ns:={namespace}", "--params-file",
+            str(self._parameter_file([launched])), "--enclave", launched.full_name])
         self.launched.append(launched)
+        self._executor.add_node(launched.node)
+        launched.node.begin()
         return launched
+
+    def launch_together(self, nodes: Sequence[tuple[str, str, Mapping[str, Any]]]
+                        ) -> list[Launched]:
+        """Start nodes, each kind, namespace and parameters, in one process of their own."""
+        group = [Launched(kind, namespace, parameters=dict(parameters))
+                 for kind, namespace, parameters in nodes]
+        file = self._parameter_file(group)
+        ros_args = ["--ros-args", "--params-file", str(file), "--enclave", group[0].full_name]
+        one = len(group) == 1
+        process = shared_fork_server().start(
+            group[0].kind if one else SEVERAL,
+            [*ros_args, "-r", f"__ns:={group[0].namespace}"] if one else
+            [*(each.full_name for each in group), *ros_args], file.with_suffix(".log"), {
+                **{name: value for name, value in os.environ.items() if name != OVERRIDE},
+                "ROS_DOMAIN_ID": str(self._domain_id)})
+        for each in group:
+            each.process, each.log = process, file.with_suffix(".log")
+        self.launched += group
+        return group
+
+    def _parameter_file(self, group: Sequence[Launched]) -> Path:
+        name = group[0].full_name.strip("/").replace("/", "_")
+        file = self.folder / f"{name}.yaml"
+        file.write_text(json.dumps({
+            each.full_name: {"ros__parameters": each.parameters} for each in group}))
+        return file
+
+    def _together(self, launched: Launched) -> list[Launched]:
+        """Return the nodes that share a node's process, itself included."""
+        return [each for each in self.launched if each.process is launched.process]
 
     def wait_connected(self, apart: Mapping[str, Sequence[str]], deadline: float) -> None:
         """Wait until every node has met every other one.
@@ -231,7 +260,8 @@ class NodeSet:
         self.spin_until(lambda: time.monotonic() >= end, duration_s + 60.0, "the end of spin()")
 
     def signal_node(self, name: str, number: int) -> None:
-        """Send a signal to the process of a node, such as `/stage/x/controller`.
+        """Send a signal to the process of a node, such as `/stage/x/controller`, and so to all
+        nodes that share it.
 
         One that ends the process is waited for, and its end is not held against the set:
         `launch_again` starts the node anew.
@@ -245,14 +275,16 @@ class NodeSet:
         assert launched.process is not None  # noqa: S101 _process_of looked
         launched.process.send_signal(number)
         if number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            launched.ended = True
+            for each in self._together(launched):
+                each.ended = True
             try:
                 launched.process.wait(_ENDING_S)
             except subprocess.TimeoutExpired:
                 raise HarnessError(f"{name} does not end on signal {number}") from None
 
     def launch_again(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
-        """Start a node that `signal_node` ended, with `parameters` besides those it had.
+        """Start a node that `signal_node` ended, with `parameters` besides those it had, and all
+        that shared its process.
 
         Raises
         ------
@@ -262,9 +294,11 @@ class NodeSet:
         launched = self._process_of(name)
         if not launched.ended:
             raise HarnessError(f"{name} still runs: end it with signal_node first")
-        self.launched.remove(launched)
-        self.launch(launched.kind, launched.namespace,
-                    {**launched.parameters, **(parameters or {})})
+        group = self._together(launched)
+        self.launched = [each for each in self.launched if each not in group]
+        self.launch_together([(each.kind, each.namespace, {
+            **each.parameters, **((parameters or {}) if each is launched else {})})
+            for each in group])
 
     def _process_of(self, name: str) -> Launched:
         for launched in self.launched:
@@ -344,8 +378,9 @@ class NodeSet:
 
     def cpu_seconds(self) -> float:
         """Return the processor time that the node processes have used so far, s."""
-        stats = [Path(f"/proc/{launched.process.pid}/stat").read_text() for launched in
-                 self.launched if launched.process is not None and not launched.ended]
+        stats = [Path(f"/proc/{pid}/stat").read_text() for pid in {
+            launched.process.pid for launched in self.launched
+            if launched.process is not None and not launched.ended}]
         return sum(int(ticks) for stat in stats for ticks in stat.rpartition(")")[2].split()[11:13]
                    ) / os.sysconf("SC_CLK_TCK")
 
@@ -374,7 +409,8 @@ class NodeSet:
                 launched.node = None
 
     def _end_processes(self) -> None:
-        processes = [each.process for each in self.launched if each.process is not None]
+        processes = list({each.process.pid: each.process for each in self.launched
+                          if each.process is not None}.values())
         for process in processes:
             process.send_signal(signal.SIGINT)  # nothing, where it has ended
         deadline = time.monotonic() + 5.0

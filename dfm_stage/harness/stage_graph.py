@@ -17,15 +17,18 @@ from std_srvs.srv import Trigger
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet, RunFailedError
+from dfm_stage.middleware.hand_over import Receiver
 from dfm_stage.middleware.wire import codec
 from dfm_stage.model import load_model
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
+from dfm_stage.nodes.sim_plant import SEEDS_APART
 from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS, LOSSY_QOS, PUBLISHER_QOS
 from dfm_stage.recording import Record, read_record
 from dfm_stage.share import find_experiment
 from dfm_stage.trajectory import Experiment, load_experiment
 
+LAYOUTS = ("processes", "per_axis", "composed")
 SAMPLING = ("sim_plant", "controller", "trajectory_generator")
 AXIS_NODES = ("encoder_driver", "amplifier_driver", "controller", "trajectory_generator")
 STAGE_NODES = ("sim_plant", "recorder")
@@ -33,6 +36,8 @@ START_ORDER = ("recorder", "sim_plant", *AXIS_NODES)
 SIMULATED_STALE_S = 0.2
 SIMULATED_WATCHDOG_S = 0.5
 REARM_S = 3.0
+Node = tuple[str, str, Mapping[str, Any]]
+"""Kind, namespace, parameters."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +57,15 @@ class StageGraph(NodeSet):
         One or more axis names; each gets the four nodes of the loop in `/stage/<axis>`.
     model : str
         model.yaml the plant runs: a path or a name in config/models.
-    lockstep, composed : bool
-        Deterministic instead of paced by the clock; in this process instead of one each.
+    lockstep : bool
+        Deterministic instead of paced by the clock.
+    layout : str
+        `processes`: one for each node. `per_axis`: one for the nodes of each axis, and one for
+        the recorder. `composed`: all nodes in this process. In `per_axis` each axis has a plant
+        of its own, `/stage/<axis>/sim_plant`; where the model couples axes, or lockstep gives
+        them one clock, `/stage/sim_plant` is in the process of the first.
+    composed : bool
+        The same as layout="composed".
     bag : path, optional
         Folder of the new bag; without it nothing is recorded.
     parameters : mapping, optional
@@ -70,17 +82,21 @@ class StageGraph(NodeSet):
     Raises
     ------
     HarnessError
-        On entering, if a node does not come up; the message names it and its own last words.
+        If there is no such layout; on entering, if a node does not come up: the message names
+        it and its own last words.
     """
 
     def __init__(self, *, axes: Sequence[str] = ("x",), model: str = "paper_stage",
-                 lockstep: bool = False, composed: bool = False,
+                 lockstep: bool = False, composed: bool = False, layout: str = "processes",
                  bag: str | os.PathLike[str] | None = None,
                  parameters: Mapping[str, Mapping[str, Any]] | None = None,
                  nodes: Sequence[str] | None = None, seed: int = 0,
                  domain_id: int | None = None, start_timeout_s: float = 60.0,
                  sample_period_s: float | None = None) -> None:
-        super().__init__(composed, domain_id, start_timeout_s)
+        if layout not in LAYOUTS:
+            raise HarnessError(f"layout {layout!r}: choose one of {', '.join(LAYOUTS)}")
+        super().__init__(composed or layout == "composed", domain_id, start_timeout_s)
+        self._per_axis = layout == "per_axis" and not composed
         self.axes = tuple(axes)
         self.lockstep = lockstep
         self.bag = Path(bag) if bag is not None else None
@@ -128,10 +144,16 @@ class StageGraph(NodeSet):
         for kind in self._kinds:
             self._parameters[kind] = {**self._sampling(kind), **self._parameters[kind]}
         deadline = time.monotonic() + self._start_timeout_s
-        for kind in sorted(self._kinds, key=START_ORDER.index):
-            for namespace in ["/stage"] if kind in STAGE_NODES else [
-                    f"/stage/{axis}" for axis in self.axes]:
-                self.launch(kind, namespace, self._parameters[kind])
+        nodes = [(kind, namespace, self._parameters[kind])
+                 for kind in sorted(self._kinds, key=START_ORDER.index)
+                 for namespace in (["/stage"] if kind in STAGE_NODES else [
+                     f"/stage/{axis}" for axis in self.axes])]
+        if self._per_axis:
+            for group in self._by_axis(nodes):
+                self.launch_together(group)
+        else:
+            for node in nodes:
+                self.launch(*node)
         self._goals = {axis: ActionClient(self._client_node, RunExperiment,
                                           f"/stage/{axis}/trajectory_generator/run_experiment")
                        for axis in self.axes if "trajectory_generator" in self._kinds}
@@ -139,6 +161,25 @@ class StageGraph(NodeSet):
         for axis, client in self._goals.items():
             self.spin_until(client.server_is_ready, deadline - time.monotonic(),
                             f"the action server of /stage/{axis}/trajectory_generator")
+
+    def _by_axis(self, nodes: Sequence[Node]) -> list[list[Node]]:
+        """Return the nodes of each process; where axes need no common plant, with one each."""
+        groups: dict[str, list[Node]] = {f"/stage/{axis}": [] for axis in self.axes}
+        alone: list[list[Node]] = []
+        for kind, namespace, parameters in nodes:
+            if kind == "recorder":
+                alone.append([(kind, namespace, parameters)])
+            elif kind != "sim_plant":
+                groups[namespace].append((kind, namespace, parameters))
+            elif len(self.axes) == 1 or self.lockstep or load_model(
+                    parameters["model"]).axis_names:
+                groups[f"/stage/{self.axes[0]}"].append((kind, namespace, parameters))
+            else:
+                for index, (own, group) in enumerate(groups.items()):
+                    group.append((kind, own, {
+                        **parameters, "axes": "",
+                        "seed": parameters["seed"] + SEEDS_APART * index}))
+        return [*alone, *filter(None, groups.values())]
 
     def add(self, make: type[LoopNode], axis: str = "x",
             parameters: Mapping[str, Any] | None = None) -> Any:
@@ -296,10 +337,9 @@ class StageGraph(NodeSet):
         link, heard = LINKS[topic], []
         qos = LOCKSTEP_QOS if self.lockstep else LOSSY_QOS if lossy else PUBLISHER_QOS
         decode = codec(link.type).decode
-        subscription = self._client_node.create_subscription(
-            link.type, f"/stage/{axis}/{topic}", lambda data: heard.append(decode(data)),
-            qos, raw=True)
-        self.spin_until(lambda: subscription.get_publisher_count() > 0,
+        ears = Receiver(self._client_node, link.type, f"/stage/{axis}/{topic}",
+                        lambda data: heard.append(decode(data)), qos)
+        self.spin_until(lambda: ears.ros.get_publisher_count() > 0,
                         self._start_timeout_s, f"a publisher of {topic}")
         return heard
 

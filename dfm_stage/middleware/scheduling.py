@@ -43,6 +43,11 @@ class RealTime:
         self._crowded = 0
         self._pause_s, self._again_s = _PAUSE_S, 0.0
 
+    @property
+    def wanted(self) -> bool:
+        """Whether the process has SCHED_RR or takes it back as soon as it can."""
+        return bool(self._priority)
+
     def take(self, priority: int, now_s: float) -> None:
         """Take SCHED_RR where it may be had.
 

@@ -35,9 +35,11 @@ class WireError(DfmError):
 def header_stamp_ns(data: bytes) -> int:
     """Return the stamp of a serialised message that starts with a std_msgs/Header, in ns."""
     sec, nanosec = _STAMP.unpack_from(data, 4)
-    return int(sec * NS + nanosec)
+    return sec * NS + nanosec  # type: ignore[no-any-return]
 
 
+_new_tuple = tuple.__new__
+"""As `namedtuple` makes one, without its check of the arguments."""
 _STAMP = struct.Struct("<iI")
 _HEADER = struct.Struct("<iII")
 
@@ -45,6 +47,20 @@ _HEADER = struct.Struct("<iII")
 def encode_clock(stamp_ns: int) -> bytes:
     """Return a serialised rosgraph_msgs/Clock."""
     return ENCAPSULATION + _STAMP.pack(*divmod(stamp_ns, NS))
+
+
+_JOINT = struct.Struct("<iIIx3xII")
+
+
+def encode_joint_state(stamp_ns: int, name: bytes, position: float) -> bytes:
+    """Return a serialised sensor_msgs/JointState of one joint: no frame, velocity or effort."""
+    begin = _JOINT.pack(*divmod(stamp_ns, NS), 1, 1, len(name) + 1) + name
+    begin += bytes(1 + -(len(begin) + 1) % 4) + _ONE
+    return ENCAPSULATION + begin + bytes(-len(begin) % 8) + _LAST_OF_JOINT.pack(position, 0, 0)
+
+
+_ONE = struct.pack("<I", 1)
+_LAST_OF_JOINT = struct.Struct("<dII")
 
 
 class Codec:
@@ -78,7 +94,8 @@ class Codec:
         frame = frame_id.encode() + b"\x00"
         self._prefix_tail = struct.pack("<I", len(frame)) + frame
         body, padding = self._layout(len(frame))
-        self._pack = struct.Struct(f"{body.format}{padding}x").pack
+        self._pack = struct.Struct(
+            f"<4siI{len(self._prefix_tail)}s{body.format[1:]}{padding}x").pack
         self._body_by_frame: dict[int, struct.Struct] = {len(frame): body}
 
     def _layout(self, frame_length: int) -> tuple[struct.Struct, int]:
@@ -97,9 +114,7 @@ class Codec:
         """Return the serialised message; a field of the wrong type raises struct.error."""
         if self._times:
             fields = self._split_times(fields)
-        sec, nanosec = divmod(stamp_ns, NS)
-        return (ENCAPSULATION + _STAMP.pack(sec, nanosec) + self._prefix_tail
-                + self._pack(*fields))
+        return self._pack(ENCAPSULATION, *divmod(stamp_ns, NS), self._prefix_tail, *fields)
 
     def _split_times(self, fields: tuple[Any, ...]) -> tuple[Any, ...]:
         out = list(fields)
@@ -127,7 +142,7 @@ class Codec:
             raise WireError(f"{self.type.__name__}: {len(data)} bytes, {error}") from error
         if self._times:
             values = self._join_times(values)
-        return self._tuple(sec * NS + nanosec, *values)
+        return _new_tuple(self._tuple, (sec * NS + nanosec, *values))
 
     def _join_times(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
         out = list(values)

@@ -95,7 +95,7 @@ class AmplifierDriver(ManagedNode):
         if self.simulated:
             self._drive = self.link_publisher("sim/drive")
             self.link_subscription("sim/current", self._on_current)
-        self.link_subscription("command", self._on_command)
+        self._commands = self.link_subscription("command", self._on_command)
         self.trigger_service("~/arm", self._arm)
         self.trigger_service("~/disarm", self._disarm)
         self.trigger_service("~/clear", self._clear)
@@ -295,10 +295,10 @@ class AmplifierDriver(ManagedNode):
 
     def _check_publishers(self) -> None:
         """One node is to send commands; two of one name are told apart by their numbers."""
-        if not self._interlock.armed:
-            return
+        if not self._interlock.armed or self._commands.ros.get_publisher_count() < 2:
+            return  # who they are takes long to find out
         senders = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in
-                   self.get_publishers_info_by_topic(self.resolve_topic_name("command"))
+                   self.get_publishers_info_by_topic(self._commands.ros.topic_name)
                    if not info.node_name.startswith("_")}
         if len(senders) > 1:
             self._trip(Cause.OTHER_PUBLISHER, f"{len(senders)} nodes send commands: "

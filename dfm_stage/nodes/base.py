@@ -18,7 +18,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -26,6 +25,7 @@ from std_srvs.srv import Trigger
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.hand_over import Receiver, Sender
 from dfm_stage.middleware.scheduling import RealTime
 from dfm_stage.middleware.shared_memory import killed_endpoints, neighbour_killed
 from dfm_stage.middleware.watch import Input, Notices, Watch
@@ -52,19 +52,18 @@ COMMON = (
 LOOP_HEALTH = "loop_health"
 PRIORITY = Setting(
     "realtime_priority", 20, "SCHED_RR priority of the node's process (recorder: 10) where the "
-    "user has the right to it (rtprio in limits.conf); 0 = none; not in a process that the node "
-    "shares", "", 0, 99)
+    "user has the right to it (rtprio in limits.conf); 0 = none; of nodes that share a process, "
+    "the first that is no recorder sets it; not in the process of a program", "", 0, 99)
 
 
-class Publisher:
+class Publisher(Sender):
     """A typed publisher of one link that takes fields instead of a message object."""
 
     def __init__(self, node: LoopNode, topic: str, prefix: str = "") -> None:
         self.link = LINKS[topic]
-        self.ros = node.create_publisher(self.link.type, prefix + topic,
-                                         LOCKSTEP_QOS if node.lockstep else PUBLISHER_QOS)
+        super().__init__(node, self.link.type, prefix + topic,
+                         LOCKSTEP_QOS if node.lockstep else PUBLISHER_QOS)
         self._node = node
-        self._publish = self.ros.handle.publish_raw
         self._encode = codec(self.link.type, prefix.strip("/") or node.axis).encode
         self._open = False
         self._held: list[bytes] = []
@@ -80,23 +79,27 @@ class Publisher:
             if self._node.lockstep:
                 self._held.append(data)
             return
-        try:
-            self._publish(data)
-        except RuntimeError:
-            self._insist(data)
+        self.put(data)
 
     def release(self) -> bool:
         """Publish what was held back, if everyone listens by now; return whether it is open."""
         if self.open():
             while self._held:
-                self._insist(self._held.pop(0))
+                self.put(self._held.pop(0))
         return self._open
+
+    def to_dds(self, data: bytes) -> None:
+        """Publish; where the history is full, wait for the slowest reader."""
+        try:
+            super().to_dds(data)
+        except RuntimeError:
+            self._insist(data)
 
     def _insist(self, data: bytes) -> None:
         deadline = time.monotonic() + LOCKSTEP_PATIENCE_S
         while self._node.context.ok():
             try:
-                self._publish(data)
+                super().to_dds(data)
             except RuntimeError as error:
                 if time.monotonic() > deadline:
                     raise DfmError(f"{self.ros.topic_name}: cannot publish for "
@@ -115,10 +118,6 @@ class Publisher:
         if not missing and self.ros.get_subscription_count() < len(here):
             missing = ["a subscriber that is still being matched"]
         return missing
-
-    def delivered(self, within_s: float = 0.0) -> bool:
-        """Return whether every reliable subscriber has received everything."""
-        return bool(self.ros.wait_for_all_acked(Duration(seconds=max(within_s, 0.0))))
 
     def open(self) -> bool:
         """Return whether the first message may go out: everyone who must not miss it listens."""
@@ -163,6 +162,7 @@ class LoopNode(Node):
         self.warnings_active, self.errors_active = Notices(), Notices()
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.publishers_of_links: list[Publisher] = []
+        self._receivers: list[Receiver] = []
         self._begun = False
         self._waiting_since: tuple[tuple[str, int] | None, float] = None, 0.0
         self._config = self.side_publisher("~/config")
@@ -238,7 +238,7 @@ class LoopNode(Node):
         return publisher
 
     def link_subscription(self, topic: str, callback: Callable[[Any], None],
-                          prefix: str = "") -> None:
+                          prefix: str = "") -> Receiver:
         """Subscribe to a loop topic; `callback` gets the decoded fields."""
         link = LINKS[topic]
         decode = codec(link.type).decode
@@ -251,13 +251,20 @@ class LoopNode(Node):
             heard.received += 1
             callback(decode(data))
 
-        self.create_subscription(link.type, prefix + topic, decoded,
-                                 subscriber_qos(link, self.kind, self.lockstep), raw=True)
+        receiver = Receiver(self, link.type, prefix + topic, decoded,
+                            subscriber_qos(link, self.kind, self.lockstep))
+        self._receivers.append(receiver)
+        return receiver
 
     def side_publisher(self, topic: str) -> Any:
         """Create the publisher of a topic beside the loop, as `wiring.TOPICS` has it."""
         entry = TOPICS[topic]
         return self.create_publisher(interface(entry.type), topic, entry.qos)
+
+    def side_sender(self, topic: str) -> Sender:
+        """Create the publisher of a topic beside the loop that takes serialised messages."""
+        entry = TOPICS[topic]
+        return Sender(self, interface(entry.type), topic, entry.qos)
 
     def side_subscription(self, topic: str, callback: Callable[[Any], None],
                           raw: bool = False) -> None:
@@ -311,6 +318,8 @@ class LoopNode(Node):
         with contextlib.suppress(RuntimeError):  # the context is gone already
             for publisher in self.publishers_of_links if self.leaving_s else ():
                 publisher.delivered(deadline - time.monotonic())
+        for receiver in self._receivers:
+            receiver.leave()
         super().destroy_node()
 
     def an_endpoint(self) -> Sequence[int]:
@@ -377,7 +386,8 @@ class LoopNode(Node):
         now = time.monotonic()
         if not self.lockstep:
             self._watch.look(now)
-        if self.priority >= PRIORITY.default and self.realtime.look(now, self._broken()):
+        if (self.realtime.wanted and self.priority >= PRIORITY.default
+                and self.realtime.look(now, self._broken())):
             self.get_logger().info(f"scheduling: {self.realtime.words}")
             self.warnings_active.put("scheduling", "" if self.realtime.held else
                                      f"no real-time priority: {self.realtime.words}")

@@ -10,13 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import JointState
 
 from dfm_interfaces.msg import Measurement
 from dfm_stage.drivers.device import EncoderSample, create_encoder, names
 from dfm_stage.drivers.errors import RefusedError
 from dfm_stage.drivers.threads import EncoderReader
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.wire import encode_joint_state
 from dfm_stage.nodes.managed import ManagedNode, device_settings
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
@@ -68,7 +68,7 @@ class EncoderDriver(ManagedNode):
         self._raised: set[str] = set()
         self._out = self.link_publisher("measurement")
         self._health = self.side_publisher("encoder_health")
-        self._joint_states = self.side_publisher("joint_states")
+        self._joint_states = self.side_sender("joint_states")
         self.create_timer(_JOINT_STATE_PERIOD_S, self._publish_joint_state, clock=self.steady)
         self.trigger_service("~/home", self._home)
         if self.simulated:
@@ -254,12 +254,9 @@ class EncoderDriver(ManagedNode):
                 **({"reconnect attempts": reader.reconnects} if reader is not None else {})}
 
     def _publish_joint_state(self) -> None:
-        if self._last_seq is None:
-            return
-        state = JointState(name=[self.axis], position=[self._last_position])
-        state.header.stamp.sec, state.header.stamp.nanosec = divmod(
-            self._last_stamp_ns, 1_000_000_000)
-        self._joint_states.publish(state)
+        if self._last_seq is not None:
+            self._joint_states.put(encode_joint_state(
+                self._last_stamp_ns, self.axis.encode(), self._last_position))
 
     def waiting_for(self) -> tuple[str, int] | None:
         """Without a first sample there is nothing to answer."""

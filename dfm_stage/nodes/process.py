@@ -10,7 +10,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -25,6 +26,7 @@ from rclpy.utilities import remove_ros_args
 from dfm_stage import __version__, interruption
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware import security
+from dfm_stage.middleware.hand_over import handing_over
 from dfm_stage.middleware.security import enclave_of, require_what_was_asked
 from dfm_stage.middleware.shared_memory import (
     PORT_LOOK_S,
@@ -32,7 +34,7 @@ from dfm_stage.middleware.shared_memory import (
     avoiding_dead_ports,
     sign_notes,
 )
-from dfm_stage.nodes.base import PRIORITY, LoopNode
+from dfm_stage.nodes.base import PRIORITY, LoopNode, node_class
 
 BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 """How often this process began anew, in its environment."""
@@ -40,6 +42,8 @@ _EVENTS_PER_LOOK = 64
 _LEAVING_S = 0.3
 """A reader learns what it lacks within 0.2 s (config/fastdds.xml)."""
 _PLACE = re.compile(r", at \.?/")
+_SWITCH_S = 1e-4
+_ROS_ARGUMENTS = "--ros-args"
 _STANDARD = 2
 """The last of the three standard descriptors."""
 
@@ -85,11 +89,17 @@ class Helper:
         self._context.try_shutdown()
 
 
-def quiet_collector() -> None:
-    """Keep the garbage collector away from what is there at start."""
+def steady_interpreter() -> None:
+    """Have the loop wait for nothing in this process.
+
+    The garbage collector stays away from what is there at start. A thread beside the loop that
+    computes (the bag writer, a driver) gives the interpreter lock up after 0.1 ms, not 5: at 5 kHz
+    a sample has 0.2 ms.
+    """
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
+    sys.setswitchinterval(_SWITCH_S)
 
 
 class StopRequest:
@@ -133,29 +143,65 @@ def run_node(kind: type[LoopNode], args: Sequence[str] | None = None) -> int:
     stderr and exit code 2. A node whose port in shared memory is gone begins anew in the same
     process. The process runs at the node's real-time priority.
     """
+    given = list(sys.argv[1:] if args is None else args)
+    return _run(given, lambda: [] if _answered(kind, _own_arguments(given)) else [kind])
+
+
+def run_nodes(args: Sequence[str]) -> int:
+    """Run several nodes in one process, as `run_node` runs one.
+
+    `args` are their full names, such as /stage/x/controller, and ROS arguments for all of them.
+    They hand messages over. The process runs at the priority of the first that is no recorder.
+    """
+    given = list(args)
+    return _run(given, lambda: [_placed(name, given) for name in _own_arguments(given)])
+
+
+def _placed(name: str, given: list[str]) -> Callable[[], LoopNode]:
+    """Return what makes a node of the package by its full name."""
+    namespace, _, kind = name.rpartition("/")
+    try:
+        made = node_class(kind)
+    except (ModuleNotFoundError, AttributeError):
+        made = None
+    if made is None or not namespace.startswith("/"):
+        raise DfmError(f"{name!r} is no full name of a node of the package, such as "
+                       "/stage/x/controller")
+    start = given.index(_ROS_ARGUMENTS) + 1 if _ROS_ARGUMENTS in given else len(given)
+    return partial(made, cli_args=[
+        _ROS_ARGUMENTS, "-r", f"__ns:={namespace}", *given[start:]])
+
+
+def _run(given: list[str], kinds: Callable[[], Sequence[Callable[[], LoopNode]]]) -> int:
     stop = StopRequest()
     stop.install()
-    given = list(sys.argv[1:] if args is None else args)
-    node: LoopNode | None = None
+    nodes: list[LoopNode] = []
     anew = False
     try:
-        if _answered(kind, _own_arguments(given)):
+        make = kinds()
+        if not make:
             return 0
         _join(given)
-        node = _made(kind)
-        node.begin()
-        anew = _spin(node, stop)
+        context = rclpy.get_default_context()
+        executor = make_executor(context)
+        with handing_over(context, executor) if len(make) > 1 else contextlib.nullcontext():
+            for kind in make:
+                nodes.append(_made(kind))
+                executor.add_node(nodes[-1])
+                nodes[-1].begin()
+            anew = _spin(nodes, executor, stop)
     except ExternalShutdownException:
         pass
     except (DfmError, InvalidParameterTypeException) as error:
         print(f"error: {_in_one_line(error)}", file=sys.stderr)
         return 2
     finally:
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
-            if anew:
+        if anew:
+            for node in nodes:
                 node.realtime.give_back()
-                _begin_anew()
+            _begin_anew()
         rclpy.try_shutdown()
     return 0
 
@@ -191,7 +237,7 @@ def _join(given: list[str]) -> None:
         raise DfmError(str(error)) from error
 
 
-def _made(kind: type[LoopNode]) -> LoopNode:
+def _made(kind: Callable[[], LoopNode]) -> LoopNode:
     """Make the node; DfmError where the middleware refuses it something."""
     try:
         with avoiding_dead_ports():
@@ -199,7 +245,8 @@ def _made(kind: type[LoopNode]) -> LoopNode:
     except rclpy_implementation.RCLError as error:
         right = (f"; has its enclave {enclave_of(sys.argv)} the right to it?" if security.asked()
                  else "")
-        raise DfmError(f"{kind.kind}: the middleware refused: {_in_one_line(error)}"
+        name = (kind.func if isinstance(kind, partial) else kind).kind  # type: ignore[union-attr]
+        raise DfmError(f"{name}: the middleware refused: {_in_one_line(error)}"
                        f"{right}") from error
 
 
@@ -208,15 +255,17 @@ def _in_one_line(error: Exception) -> str:
     return " ".join(_PLACE.split(str(error))[0].split())
 
 
-def _spin(node: LoopNode, stop: StopRequest) -> bool:
-    """Spin until asked to stop; return True where the node has to begin anew instead."""
-    sign_notes(node.an_endpoint())
-    node.leaving_s = _LEAVING_S
-    executor = make_executor(node.context)
-    executor.add_node(node)
-    quiet_collector()
+def _spin(nodes: Sequence[LoopNode], executor: Any, stop: StopRequest) -> bool:
+    """Spin until asked to stop; return True where the process has to begin anew instead."""
+    leader = min(nodes, key=lambda node: node.priority < PRIORITY.default)
+    sign_notes(leader.an_endpoint())
+    for node in nodes:
+        node.leaving_s = _LEAVING_S
+        if node is not leader:
+            node.realtime.words = f"that of {leader.get_fully_qualified_name()}"
+    steady_interpreter()
     if not isinstance(executor, SingleThreadedExecutor):  # that keeps the processors full
-        node.realtime.take(node.settings[PRIORITY.name], time.monotonic())
+        leader.realtime.take(leader.settings[PRIORITY.name], time.monotonic())
     ports, look = PortWatch(), time.monotonic()
     while rclpy.ok():
         # spin() of this executor forgets timers while no message comes
@@ -227,8 +276,8 @@ def _spin(node: LoopNode, stop: StopRequest) -> bool:
         if time.monotonic() - look > PORT_LOOK_S:
             look = time.monotonic()
             if ports.lost():
-                node.get_logger().error("its port in shared memory is gone (was another "
-                                        "process killed?): it hears nobody and begins anew")
+                leader.get_logger().error("its port in shared memory is gone (was another "
+                                          "process killed?): it hears nobody and begins anew")
                 return True
     return False
 

@@ -1,10 +1,10 @@
 """recorder: every topic into a rosbag2-compatible MCAP bag, with what the nodes say of themselves.
 
-Messages are written as the bytes that came. They are fetched every few milliseconds from
-subscriptions that no executor watches: waking up for each of some ten thousand a second costs
-more than everything else the recorder does, and takes it from the loop it records. A bag that
-cannot be created ends the node; one that can no longer be written (full disk) is reported and
-stops nothing else.
+Messages are written as the bytes that came. Nodes of the same process hand them over. Those of
+others are fetched every few milliseconds from subscriptions that no executor watches: waking up
+for each of some ten thousand a second costs more than everything else the recorder does, and
+takes it from the loop it records. A bag that cannot be created ends the node; one that can no
+longer be written (full disk) is reported and stops nothing else.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from rclpy.qos import (
 
 import dfm_stage
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.hand_over import Receiver
 from dfm_stage.middleware.wire import header_stamp_ns
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
@@ -80,7 +81,7 @@ class Recorder(LoopNode):
         self._bag = BagWriter(folder, compression=self.settings["compression"])
         self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
                          json.dumps(versions(), sort_keys=True).encode())
-        self._topics: dict[str, Any] = {}
+        self._topics: dict[str, Receiver] = {}
         self._taps: list[tuple[Callable[..., Any], Any, Callable[[bytes], object]]] = []
         self._refused: set[str] = set()
         self._configs: dict[str, Any] = {}
@@ -146,9 +147,9 @@ class Recorder(LoopNode):
         first = next(iter(message_type.get_fields_and_field_types().values()), "")
         write = self._writer(topic, first == "std_msgs/Header", is_config=(
             type_name == "std_msgs/msg/String" and name.endswith("/config")))
-        self._topics[name] = subscription = self._tap.create_subscription(
-            message_type, name, write, qos, raw=True)
-        self._taps.append((subscription.handle.take_message, message_type, write))
+        self._topics[name] = tap = Receiver(self._tap, message_type, name, write, qos,
+                                            spun_with=self)
+        self._taps.append((tap.ros.handle.take_message, message_type, tap.from_dds))
 
     def _fetch(self) -> None:
         """Write what has come since the last time."""
@@ -202,8 +203,8 @@ class Recorder(LoopNode):
     def not_ready(self) -> str | None:
         """Every topic that is there must be subscribed and matched with all its publishers."""
         self._look_for_topics()
-        for name, subscription in self._topics.items():
-            if subscription.get_publisher_count() < self.count_publishers(name):
+        for name, tap in self._topics.items():
+            if tap.ros.get_publisher_count() < self.count_publishers(name):
                 return f"recorder is not matched with {name} yet"
         return None
 
@@ -224,7 +225,8 @@ class Recorder(LoopNode):
             self._fetch()
         self._open = False
         # what still comes is taken, so that nobody waits for us, and dropped
-        self._taps = [(take, message_type, len) for take, message_type, _ in self._taps]
+        for tap in self._topics.values():
+            tap.callback = len
         try:
             for config in self._configs.values():
                 for name, text in config.pop("attachments", {}).items():
@@ -243,6 +245,8 @@ class Recorder(LoopNode):
         with contextlib.suppress(BagWriteError):  # it is in the log
             self.finish()
         self._taps.clear()
+        for tap in self._topics.values():
+            tap.leave()
         self._tap.destroy_node()
         super().destroy_node()
 

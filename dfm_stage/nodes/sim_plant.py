@@ -22,6 +22,8 @@ from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 
 _GIVE_UP_SAMPLES = 100
+SEEDS_APART = 1000
+"""From the seed of one axis to that of the next, where each has a plant of its own."""
 
 
 class _Stage:
@@ -101,7 +103,7 @@ class SimPlant(LoopNode):
         self._period_ns = round(self._model.sample_period * 1e9)
         self.seq = 0
         self._published = False
-        self._clock_out = self.side_publisher("/clock")
+        self._clock_out = self.side_sender("/clock")
         self._axes = self._wire(names)
         self._stages = list({id(axis.stage): axis.stage for axis in self._axes}.values())
         self._next_ns: int | None = None
@@ -118,7 +120,7 @@ class SimPlant(LoopNode):
         known = self._model.axis_names
         seed = self.settings["seed"]
         if not known:
-            return [_Axis(self, name, _Stage(self._model, seed + 1000 * index), 0)
+            return [_Axis(self, name, _Stage(self._model, seed + SEEDS_APART * index), 0)
                     for index, name in enumerate(names)]
         for name in names:
             if name not in known:
@@ -193,7 +195,7 @@ class SimPlant(LoopNode):
             if axis.current is not None:
                 axis.current.send(stamp_ns, self.seq, sample.current)
         if self.lockstep and self.seq:  # after what the loop waits for
-            self._clock_out.handle.publish_raw(encode_clock(stamp_ns))
+            self._clock_out.put(encode_clock(stamp_ns))
         for axis, sample in zip(self._axes, samples, strict=True):
             axis.truth.send(stamp_ns, self.seq, sample.position_m, sample.velocity,
                             sample.current, sample.force_n)

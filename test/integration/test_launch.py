@@ -17,8 +17,10 @@ LAUNCH = ROOT / "launch"
 EXAMPLE = ROOT / "examples/one_axis_launch_test.py"
 
 
-@pytest.mark.parametrize(("name", "nodes"), [("one_axis", 6), ("two_axes", 10)])
-def test_launch_file_describes_the_nodes(name, nodes):
+@pytest.mark.parametrize(("name", "layout", "processes"), [
+    ("one_axis", "processes", 6), ("one_axis", "per_axis", 2), ("one_axis", "composed", 1),
+    ("two_axes", "processes", 10), ("two_axes", "per_axis", 3), ("two_axes", "composed", 1)])
+def test_launch_file_describes_the_nodes(name, layout, processes):
     pytest.importorskip("launch_ros", reason="launch_ros is not installed")
     spec = importlib.util.spec_from_file_location(name, LAUNCH / f"{name}.launch.py")
     module = importlib.util.module_from_spec(spec)
@@ -29,11 +31,12 @@ def test_launch_file_describes_the_nodes(name, nodes):
 
     arguments = [each.name for each in module.generate_launch_description().entities
                  if hasattr(each, "default_value")]
-    assert arguments == ["parameters", "sample_period_s", "record"]
+    assert arguments == ["parameters", "sample_period_s", "record", "layout"]
     context = LaunchContext()
-    context.launch_configurations.update(parameters="", sample_period_s="", record="false")
+    context.launch_configurations.update(parameters="", sample_period_s="", record="false",
+                                         layout=layout)
     entities = module.nodes(context)
-    assert sum(isinstance(entity, Node) for entity in entities) == nodes
+    assert sum(isinstance(entity, Node) for entity in entities) == processes
 
 
 def test_the_example_of_a_launch_test_names_what_there_is():

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import threading
+import time
 
 import numpy as np
 import pytest
+import rclpy
 from mcap.reader import make_reader
 
-from dfm_stage.harness import HarnessError, StageGraph
+from dfm_stage.harness import HarnessError, StageGraph, node_set
+from dfm_stage.middleware import hand_over
 from dfm_stage.model import Simulator, load_model
+from dfm_stage.nodes.process import make_executor
+from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS
 
+SIMULATED = ("sim/position_counts", "sim/drive")
 LOOP = ("reference", "excitation", "measurement", "command", "amplifier", "plant")
 SHAKE = {"name": "shake", "mode": "open_loop", "duration_s": 1.0, "axes": {"x": {
     "excitation": {"kind": "multisine", "amplitude_v": 0.5, "period_s": 0.5}}}}
@@ -33,14 +42,86 @@ def run(bag, experiments=(SCAN,), **options):
     return results
 
 
-@pytest.mark.parametrize("composed", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_a_run_in_processes_is_identical_to_another(composed, tmp_path):
+@pytest.mark.parametrize("layout", ["composed", "per_axis", pytest.param(
+    "processes", marks=pytest.mark.slow)])
+def test_a_run_in_processes_is_identical_to_another(layout, tmp_path):
     run(tmp_path / "a", (SHAKE, SCAN), composed=False)
-    run(tmp_path / "b", (SHAKE, SCAN), composed=composed)
+    run(tmp_path / "b", (SHAKE, SCAN), layout=layout)
     first, second = content(tmp_path / "a"), content(tmp_path / "b")
     for topic in LOOP:
         assert first[f"/stage/x/{topic}"] == second[f"/stage/x/{topic}"], topic
     assert len(first["/stage/x/command"]) == 2500
+
+
+def test_handing_over_gives_the_bytes_that_dds_gives(tmp_path, monkeypatch):
+    by_dds, sender = [], hand_over.Sender.to_dds
+    monkeypatch.setattr(hand_over.Sender, "to_dds", lambda self, data: (
+        by_dds.append(data), sender(self, data)))
+    run(tmp_path / "handed", (SHAKE, SCAN), composed=True)
+    assert len(by_dds) < 5  # said at the end, when the recorder has left
+    with monkeypatch.context() as plain:
+        plain.setattr(node_set, "handing_over", lambda *_: contextlib.nullcontext())
+        run(tmp_path / "dds", (SHAKE, SCAN), composed=True)
+    handed, dds = content(tmp_path / "handed"), content(tmp_path / "dds")
+    assert handed.keys() == dds.keys()
+    topics = [*(f"/stage/x/{topic}" for topic in (*LOOP, *SIMULATED)), "/clock"]
+    for topic in topics:
+        assert handed[topic] == dds[topic], topic
+        assert len(handed[topic]) >= 2500
+    assert len(by_dds) >= 2500 * len(topics)
+
+
+def test_a_listener_outside_hears_all_in_order_and_changes_nothing(tmp_path):
+    run(tmp_path / "alone", (SHAKE,), composed=True)
+    heard = {topic: [] for topic in (*LOOP, *SIMULATED)}
+    with (StageGraph(lockstep=True, composed=True, bag=tmp_path / "heard") as graph,
+          listening(graph, heard)):
+        graph.run(SHAKE)
+        graph.stop_recording()
+    alone, recorded = content(tmp_path / "alone"), content(tmp_path / "heard")
+    for topic, data in heard.items():
+        name = f"/stage/x/{topic}"
+        assert recorded[name] == alone[name], topic
+        assert data == recorded[name][-len(data):], topic
+        assert len(data) >= 1000, topic
+
+
+def test_nothing_of_a_composed_graph_outlives_it():
+    threads = []
+    for _ in range(3):  # the first leaves what numba and DDS keep for the process
+        with StageGraph(lockstep=True, composed=True) as graph:
+            graph.run({**SHAKE, "duration_s": 0.1})
+        threads.append(len(os.listdir("/proc/self/task")))
+    assert threads[1] == threads[2] == threads[0]
+
+
+@contextlib.contextmanager
+def listening(graph, heard):
+    """Listen from a context of one's own, as another process does, in a thread."""
+    context, over = rclpy.Context(), threading.Event()
+    rclpy.init(context=context, domain_id=graph.domain_id, args=[])
+    node, executor = rclpy.create_node("outside", context=context), make_executor(context)
+    executor.add_node(node)
+    ears = [node.create_subscription(LINKS[topic].type, f"/stage/x/{topic}", data.append,
+                                     LOCKSTEP_QOS, raw=True) for topic, data in heard.items()]
+
+    def spin():
+        while not over.is_set():
+            executor.spin_once(0.01)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        graph.spin_until(lambda: all(each.get_publisher_count() for each in ears), 10.0, "all")
+        graph.wait_connected({}, time.monotonic() + 10.0)
+        yield
+        time.sleep(0.5)
+    finally:
+        over.set()
+        thread.join()
+        executor.remove_node(node)
+        node.destroy_node()
+        context.try_shutdown()
 
 
 def test_seed_changes_the_noise(tmp_path):

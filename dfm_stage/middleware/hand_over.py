@@ -1,0 +1,202 @@
+"""Messages between the nodes of one process: by a call, and over DDS only for who is outside.
+
+rclpy has no transport within a process: between two nodes of one executor a message costs a
+wake-up and a way through DDS, ten times of what the nodes do with it. Who composes nodes on one
+executor opens a `HandOver` for their context. From then on a `Sender` puts the serialised message
+where its `Receiver`s wait, and the executor calls them in the order in which messages were put,
+after the callback that put them. So nobody is called from within a call, what a callback raises
+reaches whoever spins, and a thread of a driver may put messages, too.
+
+Every receiver keeps its subscription: the graph shows it, and publishers that do not hand over
+(other processes, plain rclpy nodes) reach it there. A message goes to DDS, too, where more
+subscriptions are matched than there are receivers. What a receiver then hears twice it drops. As
+the subscription would, a receiver that has a depth keeps the newest messages.
+
+Only for topics without history for late joiners (durability: volatile).
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile
+
+TURN_S = 1e-3
+"""How long messages are handed over before timers and services get their turn: a loop in lockstep
+never runs out of messages."""
+_ECHOES = 64
+"""At least so many messages that went to DDS, too, are known again when they come from there."""
+
+
+class HandOver:
+    """What the nodes of one context hand over, on the one `executor` that spins them.
+
+    A node that is not, or no more, on this executor hears by DDS.
+    """
+
+    def __init__(self, executor: Any) -> None:
+        self._executor = executor
+        self._known: list[Receiver] = []
+        self._spun: list[Node] | None = None
+        self._receivers: dict[str, tuple[Receiver, ...]] = {}
+        self._due: deque[Receiver] = deque()
+        self._scheduled = self._in_turn = False
+
+    def add(self, receiver: Receiver) -> None:
+        """Have a receiver called from now on."""
+        self._known.append(receiver)
+        self._spun = None
+
+    def remove(self, receiver: Receiver) -> None:
+        """Have a receiver called no more."""
+        receiver.waiting.clear()
+        if receiver in self._known:
+            self._known.remove(receiver)
+            self._spun = None
+
+    def put(self, topic: str, data: bytes) -> tuple[Receiver, ...]:
+        """Hand a message over, from any thread; return to whom."""
+        if not self._in_turn:
+            self._look()
+        receivers = self._receivers.get(topic, ())
+        for receiver in receivers:
+            receiver.waiting.append(data)
+            self._due.append(receiver)
+        if receivers and not self._scheduled:
+            self._schedule()
+        return receivers
+
+    def idle(self) -> bool:
+        """Return whether all that was put has arrived."""
+        return not self._due
+
+    def close(self) -> None:
+        """Let go of everything: a circle through the executor, which is no Python object, would
+        keep the participant alive."""
+        self._executor = None
+        self._known.clear()
+        self._receivers.clear()
+        self._due.clear()
+        self._spun = None
+
+    def _look(self) -> None:
+        """Find who is to be called, where the nodes on the executor have changed."""
+        if self._executor is None or self._spun == (spun := self._executor.get_nodes()):
+            return
+        self._spun, self._receivers = spun, {}
+        for receiver in self._known:
+            if receiver.spun_with in spun:
+                self._receivers[receiver.topic] = (
+                    *self._receivers.get(receiver.topic, ()), receiver)
+            else:
+                receiver.waiting.clear()
+
+    def _schedule(self) -> None:
+        if self._executor is not None:
+            self._scheduled = True
+            self._executor.create_task(self._turn)
+
+    def _turn(self) -> None:
+        due, now, until = self._due, time.monotonic, time.monotonic() + TURN_S
+        self._look()
+        self._in_turn = True
+        try:
+            while due:
+                receiver = due.popleft()
+                if receiver.waiting:  # else a newer message took the place of this one
+                    receiver.callback(receiver.waiting.popleft())
+                if now() > until:
+                    break
+        finally:
+            self._scheduled = self._in_turn = False
+            if due:
+                self._schedule()
+
+
+_open: dict[Any, HandOver] = {}
+
+
+@contextmanager
+def handing_over(context: Any, executor: Any) -> Iterator[None]:
+    """Have the nodes that are made with `context`, all of which `executor` spins, hand over."""
+    _open[context] = HandOver(executor)
+    try:
+        yield
+    finally:
+        _open.pop(context).close()
+
+
+class Receiver:
+    """A subscription whose `callback` gets serialised messages, by a call or from DDS.
+
+    `spun_with` is the node whose executor has to be that of the hand-over, where it is not `node`.
+    """
+
+    def __init__(self, node: Node, message_type: Any, topic: str,
+                 callback: Callable[[bytes], object], qos: QoSProfile,
+                 spun_with: Node | None = None) -> None:
+        depth = None if qos.history == HistoryPolicy.KEEP_ALL else qos.depth
+        self.callback = callback
+        self.waiting: deque[bytes] = deque(maxlen=depth)
+        self.echoes: deque[bytes] = deque(maxlen=depth and max(depth, _ECHOES))
+        self.ros = node.create_subscription(message_type, topic, self.from_dds, qos, raw=True)
+        self.topic = self.ros.topic_name
+        self.spun_with = spun_with or node
+        self._hand_over = _open.get(node.context)
+        if self._hand_over is not None:
+            self._hand_over.add(self)
+
+    def from_dds(self, data: bytes) -> None:
+        """Take a message that came from DDS, unless it was handed over."""
+        if data in self.echoes:
+            while self.echoes.popleft() != data:
+                pass
+        else:
+            self.callback(data)
+
+    def leave(self) -> None:
+        """Receive by call no more."""
+        if self._hand_over is not None:
+            self._hand_over.remove(self)
+
+
+class Sender:
+    """A publisher of serialised messages."""
+
+    def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
+        self.ros = node.create_publisher(message_type, topic, qos)
+        self._topic = self.ros.topic_name
+        self._publish: Callable[[bytes], None] = self.ros.handle.publish_raw
+        self._matched: Callable[[], int] = self.ros.handle.get_subscription_count
+        self._hand_over = _open.get(node.context)
+
+    def put(self, data: bytes) -> None:
+        """Send a message to the receivers of this process, and over DDS to all others."""
+        if self._hand_over is not None:
+            receivers = self._hand_over.put(self._topic, data)
+            if self._matched() <= len(receivers):
+                return
+            for receiver in receivers:
+                receiver.echoes.append(data)
+        self.to_dds(data)
+
+    def to_dds(self, data: bytes) -> None:
+        """Send a message over DDS.
+
+        Raises
+        ------
+        RuntimeError
+            If the history of the publisher is full.
+        """
+        self._publish(data)
+
+    def delivered(self, within_s: float = 0.0) -> bool:
+        """Return whether every receiver and every reliable subscriber has all that was sent."""
+        return (self._hand_over is None or self._hand_over.idle()) and bool(
+            self.ros.wait_for_all_acked(Duration(seconds=max(within_s, 0.0))))

@@ -1,0 +1,272 @@
+"""Handing over within a process, held against what the same nodes hear by DDS."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+
+import pytest
+import rclpy
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from dfm_interfaces.msg import Measurement
+from dfm_stage.middleware import hand_over
+from dfm_stage.middleware.hand_over import Receiver, Sender, handing_over
+from dfm_stage.middleware.wire import codec, encode_joint_state
+from dfm_stage.nodes.process import make_executor
+from dfm_stage.nodes.wiring import LOCKSTEP_QOS, PUBLISHER_QOS, SUBSCRIBER_QOS
+
+NUMBERS = itertools.count()  # what a test before left on DDS is a listener, too
+DATA = [codec(Measurement, "x").encode(k, k, 0.5, 7, 0) for k in range(200)]
+
+
+class Process:
+    """Two nodes on one executor."""
+
+    def __init__(self, context):
+        self.context = context
+        self.one, self.two = (rclpy.create_node(name, context=context) for name in ("one", "two"))
+        self.executor = make_executor(context)
+        for node in (self.one, self.two):
+            self.executor.add_node(node)
+        self.heard = []
+        self.topic = f"topic_{next(NUMBERS)}"
+
+    def sender(self, topic=None, qos=LOCKSTEP_QOS):
+        return Sender(self.one, Measurement, topic or self.topic, qos)
+
+    def receiver(self, callback=None, topic=None, qos=LOCKSTEP_QOS):
+        return Receiver(self.two, Measurement, topic or self.topic,
+                        callback or self.heard.append, qos)
+
+    def spin(self, times=40):
+        for _ in range(times):
+            self.executor.spin_once(0.005)
+
+
+@pytest.fixture(params=["events", "default"])
+def process(request, monkeypatch):
+    monkeypatch.setenv("DFM_EXECUTOR", request.param)
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    made = Process(context)
+    with handing_over(context, made.executor):
+        yield made
+    for node in (made.one, made.two):
+        made.executor.remove_node(node)
+        node.destroy_node()
+    context.try_shutdown()
+    assert context not in hand_over._open
+
+
+@pytest.fixture
+def on_the_wire(monkeypatch):
+    """What senders put on DDS."""
+    sent, real = [], Sender.to_dds
+    monkeypatch.setattr(Sender, "to_dds",
+                        lambda self, data: (sent.append(data), real(self, data)))
+    return sent
+
+
+def test_nothing_goes_to_dds_where_nobody_else_listens(process, on_the_wire):
+    process.receiver()
+    sender = process.sender()
+    sender.put(DATA[0])
+    assert process.heard == []  # never from within the call
+    assert not sender.delivered()
+    process.spin()
+    assert process.heard == DATA[:1]
+    assert sender.delivered()
+    assert on_the_wire == []
+
+
+def test_a_plain_subscription_hears_all_and_a_receiver_nothing_twice(process, on_the_wire):
+    plain = []
+    process.receiver()
+    sender = process.sender()
+    sender.put(DATA[0])
+    listening = process.two.create_subscription(Measurement, process.topic, plain.append,
+                                                LOCKSTEP_QOS, raw=True)
+    for data in DATA[1:100]:
+        sender.put(data)
+    process.spin(300)
+    process.two.destroy_subscription(listening)
+    process.spin()
+    alone = sender.ros.get_subscription_count() == 1  # the default executor keeps what it spun
+    for data in DATA[100:]:
+        sender.put(data)
+    process.spin(300)
+    assert process.heard == DATA
+    assert plain == DATA[1:100]
+    assert on_the_wire == DATA[1:100 if alone else None]
+
+
+def test_a_plain_publisher_reaches_a_receiver_between_what_is_handed_over(process):
+    process.receiver()
+    sender = process.sender()
+    foreign = process.two.create_publisher(Measurement, process.topic, LOCKSTEP_QOS)
+    process.two.create_subscription(Measurement, process.topic, len, LOCKSTEP_QOS, raw=True)
+    for k in range(0, 100, 2):
+        sender.put(DATA[k])
+        foreign.handle.publish_raw(DATA[k + 1])
+    process.spin(500)
+    assert sorted(process.heard) == sorted(DATA[:100])
+    assert [each for each in process.heard if each in DATA[:100:2]] == DATA[:100:2]
+    assert [each for each in process.heard if each in DATA[1:100:2]] == DATA[1:100:2]
+
+
+def test_what_a_callback_puts_comes_after_it_and_in_order(process):
+    first, second = process.sender("first"), process.sender("second")
+    order, inside = [], []
+
+    def relay(data):
+        inside.append(True)
+        assert len(inside) == 1
+        second.put(data)
+        order.append(("first", data))
+        inside.pop()
+
+    process.receiver(relay, "first")
+    process.receiver(lambda data: order.append(("second", data)), "second")
+    for data in DATA[:3]:
+        first.put(data)
+    process.spin()
+    assert order == [(topic, data) for topic in ("first", "second") for data in DATA[:3]]
+
+
+def test_what_a_callback_raises_reaches_whoever_spins_and_nothing_is_lost(process):
+    def refuse(data):
+        if data == DATA[1]:
+            raise ValueError("refused")
+        process.heard.append(data)
+
+    process.receiver(refuse)
+    sender = process.sender()
+    for data in DATA[:4]:
+        sender.put(data)
+    with pytest.raises(ValueError, match="refused"):
+        process.spin()
+    process.spin()
+    assert process.heard == [DATA[0], *DATA[2:4]]
+
+
+@pytest.mark.parametrize(("qos", "expected"), [
+    (LOCKSTEP_QOS, DATA[:5]), (PUBLISHER_QOS, DATA[:5]), (SUBSCRIBER_QOS, DATA[4:5])])
+def test_a_receiver_keeps_as_many_as_its_subscription_would(process, qos, expected):
+    by_dds = []
+    process.receiver(qos=qos)
+    process.two.create_subscription(Measurement, process.topic, by_dds.append, qos, raw=True)
+    sender = process.sender()
+    for data in DATA[:5]:
+        sender.put(data)
+    process.spin(100)
+    assert process.heard == by_dds == expected
+
+
+def test_one_that_has_left_hears_no_more_by_call(process):
+    receiver = process.receiver()
+    sender = process.sender()
+    sender.put(DATA[0])
+    receiver.leave()
+    process.two.destroy_subscription(receiver.ros)
+    sender.put(DATA[1])
+    process.spin()
+    assert process.heard == []
+
+
+def test_a_node_that_another_executor_spins_hears_there_and_nowhere_else(process):
+    process.receiver()
+    sender = process.sender()
+    sender.put(DATA[0])
+    process.executor.remove_node(process.two)
+    for data in DATA[1:50]:
+        sender.put(data)
+    process.spin()
+    assert process.heard == []
+    assert sender.delivered()
+    other = make_executor(process.context)
+    other.add_node(process.two)
+    for _ in range(100):
+        other.spin_once(0.005)
+    assert process.heard == DATA[1:50]
+    other.remove_node(process.two)
+    process.executor.add_node(process.two)
+    for data in DATA[50:]:
+        sender.put(data)
+    process.spin(300)
+    assert process.heard == DATA[1:]
+
+
+def test_timers_have_their_turn_where_messages_never_end(process):
+    sender, ticks = process.sender(), []
+    process.receiver(sender.put)
+    process.one.create_timer(0.005, lambda: ticks.append(1),
+                             clock=Clock(clock_type=ClockType.STEADY_TIME))
+    sender.put(DATA[0])
+    until = time.monotonic() + 5.0
+    while len(ticks) < 10 and time.monotonic() < until:
+        process.executor.spin_once(0.01)
+    assert len(ticks) >= 10
+
+
+def test_a_message_of_another_thread_is_received_in_the_one_that_spins(process):
+    threads = []
+    process.receiver(lambda _: threads.append(threading.get_ident()))
+    sender = process.sender()
+    other = threading.Thread(target=sender.put, args=(DATA[0],))
+    other.start()
+    other.join()
+    process.spin()
+    assert threads == [threading.get_ident()]
+
+
+def test_names_are_told_apart_by_namespace_and_context(process, domain_of):
+    elsewhere = domain_of.create_node("elsewhere")
+    stranger = []
+    process.receiver(topic="/a/t")
+    ears = Receiver(elsewhere, Measurement, "/t", stranger.append, LOCKSTEP_QOS)
+    sender = process.sender("/t")
+    until = time.monotonic() + 10.0
+    while not (sender.ros.get_subscription_count() and ears.ros.get_publisher_count()):
+        assert time.monotonic() < until
+        process.spin(1)
+    for data in DATA:
+        sender.put(data)
+    while len(stranger) < len(DATA) and time.monotonic() < until:
+        domain_of.executor.spin_once(0.01)
+    assert stranger == DATA
+    assert process.heard == []
+
+
+@pytest.fixture
+def domain_of():
+    """A context of its own in the same domain, as another process has one."""
+    class Elsewhere:
+        context = rclpy.Context()
+
+        def create_node(self, name):
+            self.node = rclpy.create_node(name, context=self.context)
+            self.executor = make_executor(self.context)
+            self.executor.add_node(self.node)
+            return self.node
+
+    made = Elsewhere()
+    rclpy.init(context=made.context, args=[])
+    yield made
+    made.executor.remove_node(made.node)
+    made.node.destroy_node()
+    made.context.try_shutdown()
+
+
+@pytest.mark.parametrize("name", ["", "x", "xy", "abc", "abcd", "axis_12"])
+def test_a_joint_state_is_that_of_rclpy(name):
+    from rclpy.serialization import deserialize_message
+
+    header = Header()
+    header.stamp.sec, header.stamp.nanosec = 5, 7
+    assert deserialize_message(encode_joint_state(5_000_000_007, name.encode(), -1.25e-3),
+                               JointState) == JointState(header=header, name=[name],
+                                                         position=[-1.25e-3])
