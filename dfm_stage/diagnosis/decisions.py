@@ -276,7 +276,7 @@ FURTHER_SHARE = _search("FURTHER_SHARE", 0.2, "1", "Share of what is left above 
 MOST_EFFECTS = decision("MOST_EFFECTS", 4, "1", meaning="Effects that are added at most.",
                         set_on=SEARCH_FORM)
 PROMISED = _search("PROMISED", 0.5, "1", "Share of a limit that the screen must promise for a "
-                   "fit; share of the promise below which a fit begins anew.")
+                   "fit; share of the promise below which a fit begins again.")
 SHORT_LIST = decision("SHORT_LIST", 4, "1", meaning="Candidates, and rivals of one effect, that "
                       "are fitted at most.", set_on=SEARCH_FORM)
 SHORT_LIST_GAIN = _search("SHORT_LIST_GAIN", 0.8, "1", "Share of the best screened gain from "
@@ -290,13 +290,13 @@ PAIR_MEMBER = _search("PAIR_MEMBER", 0.02, "1", "Share of the best screened gain
 PAIR_GAIN = _search("PAIR_GAIN", 1.02, "1", "Screened gain of a pair over the fitted one of the "
                     "best single effect, from which it is fitted.")
 RESTART_ABOVE = _search("RESTART_ABOVE", 1.03, "1", "Chi-square a sample above which effects are "
-                        "looked for anew beside the others.")
+                        "searched again beside the others.")
 TWIN_ABOVE = _search("TWIN_ABOVE", 1.01, "1", "Chi-square a sample above which the twin of an "
                      "effect just added is tried in its place.")
 EXCHANGES = decision("EXCHANGES", 3, "1", meaning="Times that a rival may take an effect's place.",
                      set_on=SEARCH_FORM)
 NOISE_MOVED = _search("NOISE_MOVED", 0.03, "1", "Relative change of the noise from which fits are "
-                      "weighed anew.")
+                      "weighed again.")
 RELATED_GAIN = _search("RELATED_GAIN", 0.9, "1", "Screened gain of a rival of the same class, "
                        "over the effect's own, from which it is fitted in its place.")
 UNRELATED_GAIN = _search("UNRELATED_GAIN", 0.97, "1", "The same for a rival of no common class.")
@@ -319,7 +319,7 @@ SCREEN_RANK = _search("SCREEN_RANK", 1e-7, "1", "Singular value over the largest
 AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from which a "
                  "parameter is at it.")
 MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that one parameter "
-                      "gets when it is shared out anew.")
+                      "gets when it is distributed again.")
 STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration steps after which no "
                             "further candidate that is slow to simulate is tried.", BOUND)
 STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 60e6, "steps", "The same for any with a "

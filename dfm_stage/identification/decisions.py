@@ -29,7 +29,7 @@ FORETOLD = decision(
     set_on=ESTIMATOR)
 IN_A_ROW = decision(
     "IN_A_ROW", 3, "1", meaning=
-    "Times that a Jacobian is used again before it is taken anew.",
+    "Times that a Jacobian is used again before it is computed again.",
     set_on=ESTIMATOR)
 NEAR = decision(
     "NEAR", 0.03, "1", meaning=
@@ -69,7 +69,7 @@ FIRST_LOOK = decision(
 WEAK = decision(
     "WEAK", 0.5, "1", meaning=
     "Standard deviation along a direction, over the parameters, from which "
-    "it is told as weak.",
+    "it is reported as weak.",
     set_on=ESTIMATOR)
 RANK_TOLERANCE = decision(
     "RANK_TOLERANCE", 1e-6, "1", meaning=
@@ -107,7 +107,7 @@ SHARE_OF_LOST = decision(
 ORDER_ROOM = decision(
     "ORDER_ROOM", 5, "1", meaning=
     "Coefficients by which twice a noise order may fall short of the last "
-    "before it is taken anew.",
+    "before it is computed again.",
     set_on=ESTIMATOR)
 UNCHANGED = decision(
     "UNCHANGED", 1e-6, "1", meaning=
@@ -150,7 +150,8 @@ HELD_LEAST = decision(
     "held; a held one acts at 0.5 or later, 0.38 with what the regression does not know.",
     set_on=TIMING_FORM)
 HELD_SIGMAS = decision(
-    "HELD_SIGMAS", 4.0, "standard errors", meaning="What surely is.", set_on=TIMING_FORM)
+    "HELD_SIGMAS", 4.0, "standard errors", meaning="A difference of so many counts as certain.",
+    set_on=TIMING_FORM)
 LATE_RATIO = decision(
     "LATE_RATIO", 1.3, "1", meaning="What the regression leaves with an input that is half a "
     "sample late or more, over what it leaves at best, above which it is not held: a second mode "
