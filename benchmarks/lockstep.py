@@ -37,7 +37,7 @@ def figures(quick: bool = False) -> list[Figure]:
         first = _content(twice[0])
         identical = all(_content(bag) == first for bag in (twice[1], composed_twice))
     out = []
-    for composed, name, bar in ((True, "composed", 4.0), (False, "processes", 1.5)):
+    for composed, name, bar in ((True, "composed", 12.0), (False, "processes", 2.0)):
         value, other = speed[composed, "events"], speed[composed, "default"]
         out.append(Figure(f"lockstep.{name}_x_real_time", value, "x", bar, "default executor",
                           other, value / other, f"{duration_s:g} s at 1 kHz, PID raster, "
