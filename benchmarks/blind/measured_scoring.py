@@ -183,7 +183,7 @@ def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[
               "cases by other conventions answered rightly; "
               f"{sum(s.wrong_name for s in of['convention'])} with a wrong name"),
         _rate("convention_found_percent", (hit for s in scores for hit in s.found), 95.0,
-              "at least", "records with lag and delay below 0.2 sample whose convention was "
+              "at least", "records less than 0.2 sample late whose convention was "
               "found; beside them not corrected where lag hides it "
               f"{sum(hit for s in scores for hit in s.untold)} of "
               f"{sum(len(s.untold) for s in scores)}"),
