@@ -52,7 +52,10 @@ def _functions(z: Array) -> Iterator[Array]:
 
 
 def _reshaped(use: EffectUse) -> Iterator[dict[str, float]]:
-    """The effect's parameters with one that is no size of it taken smaller and larger."""
+    """The effect's parameters with one that is no size of it taken smaller and larger; none of
+    one that has a frequency, because at another one it is another vibration."""
+    if any(p.unit == "Hz" for p in use.effect.parameters):
+        return
     for name, value in use.parameters.items():
         limits = use.effect.parameter(name)
         for other in (min(max(factor * value, limits.low), limits.high) for factor in FACTORS):

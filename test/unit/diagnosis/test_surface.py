@@ -122,6 +122,15 @@ def test_what_a_stand_in_leaves_is_an_error_of_its_own_form(force, beside, effec
     assert low <= surface.form_shares[effect] <= high
 
 
+def test_a_vibration_at_another_frequency_is_no_other_form():
+    seconds = truth.PERIOD * np.arange(truth.SAMPLES)
+    shaken = [truth.move(u + 0.05 * np.sin(2.0 * np.pi * 30.0 * seconds)) for u in FEEDS]
+    surface = missing_force(observed(shaken), GIVEN.with_effect(
+        "periodic_disturbance", {"amplitude": 0.01, "frequency": 10.0}))
+    assert surface is not None
+    assert surface.form_shares["periodic_disturbance"] < 0.1
+
+
 def test_a_force_that_is_not_of_the_motion_is_not_predictable():
     seconds = truth.PERIOD * np.arange(truth.SAMPLES)
     shaken = [truth.move(u + 0.05 * np.sin(2.0 * np.pi * 31.7 * seconds)) for u in FEEDS]
