@@ -120,6 +120,8 @@ def test_truths_of_held_records() -> None:
 def test_a_convention_is_asked_for_below_a_fifth_of_a_sample_of_lag() -> None:
     assert Convention("zero", -1.0, 0.19, 0.0).must_be_found
     assert not Convention("zero", -1.0, 0.2, 0.0).must_be_found
+    assert not Convention("zero", 0.5, 0.0, 0.0).must_be_found
     lates = [convention_record(4 * i, 3)[1] for i in range(6)]
     assert any(t["must_be_found"] for t in lates)
-    assert all(t["must_be_found"] == (t["late_samples"] < 0.2) for t in lates)
+    late = [t["late_samples"] + max(t["input_shift_samples"], 0.0) for t in lates]
+    assert [t["must_be_found"] for t in lates] == [each < 0.2 for each in late]

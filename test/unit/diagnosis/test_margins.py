@@ -192,7 +192,7 @@ def test_constancy_is_not_told_of_what_is_unknown_or_short_or_in_windows():
 # -- the score by blocks -------------------------------------------------------------------------
 
 def test_independent_samples_have_the_usual_covariance():
-    """The middle of a sandwich is sigma^2 J'J; the jackknife form is no less on average."""
+    """The middle of a sandwich is sigma^2 J'J; without the jackknife 0.79 of it."""
     ratios = []
     for seed in range(100):
         x, rng = swings(seed)
@@ -200,8 +200,7 @@ def test_independent_samples_have_the_usual_covariance():
         middle, dof = score_by_blocks(hand_made(rng.standard_normal(x.size), columns, x))
         assert dof == 7.0
         ratios.append(np.diag(middle) / np.diag(columns.T @ columns))
-    assert np.mean(ratios, axis=0) == pytest.approx(1.15, abs=0.2)
-    assert np.mean(ratios) > 1.0
+    assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_parameter_that_drifts_over_blocks_is_as_unsure_as_it_drifts():

@@ -113,5 +113,5 @@ def test_results_fill_their_rows_and_leave_the_others(tmp_path: Path):
     assert "**wrong**: `partial` was not expected | 7 % | 12 s" in rows["emps"]
     assert "| right |" in rows["beam"]
     assert page.NOT_RUN in rows["silverbox"]
-    assert "| `emps` | mass | 94 kg | 95.1 | 93.2 to 97 | inside |" in \
+    assert "| `emps` | mass | 94 kg | 95.1 kg | 93.2 to 97 | inside |" in \
         page.figures_beside_published(results)
