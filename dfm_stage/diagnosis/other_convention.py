@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from dfm_stage.diagnosis.decisions import CONVENTION_PRICE, CONVENTION_WORSE
+from dfm_stage.diagnosis.decisions import CONVENTION_PRICE, CONVENTION_WORSE, HOLDS_DIFFER
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation
@@ -20,9 +20,17 @@ from dfm_stage.model import EFFECTS
 
 
 def has_linear_effect(h: Hypothesis) -> bool:
-    """Whether an effect was found that is a linear part of many parameters."""
+    """Whether an effect was found that is a linear part of many parameters, at a frequency at
+    which kinds of hold differ."""
     return any(EFFECTS[n].stamp is not None and EFFECTS[n].wave is None and not is_nonlinear(n)
-               and len(EFFECTS[n].parameters) > CONVENTION_PRICE for n in h.names)
+               and len(EFFECTS[n].parameters) > CONVENTION_PRICE and _is_fast(h, n)
+               for n in h.names)
+
+
+def _is_fast(h: Hypothesis, name: str) -> bool:
+    values = h.fit.model.parameters()
+    return all(values[f"{name}.{p.name}"] * h.fit.model.sample_period > HOLDS_DIFFER
+               for p in EFFECTS[name].parameters if p.unit == "Hz")
 
 
 def by_other_conventions(trial: Trial) -> Iterator[Trial]:

@@ -87,7 +87,22 @@ def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
     (("amplifier_bandwidth",), False),
     (("periodic_disturbance",), False), ((), False)])
 def test_only_a_linear_part_of_many_parameters_stands_for_timing(names, linear):
-    assert has_linear_effect(Hypothesis(names, None, None, {})) is linear
+    assert has_linear_effect(found(names)) is linear
+
+
+@pytest.mark.parametrize(("frequency", "fast"), [(49.0, False), (51.0, True)])
+def test_a_mode_below_a_twentieth_of_the_sampling_rate_does_not(frequency, fast):
+    assert has_linear_effect(found(("second_mode",), frequency)) is fast
+
+
+def found(names, frequency=160.0):
+    """A hypothesis with these effects, a mode at a frequency (Hz), sampled at 1 kHz."""
+    model = MODEL
+    for name in names:
+        given = {**MODE, "frequency": frequency} if name == "second_mode" else {}
+        model = model.with_effect(name, {**EFFECTS[name].defaults, **given})
+    fitted = type("Fitted", (), {"model": model})()
+    return Hypothesis(names, fitted, None, {})
 
 
 class Fitted:
