@@ -36,11 +36,17 @@ CONTROLLER = ("controller", "--ros-args", "-r", "__ns:=/stage/x")
 @pytest.fixture
 def domain():
     with claim_domain() as claimed:
-        first = PORT_BASE + DOMAIN_GAIN * claimed.number
-        for note in SHARED_MEMORY.glob("dfm_stage_port*"):  # of nodes that a test before killed
-            if 0 <= int(note.name.removeprefix("dfm_stage_port")) - first < DOMAIN_GAIN:
-                note.unlink(missing_ok=True)
+        for left in files_of(claimed.number):  # by nodes that a test before killed
+            left.unlink(missing_ok=True)
         yield claimed.number
+
+
+def files_of(domain: int) -> list[Path]:
+    """The ports of a domain in shared memory, their locks and the notes beside them."""
+    first = PORT_BASE + DOMAIN_GAIN * domain
+    return [path for path in SHARED_MEMORY.glob("*_port*")
+            if (number := re.fullmatch(r"(?:sem\.)?\w+_port_?(\d+)\w*", path.name))
+            and 0 <= int(number[1]) - first < DOMAIN_GAIN]
 
 
 @contextlib.contextmanager
@@ -252,10 +258,7 @@ def last_check_ms(port: Path) -> int:
 
 
 def ports_in(domain: int) -> list[Path]:
-    first = PORT_BASE + DOMAIN_GAIN * domain
-    return [port for port in SHARED_MEMORY.glob("fastrtps_port*")
-            if (number := re.fullmatch(r"fastrtps_port(\d+)", port.name))
-            and first <= int(number[1]) < first + DOMAIN_GAIN]
+    return [path for path in files_of(domain) if re.fullmatch(r"fastrtps_port\d+", path.name)]
 
 
 def test_no_port_is_ever_checked_for_a_reader_that_merely_waits(domain):
@@ -265,12 +268,12 @@ def test_no_port_is_ever_checked_for_a_reader_that_merely_waits(domain):
     with running_stranger(domain):
         before = {port: last_check_ms(port) for port in ports_in(domain)}
         assert any(abs(checked - now_ms) < 60_000 for checked in before.values())
-        with running_node(domain):
+        with running_node(domain) as (_, own):
             deadline = time.monotonic() + 10.0
             while not all(last_check_ms(port) > now_ms + a_year_ms for port in ports_in(domain)):
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
-            assert len(ports_in(domain)) > len(before)
+            assert own in ports_in(domain)
 
 
 @contextlib.contextmanager
