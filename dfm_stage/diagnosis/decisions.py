@@ -134,9 +134,6 @@ FURTHER_PART = decision(
     "FURTHER_PART", 0.6, "1", meaning="Share of what is left above the noise that a further "
     "effect must take of held-out power where a remainder stays; the main one, too, unless the "
     "force domain explains as much by it alone, clearly before all others.", set_on=PARTS)
-INCONSTANT = decision(
-    "INCONSTANT", 0.1, "1", meaning="Gain of a parameter that may differ with the size of motion, "
-    "above which the effect stands in for another.", set_on=REAL)
 PARAMETER_PART = decision(
     "PARAMETER_PART", 0.05, "1", meaning="Share of what is left that a further parameter of an "
     "effect must take where a remainder stays.", set_on="derivation: less is within the spread of "
@@ -182,8 +179,9 @@ LEAST_HEARD = decision(
     "explain by itself where the force domain names another. That judges only where it predicts "
     "as much of the missing force.", set_on=SEEN_CORPUS)
 OTHER_FORM = decision(
-    "OTHER_FORM", 0.4, "1", meaning="Share of what an effect leaves, as a force, that it would "
-    "explain in another form, above which it stands in for another and is told as a part.",
+    "OTHER_FORM", 0.4, "1", meaning="Share of what an effect leaves that it would explain in "
+    "another form, or with another size for every size of motion, above which it stands in for "
+    "another and is told as a part.",
     set_on=SEEN_CORPUS + "; relatives of what is in no library: 0.11 to 0.96, above it in 12 of "
     "15 cases; right names beside another force: 0 to 1.0, above it in 7 of 38, 0.35 at most in "
     "the others")

@@ -33,7 +33,6 @@ DropReason = Enum("DropReason", [
     # where a remainder stays:
     "BLOCKS",         # held-out blocks are not worse without it
     "SMALL_PART",     # takes too little of what is left on held-out blocks
-    "INCONSTANT",     # needs another size for every size of motion: stands in for something else
     "RIVALS",         # rivals of no common class do as well
     "UNHEARD",        # the force domain, which can judge it, finds none of it
 ])

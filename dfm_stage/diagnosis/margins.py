@@ -18,6 +18,7 @@ import numpy as np
 from dfm_stage.arrays import Array, Lines
 from dfm_stage.diagnosis.blocks import Blocks, block_edges, by_size, log_ratio
 from dfm_stage.diagnosis.decisions import (
+    BLOCK_MARGIN,
     BLOCKS,
     LONG_BLOCKS,
     SHORTEST_BLOCK,
@@ -82,6 +83,11 @@ class Constancy:
 
     gain: float
     se: float
+
+    @property
+    def share(self) -> float:
+        """Share of what is left that the split explains; none where it is not clear."""
+        return 1.0 - math.exp(-2.0 * self.gain) if self.gain > BLOCK_MARGIN * self.se else 0.0
 
 
 def constancy(found: Fit, addresses: Sequence[str]) -> Constancy | None:

@@ -19,7 +19,7 @@ from dfm_stage.diagnosis.decisions import (
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
-from dfm_stage.identification.convention import find_convention
+from dfm_stage.identification.convention import agreed, find_convention
 from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.input_unit import input_mismatch
 from dfm_stage.identification.lost_samples import find_lost, put_in
@@ -129,7 +129,8 @@ def observe(record: Record, model: Model, axis: str | None = None,
 
 
 def alike(runs: Sequence[Observation]) -> list[Observation]:
-    """The runs with a measured velocity beside the position only where all of them have one.
+    """The runs with what they say together of their inputs, and with a measured velocity beside
+    the position only where all of them have one.
 
     Raises
     ------
@@ -140,9 +141,11 @@ def alike(runs: Sequence[Observation]) -> list[Observation]:
         if run.measures != runs[0].measures:
             raise DiagnosisError(f"{run.name}: the output is a {run.measures}, that of "
                                  f"{runs[0].name} a {runs[0].measures}; use records of one kind")
-    if all(run.velocity is not None for run in runs):
-        return list(runs)
-    return [replace(run, velocity=None) for run in runs]
+    told = [run if run.convention is convention else run.by(convention) for run, convention
+            in zip(runs, agreed([each.convention for each in runs]), strict=True)]
+    if all(run.velocity is not None for run in told):
+        return told
+    return [replace(run, velocity=None) for run in told]
 
 
 def _axis_name(record: Record, axis: str | None) -> str:

@@ -17,7 +17,6 @@ from dfm_stage.diagnosis.decisions import (
     FIRST,
     FURTHER_PART,
     HELD_OUT_FLOOR,
-    INCONSTANT,
     JOINT_LOSS,
     LEAST_HEARD,
     LEAST_PREDICTABLE,
@@ -222,10 +221,12 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
 
 
 def other_form(e: Evidence) -> tuple[str, ...]:
-    """Effects of the hypothesis that would explain much of what they leave in another form: the
-    true force is another."""
+    """Effects of the hypothesis that would explain much of what they leave in another form, or
+    with another size for every size of motion: the true force is another."""
     shares = {} if e.surface is None else e.surface.form_shares
-    return tuple(x.name for x in e.effects if shares.get(x.name, 0.0) > OTHER_FORM)
+    sizes = {x.name: x.constancy.share for x in e.effects if x.constancy is not None}
+    return tuple(x.name for x in e.effects
+                 if max(shares.get(x.name, 0.0), sizes.get(x.name, 0.0)) > OTHER_FORM)
 
 
 def explained_share(e: Evidence) -> float:
@@ -287,8 +288,6 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
         (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
         (taken < _least_part(x, further) * left or (further and _is_small(e, x)),
          DropReason.SMALL_PART),
-        (x.constancy is not None and x.constancy.gain > INCONSTANT
-         and x.constancy.gain > BLOCK_MARGIN * x.constancy.se, DropReason.INCONSTANT),
         (x.force_share is not None and not x.in_best
          and (further or x.force_share < LEAST_HEARD), DropReason.UNHEARD),
         (len(unrelated) > (0 if further else 1), DropReason.RIVALS))

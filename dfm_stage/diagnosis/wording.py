@@ -8,7 +8,6 @@ from typing import Any
 from dfm_stage.diagnosis.decisions import (
     FIRST,
     FITTED_SHARE,
-    INCONSTANT,
     MARGIN,
     OTHER_FORM,
     PARTIAL_SHARE,
@@ -64,8 +63,6 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.AT_BOUND: "its parameters run to the edge of their range",
     DropReason.BLOCKS: "held-out blocks are not clearly worse without it",
     DropReason.SMALL_PART: "takes little of what is left on held-out blocks",
-    DropReason.INCONSTANT: "needs another size for every size of motion: it stands in for "
-    "something else",
     DropReason.UNHEARD: "the force domain, which can judge it, finds none of it",
     DropReason.RIVALS: "several unlike effects do as well in its place",
     Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
@@ -124,8 +121,8 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
     if e.graded:
         yield f"held-out blocks are worse without it by {seen.margin:.1f} standard errors"
         if seen.constancy is not None:
-            yield (f"another size for every size of motion gains {seen.constancy.gain:.3f} "
-                   f"+- {seen.constancy.se:.3f} (limit {INCONSTANT:g})")
+            yield ("with another size for every size of motion it would explain "
+                   f"{seen.constancy.share:.0%} of what is left (limit {OTHER_FORM:.0%})")
         if e.surface is not None and found.name in e.surface.form_shares:
             yield ("with a size that varies with position, or another shape, it would "
                    f"explain {e.surface.form_shares[found.name]:.0%} of the force that is left "

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -35,7 +35,7 @@ from dfm_stage.identification.decisions import (
 )
 
 Hold = Literal["zero", "first", "band_limited"]
-Source = Literal["estimated", "assumed", "given"]
+Source = Literal["estimated", "others", "assumed", "given"]
 
 LATENESS: Mapping[Hold, float] = {"zero": 0.5, "first": 0.0, "band_limited": 0.0}
 """Samples by which an input of each kind acts late on average."""
@@ -63,7 +63,8 @@ class Convention:
     The value that acts at t_k is column(t_k - `shift` T): `shift` samples, never above zero where
     it is found, because what is late is a delay. `sigma` is its standard error. `late` is how much
     later than the hold says the input acts, with `late_sigma`: lag and delay of the stage, or of
-    the column; None where the record does not show it.
+    the column; None where the record does not show it. `source` is "others" where the other
+    records of the set show it. `left` is the RMS that each kind of hold leaves of the input.
     """
 
     hold: Hold = "zero"
@@ -72,6 +73,7 @@ class Convention:
     source: Source = "assumed"
     late: float | None = None
     late_sigma: float | None = None
+    left: Mapping[Hold, float] = field(default_factory=dict, compare=False)
 
     @property
     def held(self) -> bool:
@@ -108,6 +110,8 @@ class Convention:
             return " (given)"
         if self.source == "assumed":
             return " (assumed: the record does not show it)"
+        if self.source == "others":
+            return " (assumed: the other records show it, this one does not)"
         if self.late is not None and self.late_sigma is not None \
                 and self.late > HELD_SIGMAS * self.late_sigma:
             return f" (it acts {self.late:.2g} samples later: not told from a lag or a delay)"
@@ -123,7 +127,27 @@ def reinterpreted(known: Convention, kind: Hold) -> Convention:
     acts = LATENESS[known.hold] + known.shift + (known.late or 0.0)
     late = acts - LATENESS[kind]
     early = late if late < -EARLY_SHIFT else 0.0
-    return Convention(kind, early, known.sigma, known.source, late - early, known.late_sigma)
+    return replace(known, hold=kind, shift=early, late=late - early)
+
+
+def agreed(found: Sequence[Convention]) -> list[Convention]:
+    """What the records of one set say together of their inputs, in their order.
+
+    Where every record that shows its convention says that the input is not simply held, all take
+    the kind of hold that leaves least over these records, and those that show none act when the
+    others do. What was given by hand stays, and records that contradict each other do.
+    """
+    shown = [each for each in found if each.source == "estimated"]
+    if not shown or any(each.held for each in shown):
+        return list(found)
+    kinds = set.intersection(*(set(each.left) for each in shown))
+    kind = min(kinds, key=lambda k: sum(math.log(max(each.left[k], 1e-300)) for each in shown))
+    told = [each if each.source != "estimated" or each.hold == kind
+            else reinterpreted(each, kind) for each in found]
+    surest = min((each for each in told if each.source == "estimated"),
+                 key=lambda each: each.sigma or math.inf)
+    return [replace(surest, source="others") if each.source == "assumed" else each
+            for each in told]
 
 
 def sentences(conventions: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -288,19 +312,20 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
                           late_sigma=sigma)
     if best.left_late < LATE_RATIO * best.left:
         return HELD
-    early = best.tau - LATENESS[kind := _kind(u, y, width, derivative)]
+    left = _left_by_kind(u, y, width, derivative)
+    kind = min(left, key=lambda kind: left[kind])
+    early = best.tau - LATENESS[kind]
     if early > -max(EARLY_SHIFT, HELD_SIGMAS * sigma):
-        return Convention(kind, 0.0, sigma, "estimated", early, sigma)
-    return Convention(kind, early, sigma, "estimated", 0.0, sigma)
+        return Convention(kind, 0.0, sigma, "estimated", early, sigma, left)
+    return Convention(kind, early, sigma, "estimated", 0.0, sigma, left)
 
 
-def _kind(u: Array, y: Array, width: float, derivative: int) -> Hold:
-    """The kind of interpolation of an input that is not simply held: the one that leaves least
-    behind the filter that tells its timing best. Kinds differ at high frequencies: a wider filter
-    has none, a narrower one mostly noise."""
-    left = {kind: found.left for kind, power in SINCS.items()
+def _left_by_kind(u: Array, y: Array, width: float, derivative: int) -> dict[Hold, float]:
+    """What each kind of hold leaves of an input that is not simply held, behind the filter that
+    tells its timing best. Kinds differ at high frequencies: a wider filter has none, a narrower
+    one mostly noise."""
+    return {kind: found.left for kind, power in SINCS.items()
             if (found := timing(u, y, width, derivative, power)) is not None}
-    return min(left, key=lambda kind: left[kind])
 
 
 def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0) -> Timing | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.identification.convention import Convention, find_convention
+from dfm_stage.identification.convention import Convention, agreed, find_convention
 from dfm_stage.identification.motion import ORDER
 from dfm_stage.identification.periods import find_period
 from dfm_stage.identification.run import Run
@@ -23,6 +24,7 @@ class Source:
     axis: AxisRecord
     sample_period: float
     warnings: tuple[str, ...] = ()
+    known: Convention | None = None
 
     @classmethod
     def of(cls, record: Record, axis: str | None = None, name: str | None = None) -> Source:
@@ -55,9 +57,11 @@ class Source:
 
     @cached_property
     def convention(self) -> Convention:
-        """What the input does between its samples: given with the record, or found in it."""
-        return find_convention(self.axis.input, self.axis.position, ORDER[self.axis.measures],
-                               hold=self.axis.input_hold, shift=self.axis.input_shift)
+        """What the input does between its samples: `known`, given with the record, or found in
+        it."""
+        axis = self.axis
+        return self.known or find_convention(axis.input, axis.position, ORDER[axis.measures],
+                                             hold=axis.input_hold, shift=axis.input_shift)
 
     @property
     def period(self) -> int | None:
@@ -67,3 +71,10 @@ class Source:
             if found is not None:
                 return found.period
         return None
+
+
+def agreeing(sources: Iterable[Source]) -> list[Source]:
+    """Return the sources of one set with what they say together of their inputs."""
+    given = list(sources)
+    return [replace(source, known=convention) for source, convention
+            in zip(given, agreed([each.convention for each in given]), strict=True)]

@@ -30,7 +30,7 @@ from dfm_stage.identification.plant import LinearPlant
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import LineResidual, ResidualTest
 from dfm_stage.identification.result import Estimate
-from dfm_stage.identification.source import Source
+from dfm_stage.identification.source import Source, agreeing
 from dfm_stage.identification.transfer_function import (
     TransferFunctionFit,
     fit_transfer_function,
@@ -141,6 +141,8 @@ def identify(records: Sequence[Source | Record], *, model: Model | None = None,
     sources, holdout = ([each if isinstance(each, Source) else Source.of(each) for each in given]
                         for given in (records, holdout))
     _check_usable(sources, holdout, model)
+    together = agreeing([*sources, *holdout])
+    sources, holdout = together[:len(sources)], together[len(sources):]
     fixed = dict(fixed or {})
     warnings = [f"{s.name}: {w}" for s in sources for w in s.warnings]
     step("frequency response")

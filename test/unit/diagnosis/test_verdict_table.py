@@ -396,7 +396,6 @@ def test_rivals_are_rejected_once_and_what_did_not_pass_says_so():
     (part(0.9), None),
     (part(0.9, margin=2.9), DropReason.BLOCKS),
     (part(0.49), DropReason.SMALL_PART),
-    (part(0.9, gain=0.11), DropReason.INCONSTANT),
     (part(0.9, at(2.9)), None),
     (part(0.9, at(2.9), at(2.9)), DropReason.RIVALS)])
 def test_an_effect_falls_beside_a_remainder(evidence, reason):
@@ -434,6 +433,19 @@ def test_an_effect_that_leaves_an_error_of_its_own_form_is_a_part(share, kind):
     e = part(0.99, surface=surface(share))
     assert verdict(e).kind == kind
     assert ("another form" in sentence(e, verdict(e))) is (kind == "partial")
+
+
+@pytest.mark.parametrize(("gain", "kind"), [(0.25, "named"), (0.26, "partial")])
+def test_an_effect_that_needs_another_size_for_other_motion_is_a_part(gain, kind):
+    """1 - exp(-2 * 0.255) is the limit of 0.4."""
+    e = part(0.99, gain=gain)
+    assert verdict(e).kind == kind
+    assert ("another form" in sentence(e, verdict(e))) is (kind == "partial")
+
+
+def test_another_size_for_other_motion_counts_where_it_is_clear():
+    assert Constancy(0.3, 0.11).share == 0.0
+    assert Constancy(0.3, 0.09).share == pytest.approx(0.451, abs=1e-3)
 
 
 @pytest.mark.parametrize(("share", "confirmed", "named"), [

@@ -14,10 +14,12 @@ from dfm_stage.identification import Run, Source, identify
 from dfm_stage.identification.convention import (
     HELD,
     Convention,
+    agreed,
     drive_of,
     find_convention,
     interpolated,
 )
+from dfm_stage.identification.source import agreeing
 from dfm_stage.identification.system import System
 from dfm_stage.model import Model, Simulator
 from dfm_stage.recording import AxisRecord
@@ -266,6 +268,58 @@ def test_identify_follows_and_tells_the_convention_of_its_records() -> None:
     by_hand = Source("run", AxisRecord(column, output, input_hold="zero"), PERIOD)
     assert by_hand.run().drive is None
     assert identify([by_hand], model=model).model.base["amplifier_time_constant"] < 2e-5
+
+def shown(hold: str, late: float, sigma: float = 0.01, shift: float = 0.0,
+          **left: float) -> Convention:
+    return Convention(hold, shift, sigma, "estimated", late, sigma, left)
+
+
+BY_KIND = {"zero": 0.3, "first": 0.2, "band_limited": 0.1}
+
+
+def test_a_record_that_does_not_show_its_convention_takes_that_of_the_others() -> None:
+    both = [HELD, shown("band_limited", 0.1, 0.02, **BY_KIND),
+            shown("band_limited", 0.08, **BY_KIND)]
+    silent, *others = agreed(both)
+    assert (silent.hold, silent.source, silent.late) == ("band_limited", "others", 0.08)
+    assert "the other records show it" in silent.words
+    assert others == both[1:]
+
+
+def test_records_share_the_kind_of_hold_that_leaves_least_over_all() -> None:
+    """One says straight lines by a hair, the other band-limited by a factor of two."""
+    first, second = agreed([
+        shown("first", 0.1, zero=0.3, first=0.100, band_limited=0.101),
+        shown("band_limited", 0.1, zero=0.3, first=0.200, band_limited=0.1)])
+    assert (first.hold, second.hold) == ("band_limited", "band_limited")
+    assert (first.late, first.source) == (0.1, "estimated")
+
+
+def test_an_early_held_input_beside_a_band_limited_one_is_told_as_that() -> None:
+    """Both act at the sample instant: the first was told as half a sample early."""
+    early = shown("zero", 0.0, shift=-0.5, zero=0.10, first=0.12, band_limited=0.11)
+    other = shown("band_limited", 0.0, zero=0.3, first=0.2, band_limited=0.1)
+    told, _ = agreed([early, other])
+    assert (told.hold, told.shift, told.late) == ("band_limited", 0.0, 0.0)
+
+
+@pytest.mark.parametrize("other", [
+    shown("zero", 0.2, zero=0.1, first=0.2, band_limited=0.3),
+    Convention("band_limited", -0.2, source="given")])
+def test_records_that_contradict_each_other_or_were_given_stay(other: Convention) -> None:
+    mine = shown("first", 0.0, zero=0.3, first=0.1, band_limited=0.2)
+    assert agreed([mine, other]) == [mine, other]
+
+
+def test_identify_and_diagnose_take_what_the_records_say_together() -> None:
+    little = {**BASE, "amplifier_time_constant": 1e-4}
+    column, output = recorded("band_limited", 6, little, noise=1e-5, count=4000)
+    blurred = output + 0.3 * np.std(output) * np.random.default_rng(1).standard_normal(output.size)
+    assert find_convention(column, blurred) == HELD
+    clear, noisy = agreeing([Source("clear", AxisRecord(column, output), PERIOD),
+                             Source("noisy", AxisRecord(column, blurred), PERIOD)])
+    assert clear.run().convention.hold == noisy.run().convention.hold == "band_limited"
+    assert noisy.run().drive is not None
 
 
 SHARED = Path(os.environ.get("DFM_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data"))
