@@ -112,6 +112,26 @@ class EffectEvidence:
 
 
 @dataclass(frozen=True)
+class Heard:
+    """What the force domain names by itself: by name the share of the missing force's power that
+    is lost without the effect, the share of all together and of what is predictable, and for each
+    name those that it does not part from it, itself first. `sizes` by address are what is known
+    of them there, `start` are all parameters by address, SI."""
+
+    added: Mapping[str, float]
+    share: float
+    predictable: float
+    members: Mapping[str, tuple[str, ...]]
+    sizes: Mapping[str, Quantity] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def explained(self) -> float:
+        """Share of what is predictable that all explain together."""
+        return min(self.share / self.predictable, 1.0)
+
+
+@dataclass(frozen=True)
 class Candidate:
     """An effect of the library: why it is no candidate here, the fall in chi-square that the
     screen promised, the share of the missing force that it explains by itself, and why it was
@@ -170,7 +190,7 @@ class Judged:
     of its noise, and the RMS that a black box would leave, where one was tried. With `change` the
     signal is the output's change from sample to sample."""
 
-    signal: Signal = "position"
+    signal: Signal | Literal["force"] = "position"
     window_s: float | None = None
     noise_power: float = 0.0
     predictable: float | None = None
@@ -217,7 +237,7 @@ class Evidence:
     `witness` is what the force domain says by itself, `surface` the force that is still missing,
     where that is clear of the noise. `graded` says that the effects were found by
     how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
-    held-out powers are compared.
+    held-out powers are compared. `heard` says that the force domain alone bears the effects out.
     """
 
     records: tuple[str, ...]
@@ -241,5 +261,6 @@ class Evidence:
     judged: Judged = field(default_factory=Judged)
     graded: bool = False
     witness: Mapping[str, Any] | None = None
+    heard: Heard | None = None
     surface: Surface | None = None
     conventions: tuple[Mapping[str, Any], ...] = ()

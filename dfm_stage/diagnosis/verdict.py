@@ -38,6 +38,7 @@ from dfm_stage.diagnosis.evidence import (
     DropReason,
     EffectEvidence,
     Evidence,
+    Heard,
     RivalEvidence,
     Which,
 )
@@ -142,6 +143,8 @@ class Verdict:
 def verdict(e: Evidence) -> Verdict:
     """Judge the evidence."""
     names = {x.name for x in e.effects}
+    if e.heard is not None:
+        return _by_force(e, e.heard)
     if e.graded and names:
         return _graded(e, names)
     outcome = judge_hypothesis(e)
@@ -220,6 +223,18 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
                    True, "extended", "extended")
 
 
+def _by_force(e: Evidence, heard: Heard) -> Verdict:
+    """The verdict on effects that the force domain alone bears out."""
+    found = tuple(Found(name, heard.members[name], min(share, 1.0), 0.0,
+                        min(share / heard.predictable, 1.0))
+                  for name, share in sorted(heard.added.items(), key=lambda each: -each[1]))
+    undecided = tuple(m for f in found for m in f.members if len(f.members) > 1)
+    in_part = heard.explained < NAMED_SHARE or bool(other_form(e))
+    kind: Kind = "partial" if in_part else "ambiguous" if undecided else "named"
+    return Verdict(kind, Reason.GRADED, found, undecided, (),
+                   tuple(_rejected(e, set(heard.added))), True, "extended", "extended")
+
+
 def other_form(e: Evidence) -> tuple[str, ...]:
     """Effects of the hypothesis that would explain much of what they leave in another form, or
     with another size for every size of motion: the true force is another."""
@@ -230,7 +245,10 @@ def other_form(e: Evidence) -> tuple[str, ...]:
 
 
 def explained_share(e: Evidence) -> float:
-    """Share of what is predictable of the held-out gap that all effects explain together."""
+    """Share of what is predictable of the held-out gap, or of the missing force, that all effects
+    explain together."""
+    if e.heard is not None:
+        return e.heard.explained
     return above(e, e.extended.held_out.power) / max(_predictable(e), 1e-300)
 
 

@@ -96,11 +96,15 @@ def _part(e: Evidence, v: Verdict) -> str:
     where = f"in {e.judged.signal}" + (
         f", windows of {e.judged.window_s:.2g} s" if e.judged.window_s else "")
     what = _listed([" or ".join(map(_spoken, f.members)) for f in v.effects])
-    how = (f"{explained:.0%} of what is predictable of the held-out gap ({where})")
+    how = f"{explained:.0%} of what is predictable of the held-out gap ({where})"
+    if e.heard is not None:
+        how = (f"{explained:.0%} of what is predictable of the missing force on held-out blocks "
+               "(judged in force alone)")
     if v.kind == "named":
-        left = max(1.0 - above(e, e.extended.held_out.power), 0.0)
+        left = max(1.0 - (above(e, e.extended.held_out.power) if e.heard is None
+                          else e.heard.share), 0.0)
         return (f"The model lacks {what}: it explains {how}; a remainder of {100.0 * left:.2g} % "
-                "of the gap's power stays.")
+                f"of {'the gap' if e.heard is None else 'that force'}'s power stays.")
     rest = "the true force has another form" if other_form(e) else \
         "the rest is in no effect of the library"
     return f"A part of what is missing behaves like {what}: {how}; {rest}."
@@ -118,6 +122,11 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
     yield (f"held-out RMS {seen.without.held_out.rms:.3g} {e.unit} without it, "
            f"{e.extended.held_out.rms:.3g} {e.unit} with it")
     yield f"{EFFECTS[found.name].meaning}: {EFFECTS[found.name].equation}"
+    if e.heard is not None:
+        yield f"{e.heard.added[found.name]:.0%} of the missing force is lost without it"
+        behind = e.witness["margins"] if e.witness is not None else {}
+        yield from (f"{name} in its place is {m:.1f} block standard errors behind in force"
+                    for name, m in list(behind.items())[:2])
     if e.graded:
         yield f"held-out blocks are worse without it by {seen.margin:.1f} standard errors"
         if seen.constancy is not None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dfm_stage.diagnosis.clear_force import by_force, clear_force
 from dfm_stage.diagnosis.decisions import (
     FAR_BEHIND,
     FIRST_SHARE,
@@ -207,6 +208,9 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
             part = trial, *graded(trial, h, warnings, split)
         if part[1].names:
             return part
+        forced = _by_force(trial, h, warnings, split)
+        if forced is not None:
+            return forced
         evidence = replace(evidence, witness=part[2].witness, judged=part[2].judged)
     return trial, h, evidence
 
@@ -226,6 +230,23 @@ def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     bare = own.search.begin()
     other = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
     return other if other[1].names else found
+
+
+def _by_force(trial: Trial, h: Hypothesis, warnings: Sequence[str],
+              split: bool) -> Judgement | None:
+    """What the force domain alone bears out, where the model with it predicts the held-out motion
+    no worse; a motion that is grossly missed is compared in windows."""
+    seen = trial.witness
+    heard = None if seen is None else clear_force(seen)
+    if seen is None or heard is None:
+        return None
+    bare = h.bare
+    if is_gross(bare) and not trial.search.runs[0].window:
+        trial = _in_windows(trial)
+        trial.search.begin_work(LEAST_STEPS)
+        bare = trial.search.begin()
+    found = by_force(trial, bare, seen, heard, warnings, split)
+    return None if found is None else (trial, *found)
 
 
 def leaves_gross(found: Fit) -> bool:

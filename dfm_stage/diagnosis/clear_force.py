@@ -1,0 +1,125 @@
+"""What the force domain names by itself, where no simulated motion bears a name out.
+
+A body without a spring, or one in dry friction, is carried away by forces that hardly show in its
+force balance; a fit of its motion then tells effects apart by where it drifts. The force balance
+does not drift. It names effects where these explain most of the force that is predictable on
+held-out blocks, and every other effect in their place explains clearly less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from scipy.stats import t as student_t
+
+from dfm_stage.diagnosis.alike import shares_class
+from dfm_stage.diagnosis.decisions import (
+    BLOCK_MARGIN,
+    FURTHER_PART,
+    LEAST_HEARD,
+    LEAST_PREDICTABLE,
+    MARGIN_OVER_LARGER,
+    PARTIAL_SHARE,
+)
+from dfm_stage.diagnosis.evidence import Evidence, Heard
+from dfm_stage.diagnosis.fit import Fit, fit
+from dfm_stage.diagnosis.gather import gather, with_witness
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.verification import weights_like
+from dfm_stage.diagnosis.witness import Explained, Witness
+from dfm_stage.identification.quantity import Quantity
+from dfm_stage.model import EFFECTS
+
+
+def clear_force(seen: Witness) -> Heard | None:
+    """What the force domain names; None where it does not see enough of the force, or does not
+    part it from other effects.
+
+    A second effect counts where the first leaves a substantial part without it, and where each
+    explains something by itself: two that only do so together mend each other's errors.
+    """
+    best, share = seen.best, seen.best.share
+    predictable = max(seen.predictable_share, LEAST_PREDICTABLE)
+    if seen.cannot_tell or seen.predictable_share < LEAST_HEARD or not best.names:
+        return None
+    alone = {n: each.share if (each := seen.of(n)) is not None else 0.0 for n in best.names}
+    added = {n: share - max((alone[m] for m in best.names if m != n), default=0.0)
+             for n in best.names}
+    names = tuple(n for n in best.names
+                  if added[n] >= PARTIAL_SHARE * predictable and alone[n] > 0.0)
+    if not names:
+        return None
+    if len(names) < len(best.names):
+        share = added[names[0]] = alone[names[0]]
+    if share < FURTHER_PART * predictable or any(
+            _level(seen, names, n) and not _related(n, names) for n in seen.margins):
+        return None
+    told = seen.of(*names)
+    assert told is not None  # noqa: S101 (it is the best set, or one of its members alone)
+    members = {n: (n, *(m for m in seen.margins if m not in names
+                        and _level(seen, names, m) and shares_class(m, n))) for n in names}
+    return Heard({n: added[n] for n in names}, share, predictable, members,
+                 _sizes(told, seen.blocks), told.parameters)
+
+
+def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:
+    """The sizes that a jackknife over blocks gives an interval, by address, SI."""
+    wide = float(student_t.ppf(0.975, blocks - 1))
+    found = {}
+    for name in told.names:
+        for size in EFFECTS[name].sizes:
+            address = f"{name}.{size}"
+            if address in told.errors:
+                value, half = told.parameters[address], wide * told.errors[address]
+                found[address] = Quantity(value, "", (value - half, value + half))
+    return found
+
+
+def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Sequence[str],
+             split: bool) -> tuple[Hypothesis, Evidence] | None:
+    """The hypothesis that the force domain bears out, with its evidence: sizes as it has them, all
+    else fitted to the motion. None where that does not lower the held-out gap."""
+    search, names = trial.search, tuple(heard.added)
+    search.step(f"fitting {' and '.join(names)}, which the force domain names")
+    trial.held_weights = weights_like(trial.held, search.weights)
+    model = bare.model.with_parameters({n: heard.start[n] for n in search.free
+                                        if n in heard.start and n in bare.model.base})
+    for name in names:
+        model = model.with_effect(name, {
+            p: heard.start.get(f"{name}.{p}", value)
+            for p, value in EFFECTS[name].defaults.items()})
+    free = [n for n in search.parameters(model) if n not in heard.sizes]
+    found = fit(model, search.runs, free, search.weights, earlier=bare.locals, noise=search.noise)
+    if not found.ok:
+        return None
+    h = Hypothesis(names, found, bare)
+    evidence = with_witness(gather(trial, h, warnings, split, graded=True), seen)
+    if evidence.extended.held_out.power >= evidence.retuned.held_out.power:
+        return None
+    moved = fit(found.model, search.runs, search.parameters(model), search.weights,
+                earlier=found.locals, noise=search.noise).model.parameters()
+    effects = tuple(replace(x, parameters={
+        p: _size(heard.sizes.get(a := f"{x.name}.{p}"), q, moved[a])
+        for p, q in x.parameters.items()}) for x in evidence.effects)
+    judged = replace(evidence.judged, signal="force", predictable=None)
+    return h, replace(evidence, heard=heard, effects=effects, judged=judged)
+
+
+def _level(seen: Witness, names: Sequence[str], rival: str) -> bool:
+    """Whether held-out blocks do not part a rival from the effects named."""
+    larger = len(EFFECTS[rival].parameters) > max(len(EFFECTS[n].parameters) for n in names)
+    return seen.margins[rival] < (MARGIN_OVER_LARGER if larger else BLOCK_MARGIN)
+
+
+def _related(rival: str, names: Sequence[str]) -> bool:
+    return rival in names or any(shares_class(rival, n) for n in names)
+
+
+def _size(size: Quantity | None, known: Quantity, moved: float) -> Quantity:
+    """A parameter as `known` from the motion; a size from the force domain instead, its interval
+    widened by how far a fit of the motion moves it: filters shift it by more than blocks vary."""
+    if size is None:
+        return known
+    half = size.half_width + abs(moved - size.value)
+    return Quantity(size.value, known.unit, (size.value - half, size.value + half))

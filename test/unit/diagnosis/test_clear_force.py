@@ -1,0 +1,135 @@
+"""What the force domain names by itself: where it may, and what the model then has."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis.clear_force import by_force, clear_force
+from dfm_stage.diagnosis.evidence import Heard
+from dfm_stage.diagnosis.hypothesis import Trial
+from dfm_stage.diagnosis.observation import observe
+from dfm_stage.diagnosis.result import told
+from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.verdict import verdict
+from dfm_stage.diagnosis.witness import Explained, Witness
+from dfm_stage.diagnosis.wording import sentence
+from dfm_stage.model import EFFECTS
+
+_spec = importlib.util.spec_from_file_location("clear_force_truth",
+                                               Path(__file__).with_name("truth.py"))
+assert _spec is not None
+assert _spec.loader is not None
+truth = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(truth)
+
+
+def explained(share: float, *names: str) -> Explained:
+    sizes = {f"{n}.{EFFECTS[n].sizes[0]}": 2.0 for n in names}
+    return Explained(names, share, 0.01, share, sizes, dict.fromkeys(sizes, 0.1))
+
+
+def said(best: Explained, *singles: Explained, predictable: float = 0.95, noise: float = 0.01,
+         **margins: float) -> Witness:
+    """A witness whose best set is `best`."""
+    pairs = (best,) if len(best.names) > 1 else ()
+    left = math.sqrt(1.0 - predictable)
+    return Witness(explained(0.0), (*singles, *(() if pairs else (best,))), pairs, best, margins,
+                   left, left, left, 0.1, noise, (0.5, 0.01), True, 2.0, 24, {})
+
+
+FRICTION = explained(0.9, "coulomb_friction")
+
+
+def test_what_explains_most_and_leads_all_is_named():
+    heard = clear_force(said(FRICTION, cubic_stiffness=3.1))
+    assert heard is not None
+    assert heard.added == {"coulomb_friction": 0.9}
+    assert heard.explained == pytest.approx(0.9 / 0.95)
+    assert heard.members == {"coulomb_friction": ("coulomb_friction",)}
+    (force,) = heard.sizes.values()
+    assert force.ci95 == pytest.approx((2.0 - 0.2069, 2.0 + 0.2069), rel=1e-3)  # t, 23 degrees
+
+
+@pytest.mark.parametrize("seen", [
+    said(FRICTION, cubic_stiffness=2.9),                  # level with a rival of another kind
+    said(FRICTION, eddy_current_damping=1.9),             # that has a parameter more
+    said(explained(0.56, "coulomb_friction")),            # 0.59 of what is predictable
+    said(explained(0.45, "coulomb_friction"), predictable=0.46),  # most cannot be predicted
+    said(FRICTION, noise=0.6)])
+def test_nothing_is_named_where_the_force_domain_is_not_clear(seen):
+    assert clear_force(seen) is None
+
+
+def test_a_rival_with_more_parameters_needs_less_distance():
+    assert clear_force(said(FRICTION, eddy_current_damping=2.1)) is not None
+
+
+def test_a_level_rival_of_its_class_joins_it():
+    heard = clear_force(said(FRICTION, presliding_friction=0.4))
+    assert heard is not None
+    assert heard.members == {"coulomb_friction": ("coulomb_friction", "presliding_friction")}
+
+
+@pytest.mark.parametrize(("offset", "friction", "names"), [
+    (0.4, 0.25, ("force_offset", "coulomb_friction")),  # each adds half of it
+    (0.7, 0.25, ("force_offset",)),                     # the second adds 0.23
+    (0.4, -0.1, ("force_offset",)),                     # it explains nothing by itself
+    (-3.0, -2.0, None)])                                # they mend each other's errors
+def test_a_second_effect_counts_where_it_adds_a_substantial_part(offset, friction, names):
+    both = explained(0.93, "force_offset", "coulomb_friction")
+    heard = clear_force(said(both, explained(offset, "force_offset"),
+                             explained(friction, "coulomb_friction")))
+    if names == ("force_offset",) and offset < 0.57:
+        assert heard is None  # alone it explains too little
+    else:
+        assert (None if heard is None else tuple(heard.added)) == names
+
+
+@pytest.fixture(scope="module")
+def trial():
+    """A hardening spring that the model lacks."""
+    runs = [observe(truth.record(feed, truth.move(feed, lambda x, v: -4e10 * x**3), seed, "run"),
+                    truth.believed()) for seed, feed in enumerate(
+                        (truth.multisine(1), truth.multisine(2, 0.8)))]
+    return Trial(Search(truth.believed(), runs[:1], ("damping", "stiffness"),
+                        library=tuple(EFFECTS)), runs[1:])
+
+
+def test_the_model_has_the_size_that_the_force_domain_gives(trial):
+    seen = trial.witness
+    heard = clear_force(seen)
+    assert heard is not None
+    found = by_force(trial, trial.search.begin(), seen, heard, (), split=False)
+    assert found is not None
+    h, e = found
+    v = verdict(e)
+    assert (v.kind, [f.name for f in v.effects], v.complete) == (
+        "named", ["cubic_stiffness"], False)
+    (k3,) = (x.parameters["k3"] for x in e.effects)
+    assert k3.covers(4e10)
+    assert (k3.value, k3.unit) == (h.fit.model.effect("cubic_stiffness").parameters["k3"], "N/m^3")
+    assert e.extended.held_out.rms < 0.1 * e.retuned.held_out.rms
+    d = told(e, v, h.fit.model).to_dict()
+    assert d["gap"]["judged"] == "force"
+    assert "judged in force alone" in sentence(e, v)
+    assert d["effects"][0]["gap_share"] > 0.95
+
+
+def test_what_makes_the_held_out_motion_worse_is_not_taken(trial):
+    wrong = Heard({"cubic_stiffness": 0.9}, 0.9, 0.95, {"cubic_stiffness": ("cubic_stiffness",)},
+                  clear_force(trial.witness).sizes,
+                  {"cubic_stiffness.k3": -4e10})
+    assert by_force(trial, trial.search.begin(), trial.witness, wrong, (), split=False) is None
+
+
+def test_most_of_a_part_is_told_as_a_part(trial):
+    heard = clear_force(trial.witness)
+    less = Heard({"cubic_stiffness": 0.7}, 0.7, 0.95, heard.members, heard.sizes, heard.start)
+    _, e = by_force(trial, trial.search.begin(), trial.witness, less, (), split=False)
+    assert verdict(e).kind == "partial"
+    assert np.isclose(verdict(e).effects[0].predictable_share, 0.7 / 0.95)
