@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dfm_stage.diagnosis.alike import at_upper_end
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
+    BLOCK_MARGIN,
     FEWEST_CYCLES,
     FURTHER_PART,
     GRADED_RIVALS,
@@ -73,7 +74,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
             trial.dropped.update({n: r for n, r in dropped.items() if n not in names})
             return h, judged
         name, reason = weakest
-        better = _better_rival(h, name)
+        better = _better_rival(h, judged, name)
         if better is not None and better.name not in dropped:
             names = tuple(better.name if n == name else n for n in names)
             found = better.fit
@@ -223,7 +224,12 @@ def _screened(search: Search, name: str, rest: Names, without: Fit) -> list[Hit]
     return listed[:GRADED_RIVALS]
 
 
-def _better_rival(h: Hypothesis, name: str) -> Rival | None:
-    """The rival that leaves least, where it leaves less than the effect itself."""
-    better = [r for r in h.rivals.get(name, ()) if r.cost < 0.0]
-    return min(better, key=lambda r: r.cost, default=None)
+def _better_rival(h: Hypothesis, judged: Evidence, name: str) -> Rival | None:
+    """The rival that leaves least of what leaves less than the effect itself; else the one that
+    held-out blocks clearly prefer."""
+    rivals = h.rivals.get(name, ())
+    better = [r for r in rivals if r.cost < 0.0]
+    margins = {r.name: r.margin for x in judged.effects if x.name == name for r in x.rivals}
+    preferred = [r for r in rivals if margins[r.name] < -BLOCK_MARGIN]
+    return min(better, key=lambda r: r.cost, default=None) or min(
+        preferred, key=lambda r: margins[r.name], default=None)
