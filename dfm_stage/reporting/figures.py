@@ -4,10 +4,12 @@ colours follow the page, light or dark."""
 from __future__ import annotations
 
 import io
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from html import escape
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,7 @@ import numpy as np
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.quantity import display_unit, superscript_power
+from dfm_stage.reporting.curves import name_elements, panels_of
 from dfm_stage.reporting.table import Cell, Table
 
 if TYPE_CHECKING:
@@ -71,22 +74,29 @@ def to_svg(figure: Figure, prefix: str, label: str, width_in: float | None = Non
     """Return the figure as an <svg> element without a fixed size.
 
     `prefix` keeps its ids apart from those of other figures on the page; `label` is what a screen
-    reader says. The same figure gives the same text every time.
+    reader says. The same figure gives the same text every time. `data-panels` tells the page's
+    script where the curves are.
     """
-    from html import escape
-    width, height = figure.get_size_inches()
+    (width, height), dpi = figure.get_size_inches(), figure.dpi
     buffer = io.StringIO()
     with page_style():
         import matplotlib as mpl
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
         _plain_decades(figure)
+        name_elements(figure)
         try:
             if width_in is not None:
                 figure.set_size_inches(width_in, max(height * 0.9, 2.2))
+            # savefig() would draw twice, the first time only to lay the figure out
             with mpl.rc_context({"svg.hashsalt": prefix}):
-                figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+                canvas: Any = FigureCanvasSVG(figure)
+                canvas.print_svg(buffer, metadata={"Date": None, "Creator": None})
+            panels = json.dumps(panels_of(figure, prefix), ensure_ascii=False,
+                                separators=(",", ":"))
         finally:
             figure.set_size_inches(width, height)
-    return _inline(buffer.getvalue(), prefix, escape(label, quote=True))
+            figure.set_dpi(dpi)
+    return _inline(buffer.getvalue(), prefix, label, panels)
 
 
 def _plain_decades(figure: Figure) -> None:
@@ -104,7 +114,7 @@ def _plain_decades(figure: Figure) -> None:
                 axis.set_minor_formatter(Plain(labelOnlyBase=False))
 
 
-def _inline(text: str, prefix: str, label: str) -> str:
+def _inline(text: str, prefix: str, label: str, panels: str) -> str:
     svg = text[text.index("<svg"):].strip()
     changes: list[tuple[str, Any]] = [
         (r"<metadata>.*?</metadata>", ""), (r"<!--.*?-->\n?", ""),
@@ -117,7 +127,8 @@ def _inline(text: str, prefix: str, label: str) -> str:
     for pattern, replacement in changes:
         svg = re.sub(pattern, replacement, svg, flags=re.DOTALL)
     box = re.search(r'viewBox="[^"]*"', svg)
-    head = f'<svg role="img" aria-label="{label}" {box.group(0) if box else ""}>'
+    head = (f'<svg role="img" aria-label="{escape(label)}" {box.group(0) if box else ""} '
+            f'data-panels="{escape(panels)}">')
     return head + svg[svg.index(">") + 1:]
 
 

@@ -45,6 +45,25 @@ nav a { font-size: .92rem; }
 .csv { white-space: nowrap; margin-left: .5em; }
 .plot svg { display: block; width: 100%; height: auto; }
 .plot.narrow { display: none; }
+.plot { position: relative; }
+.plot.live svg {
+  cursor: crosshair; touch-action: pan-y pinch-zoom; -webkit-user-select: none; user-select: none;
+}
+.plot svg:focus-visible { outline: 2px solid var(--c1); outline-offset: 3px; }
+.cross { pointer-events: none; stroke: var(--soft); stroke-width: .8; }
+.cross circle { fill: var(--paper); stroke-width: 1.6; }
+.cross rect { fill: var(--c1); fill-opacity: .14; stroke: none; }
+.zoomed text { stroke: var(--paper); stroke-width: 3px; paint-order: stroke; }
+.readout {
+  position: absolute; max-width: calc(50% - 1rem); padding: .25rem .55rem; pointer-events: none;
+  background: var(--paper); border: 1px solid var(--grid); border-radius: .3rem;
+  font-size: .82rem; line-height: 1.4; font-variant-numeric: tabular-nums; color: var(--soft);
+}
+.readout:empty { display: none; }
+.readout b { color: var(--ink); font-weight: 600; }
+.readout i {
+  display: inline-block; width: .6rem; height: .6rem; margin-right: .4rem; border-radius: 50%;
+}
 .scroll { overflow-x: auto; margin: .8rem 0 1.2rem; }
 table {
   min-width: min(100%, 17rem); border-collapse: collapse; font-size: .94rem;
@@ -122,5 +141,6 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .plot.wide { display: block; }
   .plot.narrow { display: none; }
   .scroll { overflow: visible; }
+  .cross, .readout { display: none; }
 }
 """
