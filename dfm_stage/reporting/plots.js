@@ -5,7 +5,6 @@
    Lengths are in units of the drawing. */
 "use strict";
 (() => {
-  const SVG = "http://www.w3.org/2000/svg";
   const NEAR = 12;          // other curves are read off this close to the nearest sample
   const DRAG = 8;           // a shorter drag is a click, or zooms one axis alone
   const DEEPEST = 1e-3;     // smallest part of an axis that fills the panel
@@ -13,7 +12,8 @@
   const MANTISSAS = [[1], [1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]];
 
   const make = (parent, name, attributes) => {
-    const made = parent.appendChild(document.createElementNS(SVG, name));
+    const made = parent.appendChild(
+      document.createElementNS(parent.namespaceURI, name));
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
     return made;
   };

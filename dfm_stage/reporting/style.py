@@ -90,8 +90,17 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   h1 { font-size: 1.5rem; }
   .plot.wide { display: none; }
   .plot.narrow { display: block; }
-  th, td { padding-right: .8rem; }
-  td:last-child:not(.number) { min-width: 11rem; }
+  table { font-size: .88rem; }
+  th, td { padding-right: .7rem; }
+  caption { max-width: calc(100vw - 2rem); }
+  .cards, .cards tbody, .cards tr, .cards td { display: block; }
+  .cards thead { display: none; }
+  .cards tr { padding: .5rem 0; border-bottom: 1px solid var(--grid); }
+  .cards td, .cards td.number {
+    display: grid; grid-template-columns: 6.5rem 1fr; padding: .1rem 0; border: 0;
+    text-align: left; white-space: normal;
+  }
+  .cards td::before { content: attr(data-head); color: var(--soft); }
   footer dl { grid-template-columns: 1fr; gap: 0; }
   footer dd { margin-bottom: .4rem; }
 }
@@ -126,7 +135,9 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .with-figure summary::-webkit-details-marker { display: none; }
   .with-figure table { font-size: .86rem; }
   .with-figure th, .with-figure td { padding-right: .8rem; }
-  .with-figure details .scroll { max-height: 24rem; overflow: auto; margin-top: .3rem; }
+  .with-figure .many { font-size: .78rem; }
+  .with-figure .many th, .with-figure .many td { padding-right: .55rem; }
+  .with-figure details .scroll { max-height: 30rem; overflow: auto; margin-top: .3rem; }
 }
 @media print {
   :root {

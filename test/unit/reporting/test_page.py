@@ -157,6 +157,33 @@ def test_numbers_are_aligned_and_ragged_rows_refused() -> None:
         Table(("a", "b"), [("x",)])
 
 
+def test_on_a_phone_long_rows_are_cards_that_name_their_cells() -> None:
+    row = ["what", 1.0, 2.0, "a reason that takes more than one line of a phone's width"]
+    html = Table(("name", "a < b", "value", "reason"), [row]).html()
+    assert "class=cards" in html
+    assert re.findall(r'data-head="([^"]*)"', html) == ["name", "a &lt; b", "value", "reason"]
+    for columns, cells in ((("a", "b", "reason"), [1, 2, row[3]]), (list("abcd"), [1, 2, 3, "x"])):
+        assert "data-head" not in Table(columns, [cells]).html()
+
+
+def test_a_signal_keeps_its_colour_in_every_panel() -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    figure = time_figure(t, [("x", "m", {"measured": t, "before": t, "after": t}),
+                             ("left", "m", {"after": t}), ("other", "V", {"u": t, "before": t})]
+                         ).figure
+    colours = [{line.get_label(): line.get_color() for line in axes.lines} for axes in figure.axes]
+    assert colours[1]["after"] == colours[0]["after"]
+    assert colours[2]["before"] == colours[0]["before"] != colours[2]["u"]
+
+
+def test_the_mean_of_a_signal_without_one_is_zero() -> None:
+    t = np.arange(1000) * 1e-3
+    table = time_figure(t, [("x", "m", {"x": 1e-6 * np.sin(2.0 * np.pi * 5.0 * t),
+                                        "y": 1e-6 * (1.0 + np.sin(2.0 * np.pi * 5.0 * t))})]).table
+    assert table is not None
+    assert [row[1] for row in table.rows] == [0.0, pytest.approx(1.0)]
+
+
 def downloads(html: str) -> list[list[list[str]]]:
     """The columns of every CSV on a page, blank cells left out."""
     texts = [unquote(found) for found in re.findall(
