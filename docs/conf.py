@@ -42,6 +42,7 @@ plot_pre_code = "pass"      # a notebook imports what it uses
 plot_formats = [("png", 110)]
 plot_html_show_formats = plot_html_show_source_link = False
 html_theme = "furo"
+html_static_path = html_css_files = ["site.css"]
 html_title = f"dfm_stage {version}"
 html_show_copyright = html_show_sphinx = html_copy_source = False
 html_math_renderer = "mathml"

@@ -90,8 +90,8 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   h1 { font-size: 1.5rem; }
   .plot.wide { display: none; }
   .plot.narrow { display: block; }
-  table { font-size: .88rem; }
-  th, td { padding-right: .7rem; }
+  table { font-size: .84rem; }
+  th, td { padding-right: .5rem; }
   caption { max-width: calc(100vw - 2rem); }
   .cards, .cards tbody, .cards tr, .cards td { display: block; }
   .cards thead { display: none; }
@@ -122,7 +122,7 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .row > .scroll { max-width: 100%; }
   .row > .texts { flex: 1 1 24rem; max-width: 40rem; margin: .6rem 0; }
   .with-figure {
-    display: grid; grid-template: auto auto auto 1fr / minmax(0, 7fr) minmax(0, 5fr);
+    display: grid; grid-template: auto auto auto 1fr / minmax(0, 11fr) minmax(0, 9fr);
     column-gap: 2.5rem; margin: 0 0 1.6rem;
   }
   .with-figure figure { display: contents; }
@@ -136,7 +136,7 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .with-figure table { font-size: .86rem; }
   .with-figure th, .with-figure td { padding-right: .8rem; }
   .with-figure .many { font-size: .78rem; }
-  .with-figure .many th, .with-figure .many td { padding-right: .55rem; }
+  .with-figure .many th, .with-figure .many td { padding-right: .4rem; }
   .with-figure details .scroll { max-height: 30rem; overflow: auto; margin-top: .3rem; }
 }
 @media print {
