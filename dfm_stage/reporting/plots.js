@@ -153,13 +153,12 @@
       const lines = new Map(this.curves.map(curve => [curve.path, curve]));
       const moved = (d, [dx, dy] = [0, 0]) => d.replace(/(-?[\d.]+) (-?[\d.]+)/g, (_, x, y) => [
         this.x.moved(+x + dx) - dx, this.y.moved(+y + dy) - dy].map(rounded).join(" "));
-      const parts = [...this.group.querySelectorAll("[clip-path], [clip-path] use")];
+      const parts = [...this.group.querySelectorAll("path[clip-path][d], [clip-path] use")];
       return parts.filter(part => !part.closest("[id$='-x'], [id$='-y']")).map(part => {
         const [d, ...at] = ["d", "x", "y"].map(name => part.getAttribute(name));
         if (lines.has(part))
           return () => part.setAttribute("d", this.zoomed ? this.line(lines.get(part)) : d);
         if (part.localName === "path") return () => part.setAttribute("d", moved(d));
-        if (part.localName !== "use") return () => {};
         const drawn = document.getElementById(part.getAttribute("href").slice(1));
         const whole = drawn.getAttribute("d");
         return part.closest("[id*='Collection']")       // a band: a path of its own, set off

@@ -133,6 +133,12 @@ def test_every_plot_has_its_figures_and_is_drawn_for_page_and_phone(full: Page) 
     assert "DejaVu" not in html                    # text takes the font of the page
 
 
+def test_the_script_is_small_and_only_where_there_are_plots(full: Page) -> None:
+    script = full.html().partition("<script>")[2].partition("</script>")[0]
+    assert 1000 < len(script) < 20_000          # uPlot, the smallest library, has 52 kB
+    assert "<script" not in Page("a").section("s", "text").html()
+
+
 def test_the_same_page_comes_out_the_same() -> None:
     def made() -> str:
         figure, axes = new_figure()

@@ -163,6 +163,40 @@ def test_arrows_walk_along_the_samples(opened: Any) -> None:
             assert float(told(lines[0])) == abscissae[min(start + step, abscissae.size - 1)]
 
 
+def marks(drawn: str) -> list[float]:
+    """Abscissae of a panel's markers, on the page."""
+    return [float(x) for x in re.findall(r'<use href="[^"]*" x="([^"]*)" y="[^"]*"></use>', drawn)]
+
+
+def bars(drawn: str) -> list[float]:
+    """Abscissae of a panel's error bars, on the page."""
+    return [float(x) for x in re.findall(
+        r'<path d="M (\S+) \S+\s+L \1 \S+\s+" clip-path="[^"]*" style="[^"]*width: 0.8"', drawn)]
+
+
+def test_error_bars_and_bands_move_with_their_points(
+        browse: Callable[..., list[Any]], tmp_path: Path) -> None:
+    figure, axes = new_figure()
+    x = np.arange(12.0)
+    y = np.where(x == 3.0, np.nan, np.sin(x))
+    axes.errorbar(x, y, 0.3, marker="o", elinewidth=0.8)
+    axes.fill_between(x, np.cos(x), 2.0)
+    page = Page("a").section("s").figure(figure, "c").write(tmp_path / "report.html")
+    for (plot,) in browse(page, SCRIPT):
+        (whole,), (zoomed,) = plot["first"], plot["zoomed"]["drawn"]
+        assert len(marks(whole)) == 11
+        for drawn in (whole, zoomed):
+            assert bars(drawn) == pytest.approx(marks(drawn), abs=0.05)
+        assert np.ptp(marks(zoomed)) == pytest.approx(
+            np.ptp(marks(whole)) / (ZOOM[1] - ZOOM[0]), rel=1e-2)
+        # the band is a path of its own, from the first point to the last
+        band = [[float(each) for each in re.findall(r"[ML] (\S+) ", path)] for path in (
+            next(d for d in re.findall(r' d="([^"]*)"', drawn) if d.count("L") >= 23)
+            for drawn in (whole, zoomed))]
+        assert np.ptp(band[1]) == pytest.approx(np.ptp(band[0]) / (ZOOM[1] - ZOOM[0]), rel=1e-2)
+        assert plot["last"] == plot["first"]
+
+
 def test_words_and_points_that_do_not_run_along_an_axis(
         browse: Callable[..., list[Any]], tmp_path: Path) -> None:
     named, axes = new_figure()
