@@ -120,8 +120,10 @@ def _labelled(axes: Axes) -> Iterator[tuple[str, Line2D]]:
     """Lines with a name: their own, or that of an earlier panel's line in the same colour."""
     names = {line.get_color(): str(line.get_label()) for other in reversed(axes.figure.axes)
              for line in other.lines if not str(line.get_label()).startswith("_")}
+    # error bars keep the label of their line to themselves
+    bars = {each.lines[0]: each for each in axes.containers if hasattr(each, "lines")}
     for line in axes.lines:
-        own = str(line.get_label())
+        own = str(bars.get(line, line).get_label())
         yield names.get(line.get_color(), "") if own.startswith("_") else own, line
 
 

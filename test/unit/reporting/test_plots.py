@@ -179,12 +179,14 @@ def test_error_bars_and_bands_move_with_their_points(
     figure, axes = new_figure()
     x = np.arange(12.0)
     y = np.where(x == 3.0, np.nan, np.sin(x))
-    axes.errorbar(x, y, 0.3, marker="o", elinewidth=0.8)
+    axes.errorbar(x, y, 0.3, marker="o", elinewidth=0.8, label="at 3 mm/s")
+    axes.set(ylabel="force (N)")
     axes.fill_between(x, np.cos(x), 2.0)
     page = Page("a").section("s").figure(figure, "c").write(tmp_path / "report.html")
     for (plot,) in browse(page, SCRIPT):
         (whole,), (zoomed,) = plot["first"], plot["zoomed"]["drawn"]
         assert len(marks(whole)) == 11
+        assert plot["whole"][0][0]["lines"][1] == "at 3 mm/s 0\u00a0N"
         for drawn in (whole, zoomed):
             assert bars(drawn) == pytest.approx(marks(drawn), abs=0.05)
         assert np.ptp(marks(zoomed)) == pytest.approx(
