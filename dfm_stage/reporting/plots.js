@@ -12,8 +12,7 @@
   const MANTISSAS = [[1], [1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]];
 
   const make = (parent, name, attributes) => {
-    const made = parent.appendChild(
-      document.createElementNS(parent.namespaceURI, name));
+    const made = parent.appendChild(document.createElementNS(parent.namespaceURI, name));
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
     return made;
   };
@@ -28,7 +27,8 @@
     return rows[0].map((_, column) => rows.map(row => row[column]));
   };
 
-  /** An axis: `at` and `shown` turn a value into a length, whole and zoomed. */
+  /** An axis: `part` is where a value lies on the whole axis, from 0 to 1, and `shown` where that
+      part is drawn as the axis is zoomed. */
   class Axis {
     constructor({limits, scale, words}, start, length) {
       this.words = words;
@@ -68,7 +68,8 @@
           for (let decade = Math.floor(low); decade <= high; decade++)
             found.push(...mantissas.map(each => each * 10 ** decade));
           const seen = found.filter(each => Math.log10(each) >= low && Math.log10(each) <= high);
-          if (seen.length > 2) return seen.map(each => [each, signed(String(+each.toPrecision(8)))]);
+          if (seen.length > 2)
+            return seen.map(each => [each, signed(String(+each.toPrecision(8)))]);
         }
         [low, high] = [10 ** low, 10 ** high];
       }
