@@ -17,6 +17,7 @@ from latex2mathml.converter import convert
 from matplotlib.sphinxext.plot_directive import PlotDirective
 
 import dfm_stage
+from dfm_stage.reporting.table import LONG_TEXT, MOST_ON_PHONE
 
 project = "dfm_stage"
 version = release = dfm_stage.__version__
@@ -42,6 +43,7 @@ plot_pre_code = "pass"      # a notebook imports what it uses
 plot_formats = [("png", 110)]
 plot_html_show_formats = plot_html_show_source_link = False
 html_theme = "furo"
+html_static_path = html_css_files = ["site.css"]
 html_title = f"dfm_stage {version}"
 html_show_copyright = html_show_sphinx = html_copy_source = False
 html_math_renderer = "mathml"
@@ -58,6 +60,7 @@ ORDER = {
                   "decisions", "reference", "api"],
     "Benchmarks": ["benchmarks", "benchmarks_diagnosis", "benchmarks_faults", "measured_stages"],
 }
+UNIT = re.compile(r"(?<=\d) (?=(?:%|[nµmk]?(?:m|s|Hz|N|V))(?!\w))")
 
 
 def add_order(_app: Any, name: str, source: list[str]) -> None:
@@ -72,6 +75,28 @@ def add_order(_app: Any, name: str, source: list[str]) -> None:
             for each in sorted(dfm_stage.__all__, key=str.lower))
     if source[0].startswith("---\njupyter:"):
         source[0] = with_plots(source[0])
+    # in a narrow column a number stays with its unit
+    source[0] = re.sub(r"^\|.*$", lambda row: UNIT.sub("\u00a0", row[0]), source[0],
+                       flags=re.MULTILINE)
+
+
+def name_cells(_app: Any, doctree: Any) -> None:
+    """Put its column's head into each cell of a wide table, for phones: they show a row as a card.
+
+    The style sheet hides these heads on a desk.
+    """
+    from docutils.nodes import entry, inline, row, table, tbody, thead
+
+    for each in doctree.findall(table):
+        head = next(iter(each.findall(thead)), None)
+        names = [cell.astext() for cell in head.findall(entry)] if head is not None else []
+        long = any(len(cell.astext()) > LONG_TEXT for cell in each.findall(entry))
+        if len(names) <= MOST_ON_PHONE or not long:
+            continue
+        each["classes"].append("cards")
+        for line in next(iter(each.findall(tbody))).findall(row):
+            for name, cell in zip(names, line.children, strict=True):
+                cell.insert(0, inline("", name, classes=["named"]))
 
 
 def with_plots(notebook: str) -> str:
@@ -121,6 +146,7 @@ def show_equation(writer: Any, node: Any) -> None:
 def setup(app: Any) -> None:
     """Sphinx calls this once."""
     app.connect("source-read", add_order)
+    app.connect("doctree-read", name_cells)
     app.setup_extension("matplotlib.sphinxext.plot_directive")
     app.add_directive("plot", NumberedPlot, override=True)
     app.add_html_math_renderer("mathml", (show_equation, None), (show_equation, None))

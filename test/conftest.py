@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from html import unescape
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -29,6 +30,13 @@ DESK, WIDTH_USED = 1200, 0.9
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
 PROBE = """<body><iframe src="page.html" width="390" height="900"></iframe>
 <iframe src="page.html" width="1440" height="900"></iframe><script>
+SCRIPT
+window.onload = () => {
+  const found = [...document.querySelectorAll("iframe")].map(seen);
+  document.body.innerHTML = "<pre></pre>";
+  document.querySelector("pre").textContent = JSON.stringify(found);
+};</script></body>"""
+LAYOUT = """
 const light = colour => { const [r, g, b] = colour.match(/[0-9.]+/g).map(Number);
                           return 0.3 * r + 0.6 * g + 0.1 * b; };
 const seen = frame => {
@@ -57,12 +65,7 @@ const seen = frame => {
     used: Math.max(...[...page.querySelectorAll(".with-figure > *, .with-figure figure > *")]
       .map(e => e.getBoundingClientRect().right)) / page.documentElement.clientWidth,
   };
-};
-window.onload = () => {
-  const found = [...document.querySelectorAll("iframe")].map(seen);
-  document.body.innerHTML = "<pre></pre>";
-  document.querySelector("pre").textContent = JSON.stringify(found);
-};</script></body>"""
+};"""
 DOMAIN = pytest.StashKey[Domain]()
 FOLDER = pytest.StashKey[Path]()
 
@@ -116,19 +119,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def opens_well(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], None]:
-    """Open a page in a headless browser, at the width of a phone and of a desk, and judge it.
+def browse(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., list[Any]]:
+    """Open a page in a headless browser, at the width of a phone and of a desk, and return what
+    the script's function `seen(frame)` gives for each.
 
     Where there is no browser the test that asks for it is skipped, and says so.
     """
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
 
-    def judge(page: Path, *, dark: bool = False) -> None:
+    def browsed(page: Path, script: str, *, dark: bool = False) -> list[Any]:
         if browser is None:
             pytest.skip("no Chromium here to open the page in (requirements/system.txt)")
         folder = tmp_path_factory.mktemp("browser")
         shutil.copy(page, folder / "page.html")
-        (folder / "probe.html").write_text(PROBE, encoding="utf-8")
+        (folder / "probe.html").write_text(PROBE.replace("SCRIPT", script), encoding="utf-8")
         scheme = ["--blink-settings=preferredColorScheme=0"] if dark else []
         done = subprocess.run(
             [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--dump-dom", *scheme,
@@ -140,7 +144,17 @@ def opens_well(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Non
         assert not said
         found = re.search(r"<pre>(.*?)</pre>", done.stdout, re.DOTALL)
         assert found, done.stdout[:2000]
-        for seen in json.loads(unescape(found[1])):
+        return list(json.loads(unescape(found[1])))
+
+    return browsed
+
+
+@pytest.fixture(scope="session")
+def opens_well(browse: Callable[..., list[Any]]) -> Callable[..., None]:
+    """Judge the layout of a page in a browser, on a phone and on a desk."""
+
+    def judge(page: Path, *, dark: bool = False) -> None:
+        for seen in browse(page, LAYOUT, dark=dark):
             assert seen["content"] <= seen["width"], "the page is wider than the window"
             assert seen["shown"] == seen["figures"], "a figure is not shown once"
             for width, height in seen["plots"]:

@@ -210,7 +210,7 @@ def _localised(run: Comparison, before: Array, after: Array, unit: str) -> Drawi
     figure, axes = new_figure(3, 5.6, squeeze=False)
     rows: list[list[Cell]] = []
     with page_style():
-        for label, left, colour in (("before", before, "C0"), ("after", after, "C1")):
+        for label, left, colour in (("before", before, "C1"), ("after", after, "C2")):
             hertz, power = welch(left, 1.0 / run.sample_period,
                                  nperseg=min(4096, left.size // 2))
             axes[0, 0].loglog(hertz[1:], np.sqrt(power[1:]) * factor, color=colour, label=label)

@@ -17,7 +17,15 @@ from dfm_stage.control import (
     loop_of,
 )
 from dfm_stage.model import Model
-from dfm_stage.reporting import Drawing, Page, Quantity, Table, new_figure, page_style
+from dfm_stage.reporting import (
+    Drawing,
+    Page,
+    Quantity,
+    Table,
+    display_unit,
+    new_figure,
+    page_style,
+)
 from dfm_stage.reporting.table import Cell
 
 ROBUST = 0.5
@@ -71,12 +79,12 @@ def _axis(page: Page, named: str, tuned: Tuned, model: Model) -> None:
     page.figure(_sensitivity(tuned, model), "1/(1 + L), the sensitivity, is what the "
                 "loop multiplies a disturbance by: below 1 it is taken off, its peak is the "
                 "inverse of the modulus margin. L/(1 + L) is how the loop follows")
-    page.section(f"{named}Parameters")
+    page.section(f"{named}Parameters and why")
     page.table(("parameter", "value", "unit"), [
-        [name, value if isinstance(value, (str, bool)) else float(value), UNITS.get(name, "")]
+        [name, value if isinstance(value, (str, bool)) else float(value),
+         display_unit((), UNITS.get(name, ""))[1]]
         for name, value in {**tuned.parameters, **tuned.generator}.items()],
         "As the parameter file has them")
-    page.section(f"{named}Why")
     for reason in tuned.reasons:
         page.text(reason[:1].upper() + reason[1:] + ".")
 

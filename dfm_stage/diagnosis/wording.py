@@ -26,7 +26,7 @@ from dfm_stage.diagnosis.verdict import (
 )
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.registry import ON_REQUEST
-from dfm_stage.quantity import format_quantity
+from dfm_stage.quantity import format_number, format_quantity
 
 SENTENCES = {
     "unknown": "The gap is real, and no effect of the library explains it on data it was not "
@@ -118,9 +118,9 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
         yield f"the readings lie {value:.3g} {e.unit} from where the model has them"
         yield PARTED
         return
-    yield f"chi-square rises by {found.loss:.0f} without it (limit {FIRST:g})"
-    yield (f"held-out RMS {seen.without.held_out.rms:.3g} {e.unit} without it, "
-           f"{e.extended.held_out.rms:.3g} {e.unit} with it")
+    yield f"chi-square rises by {format_number(found.loss)} without it (limit {FIRST:g})"
+    yield (f"held-out RMS {format_quantity(seen.without.held_out.rms, e.unit)} without it, "
+           f"{format_quantity(e.extended.held_out.rms, e.unit)} with it")
     yield f"{EFFECTS[found.name].meaning}: {EFFECTS[found.name].equation}"
     if e.heard is not None:
         yield f"{e.heard.added[found.name]:.0%} of the missing force is lost without it"

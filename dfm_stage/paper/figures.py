@@ -54,12 +54,12 @@ def static_figure(test: StaticTest, theory_n_m: float | None = None,
         bottom.set(xlabel="deflection (mm)", ylabel=f"off the line ({unit})")
         top.legend(loc="upper left")
         figure.align_ylabels()
-    rows = [[float(f), float(1e3 * p), float(1e6 * e), "" if level.rising is None else
+    rows = [[float(f), round(float(1e3 * p), 5), float(factor * e), "" if level.rising is None else
              "rising" if level.rising else "falling"]
-            for f, p, e, level in zip(test.force_n, test.position_m, test.nonlinearity_m,
-                                      test.levels, strict=True)]
-    return Drawing(figure, Table(("force (N)", "deflection (mm)", "off the line (µm)", "force"),
-                                 rows))
+            for f, p, e, level in zip(test.force_n, test.position_m, nano, test.levels,
+                                      strict=True)]
+    return Drawing(figure, Table(("force (N)", "deflection (mm)", f"off the line ({unit})",
+                                  "force"), rows))
 
 
 def decay_figure(position: Array, sample_period: float, decay: RingDown) -> Drawing:

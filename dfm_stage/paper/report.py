@@ -19,9 +19,11 @@ from dfm_stage.paper.lqr import DISTURBANCE_HZ, DISTURBANCE_N, proportional
 from dfm_stage.paper.row import PRINTED, TABLE_1, Row
 from dfm_stage.paper.stage import reference_of, tracking_error
 from dfm_stage.paper.workflow import Comparison, Findings
-from dfm_stage.reporting import Page, Quantity, Response, format_number
+from dfm_stage.reporting import Page, Quantity, Response
 from dfm_stage.reporting.table import Cell
 
+DEVIATION_DECIMALS = 3
+"""Decimals of a deviation in percent: smaller ones are those of the arithmetic."""
 SECTIONS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("3A Stiffness (Table 1)", ("table1", "quasistatic", "geometry"), ""),
     ("3B Damping (Eq. 1 and 2)", ("damping", "step"), ""),
@@ -74,7 +76,7 @@ def _cells(row: Row) -> list[Cell]:
     ours: Cell = Quantity(row.ours, row.unit, row.ci95) if row.ours is not None else None
     place = f"{row.place} ({row.kind})" if row.kind == "derived" else row.place
     off = row.deviation_percent
-    return [row.what, place, paper, ours, format_number(off, 3) if off is not None else None,
+    return [row.what, place, paper, ours, None if off is None else round(off, DEVIATION_DECIMALS),
             row.reason]
 
 

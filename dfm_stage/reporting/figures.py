@@ -4,17 +4,20 @@ colours follow the page, light or dark."""
 from __future__ import annotations
 
 import io
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from html import escape
+from itertools import cycle, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.quantity import display_unit, superscript_power
+from dfm_stage.reporting.curves import name_elements, panels_of
 from dfm_stage.reporting.table import Cell, Table
 
 if TYPE_CHECKING:
@@ -40,7 +43,7 @@ _STYLE: dict[str, Any] = {
     "axes.unicode_minus": True, "path.simplify": True, "path.simplify_threshold": 0.3,
     "text.parse_math": False,
 }
-_TABLE_ROWS = 20
+_TABLE_ROWS = 12
 _PLOT_POINTS = 1500
 _DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)))     # lines that lie on one another stay visible
 
@@ -71,22 +74,29 @@ def to_svg(figure: Figure, prefix: str, label: str, width_in: float | None = Non
     """Return the figure as an <svg> element without a fixed size.
 
     `prefix` keeps its ids apart from those of other figures on the page; `label` is what a screen
-    reader says. The same figure gives the same text every time.
+    reader says. The same figure gives the same text every time. `data-panels` tells the page's
+    script where the curves are.
     """
-    from html import escape
-    width, height = figure.get_size_inches()
+    (width, height), dpi = figure.get_size_inches(), figure.dpi
     buffer = io.StringIO()
     with page_style():
         import matplotlib as mpl
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
         _plain_decades(figure)
+        name_elements(figure)
         try:
             if width_in is not None:
                 figure.set_size_inches(width_in, max(height * 0.9, 2.2))
+            # savefig() would draw twice, the first time only to lay the figure out
             with mpl.rc_context({"svg.hashsalt": prefix}):
-                figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+                canvas: Any = FigureCanvasSVG(figure)
+                canvas.print_svg(buffer, metadata={"Date": None, "Creator": None})
+            panels = json.dumps(panels_of(figure, prefix), ensure_ascii=False,
+                                separators=(",", ":"))
         finally:
             figure.set_size_inches(width, height)
-    return _inline(buffer.getvalue(), prefix, escape(label, quote=True))
+            figure.set_dpi(dpi)
+    return _inline(buffer.getvalue(), prefix, label, panels)
 
 
 def _plain_decades(figure: Figure) -> None:
@@ -104,7 +114,7 @@ def _plain_decades(figure: Figure) -> None:
                 axis.set_minor_formatter(Plain(labelOnlyBase=False))
 
 
-def _inline(text: str, prefix: str, label: str) -> str:
+def _inline(text: str, prefix: str, label: str, panels: str) -> str:
     svg = text[text.index("<svg"):].strip()
     changes: list[tuple[str, Any]] = [
         (r"<metadata>.*?</metadata>", ""), (r"<!--.*?-->\n?", ""),
@@ -117,7 +127,8 @@ def _inline(text: str, prefix: str, label: str) -> str:
     for pattern, replacement in changes:
         svg = re.sub(pattern, replacement, svg, flags=re.DOTALL)
     box = re.search(r'viewBox="[^"]*"', svg)
-    head = f'<svg role="img" aria-label="{label}" {box.group(0) if box else ""}>'
+    head = (f'<svg role="img" aria-label="{escape(label)}" {box.group(0) if box else ""} '
+            f'data-panels="{escape(panels)}">')
     return head + svg[svg.index(">") + 1:]
 
 
@@ -167,7 +178,7 @@ def bode_figure(responses: Sequence[Response], *, unit: str = "m/V",
                 height_in: float = 4.6) -> Drawing:
     """Return magnitude and phase of one or more frequency responses over frequency in Hz.
 
-    The phase is unwrapped from the lowest frequency on. The table lists up to 20 frequencies of
+    The phase is unwrapped from the lowest frequency on. The table lists up to 12 frequencies of
     the first response and every response interpolated there.
     """
     from matplotlib.ticker import MultipleLocator
@@ -204,19 +215,25 @@ def time_figure(time_s: Array, panels: Sequence[tuple[str, str, Mapping[str, Arr
     time_s : (N,) array
         Common time base, s.
     panels : sequence of (title, unit, {label: (N,) array})
-        The unit is SI; the display prefix is chosen per panel. Long signals are drawn by their
-        extremes in each of some hundred intervals, so no peak is lost.
+        The unit is SI; the display prefix is chosen per panel. A label has the same colour in
+        every panel. Long signals are drawn by their extremes in each of some hundred intervals,
+        so no peak is lost.
     """
     height = height_in if height_in is not None else 0.6 + 1.75 * len(panels)
     figure, axes = new_figure(len(panels), height, sharex=True, squeeze=False)
     rows: list[list[Cell]] = []
+    known: dict[str, str] = {}
     with page_style():
         for axis, (title, unit, signals) in zip(axes[:, 0], panels, strict=True):
+            taken = {known[label] for label in signals if label in known}
+            free = cycle([colour for colour in SERIES if colour not in taken] or SERIES)
             peak = max((float(np.nanmax(np.abs(s))) for s in signals.values()), default=0.0)
             factor, shown = display_unit((peak,), unit)
             under = {"linewidth": 2.4, "alpha": 0.55}
-            for colour, (label, signal) in zip(_colours(len(signals)), signals.items(),
-                                               strict=True):
+            for label, signal in signals.items():
+                if label not in known:
+                    known[label] = next(free)
+                colour = known[label]
                 t, y = thinned(np.asarray(time_s), np.asarray(signal) * factor)
                 first = len(signals) > 1 and not axis.lines
                 axis.plot(t, y, color=colour, label=label,
@@ -234,9 +251,15 @@ def time_figure(time_s: Array, panels: Sequence[tuple[str, str, Mapping[str, Arr
 
 
 def statistics(signal: Array) -> list[Cell]:
-    """Return mean, RMS, smallest and largest of a signal (N,), for a table."""
-    return [float(np.nanmean(signal)), float(np.sqrt(np.nanmean(signal**2))),
-            float(np.nanmin(signal)), float(np.nanmax(signal))]
+    """Return mean, RMS, smallest and largest of a signal (N,), for a table.
+
+    What is smaller than four digits of the largest show, such as the mean of a residual that has
+    none, is 0.
+    """
+    found = [float(each) for each in (np.nanmean(signal), np.sqrt(np.nanmean(signal**2)),
+                                      np.nanmin(signal), np.nanmax(signal))]
+    least = 1e-4 * max(map(abs, found), default=0.0)
+    return [each if abs(each) > least else 0.0 for each in found]
 
 
 def _bode_table(responses: Sequence[Response], factor: float, unit: str) -> Table:

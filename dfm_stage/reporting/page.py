@@ -38,6 +38,7 @@ MOST_BESIDE = 4
 """Columns up to which a table fits beside a figure."""
 FEWEST_SECTIONS = 3
 """From how many sections on a page has a table of contents."""
+PLOTS_SCRIPT = Path(__file__).parent / "plots.js"
 IN_BRACKETS = re.compile(r"(\d[\d.]*)\((\d+)\)")
 
 
@@ -178,13 +179,18 @@ class Page:
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{escape(self.title)}</title>", f"<style>\n{STYLE}</style>", "</head>",
             "<body>", f"<h1>{escape(self.title)}</h1>", *self._contents(), "<main>", *body,
-            "</main>", f"<footer><dl>{self._foot(body)}</dl></footer>", "</body>", "</html>", ""))
+            "</main>", f"<footer><dl>{self._foot(body)}</dl></footer>", *self._script(),
+            "</body>", "</html>", ""))
 
     def _contents(self) -> Iterator[str]:
         entries = [f'<li><a href="#s{number}">{escape(section.title)}</a></li>'
                    for number, section in enumerate(self._sections) if section.title]
         if len(entries) >= FEWEST_SECTIONS:
             yield f'<nav aria-label="Contents"><ol>{"".join(entries)}</ol></nav>'
+
+    def _script(self) -> Iterator[str]:
+        if self._figures:
+            yield f"<script>\n{PLOTS_SCRIPT.read_text(encoding='utf-8')}</script>"
 
     def _foot(self, body: Sequence[str]) -> str:
         versions = f"Python {platform.python_version()}, NumPy {np.__version__}"

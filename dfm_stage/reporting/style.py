@@ -45,6 +45,25 @@ nav a { font-size: .92rem; }
 .csv { white-space: nowrap; margin-left: .5em; }
 .plot svg { display: block; width: 100%; height: auto; }
 .plot.narrow { display: none; }
+.plot { position: relative; }
+.plot.live svg {
+  cursor: crosshair; touch-action: pan-y pinch-zoom; -webkit-user-select: none; user-select: none;
+}
+.plot svg:focus-visible { outline: 2px solid var(--c1); outline-offset: 3px; }
+.cross { pointer-events: none; stroke: var(--soft); stroke-width: .8; }
+.cross circle { fill: var(--paper); stroke-width: 1.6; }
+.cross rect { fill: var(--c1); fill-opacity: .14; stroke: none; }
+.zoomed text { stroke: var(--paper); stroke-width: 3px; paint-order: stroke; }
+.readout {
+  position: absolute; max-width: calc(50% - 1rem); padding: .25rem .55rem; pointer-events: none;
+  background: var(--paper); border: 1px solid var(--grid); border-radius: .3rem;
+  font-size: .82rem; line-height: 1.4; font-variant-numeric: tabular-nums; color: var(--soft);
+}
+.readout:empty { display: none; }
+.readout b { color: var(--ink); font-weight: 600; }
+.readout i {
+  display: inline-block; width: .6rem; height: .6rem; margin-right: .4rem; border-radius: 50%;
+}
 .scroll { overflow-x: auto; margin: .8rem 0 1.2rem; }
 table {
   min-width: min(100%, 17rem); border-collapse: collapse; font-size: .94rem;
@@ -71,8 +90,17 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   h1 { font-size: 1.5rem; }
   .plot.wide { display: none; }
   .plot.narrow { display: block; }
-  th, td { padding-right: .8rem; }
-  td:last-child:not(.number) { min-width: 11rem; }
+  table { font-size: .84rem; }
+  th, td { padding-right: .5rem; }
+  caption { max-width: calc(100vw - 2rem); }
+  .cards, .cards tbody, .cards tr, .cards td { display: block; }
+  .cards thead { display: none; }
+  .cards tr { padding: .5rem 0; border-bottom: 1px solid var(--grid); }
+  .cards td, .cards td.number {
+    display: grid; grid-template-columns: 6.5rem 1fr; padding: .1rem 0; border: 0;
+    text-align: left; white-space: normal;
+  }
+  .cards td::before { content: attr(data-head); color: var(--soft); }
   footer dl { grid-template-columns: 1fr; gap: 0; }
   footer dd { margin-bottom: .4rem; }
 }
@@ -94,7 +122,7 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .row > .scroll { max-width: 100%; }
   .row > .texts { flex: 1 1 24rem; max-width: 40rem; margin: .6rem 0; }
   .with-figure {
-    display: grid; grid-template: auto auto auto 1fr / minmax(0, 7fr) minmax(0, 5fr);
+    display: grid; grid-template: auto auto auto 1fr / minmax(0, 11fr) minmax(0, 9fr);
     column-gap: 2.5rem; margin: 0 0 1.6rem;
   }
   .with-figure figure { display: contents; }
@@ -107,7 +135,9 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .with-figure summary::-webkit-details-marker { display: none; }
   .with-figure table { font-size: .86rem; }
   .with-figure th, .with-figure td { padding-right: .8rem; }
-  .with-figure details .scroll { max-height: 24rem; overflow: auto; margin-top: .3rem; }
+  .with-figure .many { font-size: .78rem; }
+  .with-figure .many th, .with-figure .many td { padding-right: .4rem; }
+  .with-figure details .scroll { max-height: 30rem; overflow: auto; margin-top: .3rem; }
 }
 @media print {
   :root {
@@ -122,5 +152,6 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   .plot.wide { display: block; }
   .plot.narrow { display: none; }
   .scroll { overflow: visible; }
+  .cross, .readout { display: none; }
 }
 """

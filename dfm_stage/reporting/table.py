@@ -10,6 +10,12 @@ from numbers import Integral, Real
 from dfm_stage.quantity import Quantity, format_number
 
 Cell = str | float | int | bool | Quantity | None
+LONG_TEXT = 40
+"""Characters above which a cell needs a column as wide as a phone."""
+MOST_ON_PHONE = 3
+"""Columns that a phone shows beside one another where one of them holds long text."""
+MANY = 6
+"""Columns above which a table is set smaller, to stand beside a figure."""
 
 
 @dataclass(frozen=True)
@@ -20,19 +26,27 @@ class Table:
     rows: Sequence[Sequence[Cell]]
 
     def html(self, caption: str = "") -> str:
-        """Return the table as escaped HTML that scrolls sideways where it is too wide."""
+        """Return the table as escaped HTML that scrolls sideways where it is too wide.
+
+        On a phone, a table of many columns with long text becomes a card for each row.
+        """
         numeric = [all(_is_number(row[i]) for row in self.rows) and bool(self.rows)
                    for i in range(len(self.columns))]
-        parts = ['<div class="scroll" tabindex="0"><table>']
+        cards = len(self.columns) > MOST_ON_PHONE and any(
+            isinstance(cell, str) and len(cell) > LONG_TEXT for row in self.rows for cell in row)
+        kind = " class=cards" if cards else " class=many" if len(self.columns) > MANY else ""
+        parts = [f'<div class="scroll" tabindex="0"><table{kind}>']
         if caption:
             parts.append(f"<caption>{escape(caption)}</caption>")
         parts.append("<thead><tr>" + "".join(
             f"<th{' class=number' if number else ''} scope=col>{escape(str(column))}</th>"
             for column, number in zip(self.columns, numeric, strict=True))
             + "</tr></thead><tbody>")
+        heads = [f' data-head="{escape(str(column))}"' if cards else "" for column in self.columns]
         parts.extend("<tr>" + "".join(
-            f"<td{' class=number' if number else ''}>{cell_html(cell)}</td>"
-            for cell, number in zip(row, numeric, strict=True)) + "</tr>" for row in self.rows)
+            f"<td{' class=number' if number else ''}{head}>{cell_html(cell)}</td>"
+            for cell, number, head in zip(row, numeric, heads, strict=True)) + "</tr>"
+            for row in self.rows)
         parts.append("</tbody></table></div>")
         return "\n".join(parts)
 

@@ -106,6 +106,15 @@ def test_equations_are_drawn_and_pages_are_searched(site: Path, built: dict[Path
     assert "hysteresi" in (site / "searchindex.js").read_text(encoding="utf-8")
 
 
+def test_a_row_of_a_wide_table_names_its_cells(site: Path) -> None:
+    page = (site / "decisions.html").read_text(encoding="utf-8")
+    heads = re.findall(r'<th class="head"><p>(.*?)</p></th>', page)
+    named = re.findall(r'<td><span class="named">(.*?)</span>', page)
+    assert len(heads) == 5
+    assert len(named) >= 100
+    assert named == heads * (len(named) // 5)
+
+
 @pytest.mark.parametrize(("name", "figures"), [("csv_to_effect", 4), ("graph_to_model", 3)])
 def test_the_figures_of_a_notebook_are_drawn(site: Path, built: dict[Path, Page], name: str,
                                              figures: int) -> None:

@@ -57,7 +57,7 @@ def test_a_named_effect_in_a_sentence_with_what_speaks_for_it():
         "floor.")
     lines = list(wording.effect_evidence(NAMED, v.effects[0]))
     assert lines[0] == "chi-square rises by 49000 without it (limit 40)"
-    assert lines[1] == "held-out RMS 2.1e-06 m without it, 1.1e-07 m with it"
+    assert lines[1] == "held-out RMS 2.1 µm without it, 110 nm with it"
     assert lines[3:] == ["force_constant_droop in its place costs 30 in chi-square",
                          "quadratic_damping in its place costs 90 in chi-square"]
 

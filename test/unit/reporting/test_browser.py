@@ -39,7 +39,7 @@ def test_no_overflow_and_every_plot_is_shown_once(
     (("</main>", "</main><script>nonsense()</script>"), "CONSOLE"),
     (("min-width: 75rem", "min-width: 190rem"), "beside their figures"),
     (("nav { grid-column: 1;", "nav { grid-column: 2;"), "contents are not beside"),
-    (("minmax(0, 5fr)", "minmax(0, 2fr) minmax(0, 3fr)"), "width of a desk is empty"),
+    (("minmax(0, 9fr)", "minmax(0, 2fr) minmax(0, 3fr)"), "width of a desk is empty"),
 ])
 def test_what_is_wrong_with_a_page_is_seen(
         page: Page, spoil: tuple[str, str], complaint: str, tmp_path: Path,
