@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dfm_stage.diagnosis import wording
-from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
+from dfm_stage.diagnosis.evidence import Comparison, Evidence, Offer, Which
 from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.diagnosis.surface import FILE, Surface
@@ -21,7 +21,7 @@ SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partia
                "schema 1 should take it as unknown with a better model) and the keys complete, "
                "predictable_share, margins, constancy, predictable, judged, window_s, "
                "conventions, witness; in description: surface, predictable_share, "
-               "position_velocity_share")
+               "position_velocity_share, formulas")
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,8 @@ class Diagnosis:
     which each effect would have been named in half of such records. `conventions` say what the
     input of each record does between its samples. `shown` says which of the models compared is the
     one after. `complete` says that the model explains all but noise. `witness` is what the force
-    domain says by itself, `surface` the force that is still missing, where clear of noise."""
+    domain says by itself, `surface` the force that is still missing, where clear of noise, and
+    `formulas` are offered for it."""
 
     verdict: Kind
     sentence: str
@@ -125,6 +126,7 @@ class Diagnosis:
     complete: bool = True
     witness: Mapping[str, Any] | None = None
     surface: Surface | None = None
+    formulas: tuple[Offer, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -156,10 +158,11 @@ class Diagnosis:
         if force is None:
             return None if left is None else {
                 **left.to_dict(), "surface": None, "predictable_share": None,
-                "position_velocity_share": None}
+                "position_velocity_share": None, "formulas": []}
         left = left or Description(None, None, None, force.frequency_hz, "unclear")
         return {**left.to_dict(), "surface": FILE, "predictable_share": force.predictable_share,
-                "position_velocity_share": force.position_velocity_share}
+                "position_velocity_share": force.position_velocity_share,
+                "formulas": [offer.to_dict() for offer in self.formulas]}
 
 
 def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
@@ -180,7 +183,8 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
         _signed(model, effects, e), shown.findings,
         e.limits if v.kind in ("none", "not_excited", "retune") else {},
         e.comparisons, v.shown, conventions=e.conventions, complete=v.complete,
-        witness=e.witness, surface=e.surface if v.remainder else None)
+        witness=e.witness, surface=e.surface if v.remainder else None,
+        formulas=e.formulas)
 
 
 def _named(e: Evidence, found: Found) -> NamedEffect:

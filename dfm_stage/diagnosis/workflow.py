@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.decisions import (
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
+from dfm_stage.diagnosis.formula_offer import wants_formulas, with_formulas
 from dfm_stage.diagnosis.gather import (
     gather,
     with_confirmation,
@@ -148,6 +149,8 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
         settled = verdict(evidence)
     if leaves_open(settled):
         evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
+    if wants_formulas(settled):
+        evidence = with_formulas(trial, hypothesis, evidence, settled)
     search.step("judging")
     return told(evidence, settled, models[settled.model])
 

@@ -1,0 +1,168 @@
+"""Formulas for what has no name: proposed in the force domain, fitted and judged in simulation.
+
+The regression only proposes. What is told of a formula comes from a fit of the whole model with it
+on the fitted records, and from the simulation of records that this fit has not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, LEAST_STEPS, OFFERED_SHARE
+from dfm_stage.diagnosis.effect_fits import Names
+from dfm_stage.diagnosis.errors import DiagnosisError
+from dfm_stage.diagnosis.evidence import Evidence, Offer
+from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.formula_search import RESAMPLES, Found, Regression, search
+from dfm_stage.diagnosis.formula_terms import formula_from
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.margins import margin, power, powers, score_by_blocks
+from dfm_stage.diagnosis.screen import Hit
+from dfm_stage.diagnosis.verdict import Verdict, above
+from dfm_stage.diagnosis.verification import Prediction, weights_like
+from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.formula import Formula, formula_of
+
+MOST_OFFERED = 3
+"""Formulas that are fitted and offered at most: each is compiled and fitted."""
+
+
+def wants_formulas(v: Verdict) -> bool:
+    """Whether something is left that no effect of the library explains."""
+    return v.remainder and v.kind in ("unknown", "partial", "named")
+
+
+@dataclass(frozen=True)
+class _Proposal:
+    """Terms beside the effects `names`, whose fit is `start` and leaves `without` of held-out
+    records."""
+
+    found: Found
+    names: Names
+    start: Fit
+    without: Prediction
+    scales: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A proposal as a formula, its fit, and what that leaves of held-out records."""
+
+    proposal: _Proposal
+    formula: Formula
+    fit: Fit
+    left: Prediction
+
+    @property
+    def size(self) -> int:
+        """Parameters that are told: its own and those of the effects beside it."""
+        return len(self.formula.parameters) + sum(
+            len(EFFECTS[n].parameters) for n in self.proposal.names)
+
+
+def with_formulas(trial: Trial, h: Hypothesis, evidence: Evidence, v: Verdict) -> Evidence:
+    """Add the formulas that explain what is left, the simplest of the best first.
+
+    They stand beside the effects found, or in the place of all of them: effects that stand in for
+    another force are in the way of the formula for it.
+    """
+    if evidence.surface is None:
+        return evidence
+    own, change = trial.search, evidence.judged.change
+    own.step("looking for a formula")
+    own.begin_work(LEAST_STEPS)
+    own.weigh_at_first(h.bare)
+    trial.held_weights = weights_like(trial.held, own.weights)
+    starts = [((), h.bare)] if v.model != "extended" else [(h.names, h.fit), ((), h.bare)]
+    lists = [_proposals(trial, *start) for start in starts]
+    proposals = [each[k] for k in range(MOST_OFFERED) for each in lists if k < len(each)]
+    fits = [f for k, p in enumerate(proposals[:MOST_OFFERED])
+            if (f := _fitted(trial, p, k)) is not None and _pays(f, evidence)]
+    offers = _ranked(fits, change)
+    free = iter(n for k in range(1, 100) if (n := f"formula_{k}") not in {
+        use.name for use in own.model.effects})
+    return replace(evidence, formulas=tuple(
+        _offer(f, name, evidence) for f, name in zip(offers, free, strict=False)))
+
+
+def _proposals(trial: Trial, names: Names, start: Fit) -> list[_Proposal]:
+    runs = [replace(r, window=0) for r in trial.search.runs]
+    offsets = {run: value for (name, run), value in start.locals.items() if name == "offset"}
+    model = start.model if names else trial.search.model
+    try:
+        regression = Regression(runs, model, offsets)
+    except DiagnosisError:
+        return []
+    found = search(regression)
+    without = trial.predicted(start.model) if found else None
+    return [] if without is None else [
+        _Proposal(f, names, start, without, regression.scales) for f in found]
+
+
+def _fitted(trial: Trial, proposal: _Proposal, number: int) -> _Fitted | None:
+    """The model with the formula, fitted from what the force domain says; None where it cannot be
+    simulated."""
+    own = trial.search
+    formula = formula_from(f"proposed_{number}", proposal.found.parts, proposal.scales)
+    effect = formula.effect()
+    EFFECTS.hold(effect)
+    own.step(f"fitting {formula.text}")
+    names = (*proposal.names, formula.name)
+    found = own.once(names, proposal.start, [Hit.at(formula.name, effect.defaults)])
+    if not found.ok:
+        return None
+    found = own.settled(names, found)
+    left = trial.predicted(found.model)
+    return _Fitted(proposal, formula, found, left) if left.residuals else None
+
+
+def _pays(f: _Fitted, e: Evidence) -> bool:
+    """Whether it takes enough of what is left of held-out records, on blocks beyond chance."""
+    change, noise = e.judged.change, e.judged.noise_power
+    before, after = (power(p.residuals, change) - noise for p in (f.proposal.without, f.left))
+    return before - after > OFFERED_SHARE * before and margin(
+        powers(f.proposal.without.residuals, change), powers(f.left.residuals, change)
+        ) > BLOCK_MARGIN
+
+
+def _ranked(fits: Sequence[_Fitted], change: bool) -> list[_Fitted]:
+    """The simplest of those that held-out blocks do not part from the best first; none that has
+    more parameters than one that does as well."""
+    own = {id(f): powers(f.left.residuals, change) for f in fits}
+
+    def level(f: _Fitted, other: _Fitted) -> bool:
+        return margin(own[id(f)], own[id(other)]) < BLOCK_MARGIN
+
+    kept = [f for f in fits if not any(
+        level(g, f) and g.size < f.size for g in fits if g is not f)]
+    kept.sort(key=lambda f: power(f.left.residuals, change))
+    return sorted(kept, key=lambda f: (not level(f, kept[0]), f.size if level(f, kept[0]) else 0))
+
+
+def _offer(f: _Fitted, name: str, e: Evidence) -> Offer:
+    """What is told of a formula."""
+    use = f.fit.model.effect(f.formula.name)
+    assert use is not None  # noqa: S101 (it was fitted)
+    quantities = f.fit.quantities_over(*score_by_blocks(f.fit))
+    values = {n: float(f"{v:.9g}") for n, v in use.parameters.items()}
+    change = e.judged.change
+    taken = above(e, power(f.left.residuals, change)) - above(
+        e, power(f.proposal.without.residuals, change))
+    found = f.proposal.found
+    return Offer(
+        formula_of({**f.formula.to_dict(values), "name": name}),
+        {n: replace(quantities[f"{f.formula.name}.{n}"], value=v) for n, v in values.items()
+         if f"{f.formula.name}.{n}" in quantities},
+        min(max(taken, 0.0), 1.0), f.left.rms, found.all_back / RESAMPLES,
+        tuple((p.term.text, n) for p, n in zip(found.parts, found.came_back, strict=True)),
+        RESAMPLES, f.proposal.names)
+
+
+def accepted_in(model: Model, formulas: Sequence[Formula]) -> Model:
+    """A one-axis model with formulas added at the values that their files give, or replaced."""
+    for formula in formulas:
+        EFFECTS.hold(formula.effect())
+        model = model.without_effect(formula.name).with_effect(
+            formula.name, {p.name: p.value for p in formula.parameters})
+    return model
