@@ -237,6 +237,16 @@ class Offer:
 
 
 @dataclass(frozen=True)
+class Accepted:
+    """Formulas that the user has added to the model, and what the model leaves without them: as
+    given, and with its own parameters re-estimated."""
+
+    formulas: tuple[Formula, ...]
+    given: ModelEvidence
+    retuned: ModelEvidence
+
+
+@dataclass(frozen=True)
 class Evidence:
     """The evidence of one diagnosis.
 
@@ -278,4 +288,5 @@ class Evidence:
     witness: Mapping[str, Any] | None = None
     surface: Surface | None = None
     formulas: tuple[Offer, ...] = ()
+    accepted: Accepted | None = None
     conventions: tuple[Mapping[str, Any], ...] = ()

@@ -12,17 +12,20 @@ from dataclasses import dataclass, replace
 from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, LEAST_STEPS, OFFERED_SHARE
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
-from dfm_stage.diagnosis.evidence import Evidence, Offer
+from dfm_stage.diagnosis.evidence import Accepted, Errors, Evidence, ModelEvidence, Offer
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.formula_search import RESAMPLES, Found, Regression, search
 from dfm_stage.diagnosis.formula_terms import formula_from
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import margin, power, powers, score_by_blocks
 from dfm_stage.diagnosis.screen import Hit
+from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import Verdict, above
-from dfm_stage.diagnosis.verification import Prediction, weights_like
-from dfm_stage.model import EFFECTS, Model
-from dfm_stage.model.formula import Formula, formula_of
+from dfm_stage.diagnosis.verification import Prediction, predict, weights_like
+from dfm_stage.model import EFFECTS, EffectUse, Model
+from dfm_stage.model.effect import Effect
+from dfm_stage.model.formula import Formula, FormulaEffect, formula_of
+from dfm_stage.model.parameter import ModelError
 
 MOST_OFFERED = 3
 """Formulas that are fitted and offered at most: each is compiled and fitted."""
@@ -159,10 +162,44 @@ def _offer(f: _Fitted, name: str, e: Evidence) -> Offer:
         RESAMPLES, f.proposal.names)
 
 
+def with_accepted(trial: Trial, model: Model, formulas: Sequence[Formula],
+                  evidence: Evidence) -> Evidence:
+    """Add what `model` leaves, which is the one without the `formulas` that were accepted."""
+    own, change = trial.search, evidence.judged.change
+    without = Search(model, own.runs, tuple(
+        n for n in own.free if n.partition(".")[0] not in {f.name for f in formulas}))
+    bare = without.begin()
+    given = predict(model, own.runs, without.weights, without.noise)
+    trial.held_weights = weights_like(trial.held, without.weights)
+
+    def errors(seen: Prediction) -> Errors:
+        return Errors(seen.rms, seen.chi2, seen.count, power(seen.residuals, change))
+
+    held = trial.predicted(model)
+    left = [parts[0] for parts in (*given.residuals, *held.residuals)]
+    comparisons = evidence.comparisons if len(left) < len(evidence.comparisons) else tuple(
+        replace(c, left={**c.left, "given": own})
+        for c, own in zip(evidence.comparisons, left, strict=True))
+    return replace(evidence, comparisons=comparisons, accepted=Accepted(
+        tuple(formulas), ModelEvidence(errors(given), errors(held)),
+        ModelEvidence(Errors(bare.rms, bare.chi2, bare.white.size), errors(
+            trial.predicted(bare.model if bare.ok else model)))))
+
+
 def accepted_in(model: Model, formulas: Sequence[Formula]) -> Model:
-    """A one-axis model with formulas added at the values that their files give, or replaced."""
+    """A one-axis model with formulas added at the values that their files give, or replaced.
+
+    Raises
+    ------
+    ModelError
+        If one has the name of an effect of the library.
+    """
     for formula in formulas:
-        EFFECTS.hold(formula.effect())
-        model = model.without_effect(formula.name).with_effect(
-            formula.name, {p.name: p.value for p in formula.parameters})
+        if isinstance(EFFECTS.get(formula.name), Effect) and not isinstance(
+                EFFECTS[formula.name], FormulaEffect):
+            raise ModelError(f"{formula.name} is an effect of the library; give the formula "
+                             "another name")
+        use = EffectUse(formula.name, {p.name: p.value for p in formula.parameters}, None, formula)
+        model = replace(model, effects=(
+            *(own for own in model.effects if own.name != formula.name), use))
     return model
