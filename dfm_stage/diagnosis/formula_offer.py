@@ -15,7 +15,7 @@ from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Accepted, Errors, Evidence, ModelEvidence, Offer
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.formula_search import RESAMPLES, Found, Regression, search
-from dfm_stage.diagnosis.formula_terms import formula_from
+from dfm_stage.diagnosis.formula_terms import Over, formula_from
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import margin, power, powers, score_by_blocks
 from dfm_stage.diagnosis.screen import Hit
@@ -45,7 +45,7 @@ class _Proposal:
     names: Names
     start: Fit
     without: Prediction
-    scales: Mapping[str, float]
+    scales: Mapping[Over, float]
 
 
 @dataclass(frozen=True)
