@@ -36,6 +36,8 @@ from dfm_stage.recording import AxisRecord, Provenance, Record
 KEPT = Path(__file__).resolve().parent / "kept" / "formulas_found.json"
 PERIOD_S, SAMPLES, FINE = 1e-3, 8000, 10
 KINDS = ("grammar", "cogging", "one_sided_cable", "position_dependent_friction")
+GRAMMAR_TIMES = 3
+"""So many cases are of the grammar for one of each other kind."""
 SEVERITIES = (10.0, 30.0)
 """RMS that the force adds beyond a linear refit, over the noise."""
 WITHIN, BAR_PERCENT, DEVELOPMENT_SEED = 1.5, 50.0, 1
@@ -280,14 +282,14 @@ def main(arguments: Sequence[str]) -> int:
     """Run cases of a seed and print the table; `--keep` writes the kept file."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--cases", type=int, default=20)
+    parser.add_argument("--cases", type=int, default=20, help="of each kind")
     parser.add_argument("--only", choices=KINDS)
     parser.add_argument("--library", action="store_true", help="the whole library")
     parser.add_argument("--keep", action="store_true")
     options = parser.parse_args(arguments)
     results = []
     for kind in [options.only] if options.only else KINDS:
-        for index in range(options.cases):
+        for index in range(options.cases * (GRAMMAR_TIMES if kind == "grammar" else 1)):
             results.append(run_case(kind, index, options.seed,
                                     None if options.library else STAND_INS_OUT))
             print(json.dumps(asdict(results[-1])), flush=True)

@@ -145,13 +145,21 @@ def _along(o: Offer, s: Surface) -> Array | None:
         return None
     told = np.isfinite(s.force)
     x, v = s.x[told], s.v[told]
-    own = np.asarray(value(effect.tree, {"x": x, "v": v, **values}), dtype=float)
-    weight = np.sqrt(s.samples[told])
-    linear = np.column_stack((np.ones_like(x), x / np.std(x), v / np.std(v)))
-    taken = np.linalg.lstsq(linear * weight[:, None], own * weight, rcond=None)[0]
     force = np.full(s.force.shape, np.nan)
-    force[told] = own - linear @ taken
-    return force
+    force[told] = value(effect.tree, {"x": x, "v": v, **values})
+    return _off_linear(force, s)
+
+
+def _off_linear(force: Array, s: Surface) -> Array:
+    """A force in the bins without a level and what is linear in position or velocity there."""
+    told = np.isfinite(s.force)
+    x, v, weight = s.x[told], s.v[told], np.sqrt(s.samples[told])
+    linear = np.column_stack((np.ones_like(x), x / max(np.std(x), 1e-300),
+                              v / max(np.std(v), 1e-300)))
+    taken = np.linalg.lstsq(linear * weight[:, None], force[told] * weight, rcond=None)[0]
+    off = np.full(force.shape, np.nan)
+    off[told] = force[told] - linear @ taken
+    return off
 
 
 def _overlaid(s: Surface, drawn: list[tuple[Offer, Array]]) -> Drawing:
@@ -159,15 +167,16 @@ def _overlaid(s: Surface, drawn: list[tuple[Offer, Array]]) -> Drawing:
     factor, newton = display_unit((float(np.nanmax(np.abs(s.force))),), s.force_unit)
     figure, axes = new_figure(2, 5.0, squeeze=False)
     rows: list[list[Cell]] = []
+    measured = _off_linear(s.force, s)
     motions = (("position", s.x, s.unit), ("velocity", s.v, f"{s.unit}/s"))
     with page_style():
         for number, (name, along, unit) in enumerate(motions):
             axis, over = axes[number, 0], 1 - number
             scale, shown = display_unit((float(np.nanmax(np.abs(along))),), unit)
-            place, mean = scale * _mean(along, s, over), factor * _mean(s.force, s, over)
+            place, mean = scale * _mean(along, s, over), factor * _mean(measured, s, over)
             error = factor * np.sqrt(_mean(s.standard_error**2, s, over))
             axis.errorbar(place, mean, 1.96 * error, color="C0", marker="o", linestyle="none",
-                          elinewidth=0.8, label="from the records")
+                          elinewidth=0.8, label="records")
             for colour, (o, force) in enumerate(drawn, 1):
                 told = factor * _mean(force, s, over)
                 axis.plot(place, told, color=f"C{colour}", label=o.formula.name)

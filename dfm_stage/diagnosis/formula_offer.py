@@ -20,7 +20,7 @@ from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import margin, power, powers, score_by_blocks
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.verdict import Verdict, above
+from dfm_stage.diagnosis.verdict import Verdict
 from dfm_stage.diagnosis.verification import Prediction, predict, weights_like
 from dfm_stage.model import EFFECTS, EffectUse, Model
 from dfm_stage.model.effect import Effect
@@ -78,6 +78,7 @@ def with_formulas(trial: Trial, h: Hypothesis, evidence: Evidence, v: Verdict) -
     own.weigh_at_first(h.bare)
     trial.held_weights = weights_like(trial.held, own.weights)
     starts = [((), h.bare)] if v.model != "extended" else [(h.names, h.fit), ((), h.bare)]
+    gap = power(trial.predicted(h.bare.model).residuals, change) - evidence.judged.noise_power
     lists = [_proposals(trial, *start) for start in starts]
     proposals = [each[k] for k in range(MOST_OFFERED) for each in lists if k < len(each)]
     fits = [f for k, p in enumerate(proposals[:MOST_OFFERED])
@@ -86,15 +87,16 @@ def with_formulas(trial: Trial, h: Hypothesis, evidence: Evidence, v: Verdict) -
     free = iter(n for k in range(1, 100) if (n := f"formula_{k}") not in {
         use.name for use in own.model.effects})
     return replace(evidence, formulas=tuple(
-        _offer(f, name, evidence) for f, name in zip(offers, free, strict=False)))
+        _offer(f, name, change, gap) for f, name in zip(offers, free, strict=False)))
 
 
 def _proposals(trial: Trial, names: Names, start: Fit) -> list[_Proposal]:
     runs = [replace(r, window=0) for r in trial.search.runs]
-    offsets = {run: value for (name, run), value in start.locals.items() if name == "offset"}
+    offsets = {run: value for (name, run), value in start.locals.items()
+               if name == "offset" and runs[run].order == 0}
     model = start.model if names else trial.search.model
     try:
-        regression = Regression(runs, model, offsets)
+        regression = Regression(runs, model, offsets, "mass" in trial.search.free)
     except DiagnosisError:
         return []
     found = search(regression)
@@ -112,7 +114,8 @@ def _fitted(trial: Trial, proposal: _Proposal, number: int) -> _Fitted | None:
     EFFECTS.hold(effect)
     own.step(f"fitting {formula.text}")
     names = (*proposal.names, formula.name)
-    found = own.once(names, proposal.start, [Hit.at(formula.name, effect.defaults)])
+    found = own.once(names, proposal.start, [Hit.at(formula.name, effect.defaults)],
+                     proposal.found.base)
     if not found.ok:
         return None
     found = own.settled(names, found)
@@ -143,21 +146,19 @@ def _ranked(fits: Sequence[_Fitted], change: bool) -> list[_Fitted]:
     return sorted(kept, key=lambda f: (not level(f, kept[0]), f.size if level(f, kept[0]) else 0))
 
 
-def _offer(f: _Fitted, name: str, e: Evidence) -> Offer:
-    """What is told of a formula."""
+def _offer(f: _Fitted, name: str, change: bool, gap: float) -> Offer:
+    """What is told of a formula; `gap` is the held-out power above the noise without any."""
     use = f.fit.model.effect(f.formula.name)
     assert use is not None  # noqa: S101 (it was fitted)
     quantities = f.fit.quantities_over(*score_by_blocks(f.fit))
     values = {n: float(f"{v:.9g}") for n, v in use.parameters.items()}
-    change = e.judged.change
-    taken = above(e, power(f.left.residuals, change)) - above(
-        e, power(f.proposal.without.residuals, change))
+    taken = power(f.proposal.without.residuals, change) - power(f.left.residuals, change)
     found = f.proposal.found
     return Offer(
         formula_of({**f.formula.to_dict(values), "name": name}),
         {n: replace(quantities[f"{f.formula.name}.{n}"], value=v) for n, v in values.items()
          if f"{f.formula.name}.{n}" in quantities},
-        min(max(taken, 0.0), 1.0), f.left.rms, found.all_back / RESAMPLES,
+        min(max(taken / max(gap, 1e-300), 0.0), 1.0), f.left.rms, found.all_back / RESAMPLES,
         tuple((p.term.text, n) for p, n in zip(found.parts, found.came_back, strict=True)),
         RESAMPLES, f.proposal.names)
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -54,10 +55,12 @@ class Column:
 @dataclass(frozen=True)
 class Found:
     """Terms that explain the missing force together; `errors` (B,) are the mean squares of blocks
-    held out, `came_back` how many of the RESAMPLES draws choose each term again, and all."""
+    held out, `base` the base parameters beside them, `came_back` how many of the RESAMPLES draws
+    choose each term again, `all_back` how many choose all of them."""
 
     parts: tuple[Part, ...]
     errors: Array
+    base: Mapping[str, float]
     came_back: tuple[int, ...] = ()
     all_back: int = 0
 
@@ -70,9 +73,10 @@ class Found:
 class Regression:
     """The missing force of some records and the dictionary along their motion."""
 
-    def __init__(self, runs: Sequence[Observation], model: Model,
-                 offsets: Mapping[int, float]) -> None:
-        """`offsets` (m) are those of the readings, by run.
+    def __init__(self, runs: Sequence[Observation], model: Model, offsets: Mapping[int, float],
+                 free_mass: bool = False) -> None:
+        """`offsets` (m) are those of the readings, by run. Without `free_mass` all forces are told
+        in the scale of the given mass: input and output alone do not show it.
 
         Raises
         ------
@@ -83,7 +87,7 @@ class Regression:
         self.candidates = Candidates(found, model, len(runs), ())
         if noise >= SWAMPED:
             raise DiagnosisError("noise swamps the missing force")
-        self.runs, self.setting = found.runs, found
+        self.runs, self.setting, self.free_mass = found.runs, found, free_mass
         constant = np.zeros((self.candidates.missing.size, 0))
         if model.base.get("stiffness", 0.0) <= 0.0:   # a body without a spring is pushed
             constant = np.ones((self.candidates.missing.size, 1))
@@ -113,16 +117,39 @@ class Regression:
         """A force of minus one times a term (n,), behind the filter, off the base."""
         key = term.text, shapes
         if key not in self._known:
-            self._known[key] = self.off(self.setting.stacked(
-                lambda run: run.filtered(term.values(self.signals[id(run)], shapes)
-                                         * np.ones(run.grid.size))))
+            self._known[key] = self.off(self._force(term, shapes))
         return self._known[key]
 
+    def _force(self, term: Term, shapes: tuple[float, ...]) -> Array:
+        return self.setting.stacked(
+            lambda run: run.filtered(term.values(self.signals[id(run)], shapes)))
+
+    def told(self, chosen: Sequence[Column]) -> tuple[dict[str, float], tuple[Part, ...]]:
+        """Base parameters by name and terms with their sizes, fitted together."""
+        found, model = self.setting, self.candidates.model
+        values = least_squares(np.column_stack((self.base, *(
+            self._force(c.term, c.shapes) for c in chosen))), found.target)
+        base = dict(zip(found.names, values.tolist(), strict=False))
+        base.pop("late", None)
+        mass = 0.0 if self.free_mass else base.get("mass", 0.0)
+        factor = model.base["mass"] / mass if mass > 0.0 else 1.0
+        base["force_constant"] = model.base.get("force_constant", 1.0)
+        return ({n: factor * v for n, v in base.items()},
+                tuple(Part(c.term, factor * float(size), c.shapes) for c, size in zip(
+                    chosen, values[self.base.shape[1]:], strict=True)))
+
+    @cached_property
     def grid(self) -> list[Column]:
         """Every term at every shape that it begins with, where the records show it."""
         found = [Column(term, shapes, self.column(term, shapes))
                  for term in TERMS for shapes in term.begins(self.scales)]
         return [c for c in found if np.all(np.isfinite(c.values)) and np.any(c.values)]
+
+    @cached_property
+    def stacked(self) -> tuple[Array, Array]:
+        """The columns of the grid (n, K), and their sums of squares (K,)."""
+        values = np.column_stack([c.values for c in self.grid])
+        return values, np.asarray(np.sum(values**2, axis=0))
 
     def left(self, columns: Sequence[Array]) -> Array:
         """The missing force (n,) without what columns (n,) explain."""
@@ -155,13 +182,12 @@ class Regression:
 def search(regression: Regression) -> list[Found]:
     """The formulas worth a fit in simulation, that with most terms first, then the runners-up of
     its length and shorter ones; none where nothing explains a thing on blocks held out."""
-    grid = regression.grid()
     sets: list[list[Column]] = [[]]
     by_length: list[list[list[Column]]] = []
     for _ in range(MOST_TERMS):
         tried: dict[frozenset[str], list[Column]] = {}
         for chosen in sets:
-            for column in _next_terms(regression, grid, chosen):
+            for column in _next_terms(regression, chosen):
                 wider = regression.fitted([*chosen, column])
                 if not _allowed(regression, wider):
                     continue
@@ -173,23 +199,21 @@ def search(regression: Regression) -> list[Found]:
         if not sets:
             break
         by_length.append(sets)
-    return _worth(regression, grid, by_length)
+    return _worth(regression, by_length)
 
 
-def _next_terms(regression: Regression, grid: Sequence[Column],
-                chosen: Sequence[Column]) -> list[Column]:
+def _next_terms(regression: Regression, chosen: Sequence[Column]) -> list[Column]:
     """The terms that take most beside those chosen, each form once."""
     left, own = regression.missing, np.zeros((regression.missing.size, 0))
     if chosen:
         left = regression.left([c.values for c in chosen])
         own = np.linalg.qr(np.column_stack([c.values for c in chosen]))[0]
-    values = np.column_stack([c.values for c in grid])
-    whole = np.sum(values**2, axis=0)
+    values, whole = regression.stacked
     bare = whole - np.sum((own.T @ values) ** 2, axis=0)
     gain = np.where(bare > SEEN**2 * whole, (left @ values) ** 2 / np.maximum(bare, 1e-300), 0.0)
     used = {c.term.text for c in chosen if not c.term.shapes}
     best: dict[str, tuple[float, Column]] = {}
-    for g, column in zip(gain.tolist(), grid, strict=True):
+    for g, column in zip(gain.tolist(), regression.grid, strict=True):
         text = column.term.text
         if text not in used and g > best.get(text, (0.0, column))[0]:
             best[text] = g, column
@@ -213,14 +237,13 @@ def _allowed(regression: Regression, chosen: Sequence[Column]) -> bool:
     return all(size > 0.0 for size, c in zip(sizes, chosen, strict=True) if c.term.text == DRY)
 
 
-def _worth(regression: Regression, grid: Sequence[Column],
+def _worth(regression: Regression,
            by_length: Sequence[Sequence[Sequence[Column]]]) -> list[Found]:
     """The sets of the greatest length whose last term blocks held out bear out, and shorter
     ones."""
     bare = _on_blocks(regression, ()).errors
     best, kept = bare, 0
-    told = [[Found(_parts(regression, s), _on_blocks(regression, s).errors) for s in sets]
-            for sets in by_length]
+    told = [[_found(regression, s) for s in sets] for sets in by_length]
     for length, sets in enumerate(told, 1):
         mean, error = log_ratio(sets[0].errors, best)
         fall = 1.0 - float(np.sum(sets[0].errors)) / max(float(np.sum(best)), 1e-300)
@@ -231,13 +254,13 @@ def _worth(regression: Regression, grid: Sequence[Column],
         return []
     ordered = [(kept - 1, k) for k in range(len(told[kept - 1]))]
     ordered[1:1] = [(length, 0) for length in range(kept - 2, -1, -1)]
-    draws = _Draws(regression, grid, [by_length[a][b] for a, b in ordered])
+    draws = _Draws(regression, [by_length[a][b] for a, b in ordered])
     return [draws.counted(told[a][b]) for a, b in ordered]
 
 
-def _parts(regression: Regression, chosen: Sequence[Column]) -> tuple[Part, ...]:
-    return tuple(Part(c.term, float(size), c.shapes) for size, c in zip(
-        _sizes(regression, chosen), chosen, strict=True))
+def _found(regression: Regression, chosen: Sequence[Column]) -> Found:
+    base, parts = regression.told(chosen)
+    return Found(parts, _on_blocks(regression, chosen).errors, base)
 
 
 def _on_blocks(regression: Regression, chosen: Sequence[Column]) -> Solution:
@@ -252,9 +275,8 @@ def _on_blocks(regression: Regression, chosen: Sequence[Column]) -> Solution:
 class _Draws:
     """The choice of terms repeated over blocks that are drawn with replacement."""
 
-    def __init__(self, regression: Regression, grid: Sequence[Column],
-                 sets: Sequence[Sequence[Column]]) -> None:
-        columns = [*grid, *(c for s in sets for c in s if c.term.shapes)]
+    def __init__(self, regression: Regression, sets: Sequence[Sequence[Column]]) -> None:
+        columns = [*regression.grid, *(c for s in sets for c in s if c.term.shapes)]
         self.texts = [c.term.text for c in columns]
         self.first = regression.base.shape[1]
         blocks = Blocks(np.column_stack((regression.base, *(c.values for c in columns),

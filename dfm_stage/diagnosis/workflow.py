@@ -160,7 +160,7 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
     if leaves_open(settled):
         evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
     if wants_formulas(settled):
-        evidence = with_formulas(trial, hypothesis, evidence, settled)
+        evidence = with_formulas(*_as_judged(trial, hypothesis, evidence), evidence, settled)
     if accepted[1]:
         evidence = with_accepted(trial, *accepted, evidence)
     search.step("judging")
@@ -254,6 +254,16 @@ def is_gross(bare: Fit) -> bool:
     degree = 1 if bare.system.drifts else 0
     motion = max(float(np.std(np.diff(run.output, degree))) for run in bare.system.runs)
     return rms([np.diff(parts[0], degree) for parts in bare.residuals]) > GROSS_GAP * motion
+
+
+def _as_judged(trial: Trial, h: Hypothesis, evidence: Evidence) -> tuple[Trial, Hypothesis]:
+    """The trial in the windows in which the gap was judged, where it is not in them."""
+    if evidence.judged.window_s is None or trial.search.runs[0].window:
+        return trial, h
+    own = _in_windows(trial)
+    own.search.begin_work(LEAST_STEPS)
+    bare = own.search.begin()
+    return (own, Hypothesis((), bare, bare)) if bare.ok else (trial, h)
 
 
 def _in_windows(trial: Trial) -> Trial:
