@@ -154,8 +154,8 @@ def _off_linear(force: Array, s: Surface) -> Array:
     """A force in the bins without a level and what is linear in position or velocity there."""
     told = np.isfinite(s.force)
     x, v, weight = s.x[told], s.v[told], np.sqrt(s.samples[told])
-    linear = np.column_stack((np.ones_like(x), x / max(np.std(x), 1e-300),
-                              v / max(np.std(v), 1e-300)))
+    linear = np.column_stack((np.ones_like(x), x / max(float(np.std(x)), 1e-300),
+                              v / max(float(np.std(v)), 1e-300)))
     taken = np.linalg.lstsq(linear * weight[:, None], force[told] * weight, rcond=None)[0]
     off = np.full(force.shape, np.nan)
     off[told] = force[told] - linear @ taken

@@ -115,7 +115,7 @@ def _fitted(trial: Trial, proposal: _Proposal, number: int) -> _Fitted | None:
     own.step(f"fitting {formula.text}")
     names = (*proposal.names, formula.name)
     found = own.once(names, proposal.start, [Hit.at(formula.name, effect.defaults)],
-                     proposal.found.base)
+                     dict(proposal.found.base))
     if not found.ok:
         return None
     found = own.settled(names, found)
