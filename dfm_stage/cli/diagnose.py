@@ -138,7 +138,7 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         save_model(_with_gap(found), out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         _surface(found, out)
-        _formulas(found, out, options.accept)
+        _formulas(found, out, [*options.accept, *options.effect])
     # the answer first: the page takes as long to draw as a short record to diagnose
     if options.json:
         print(text, end="", flush=True)
@@ -182,10 +182,10 @@ def _surface(found: Diagnosis, out: Path) -> None:
     write_output(out / FILE, found.surface.to_csv())
 
 
-def _formulas(found: Diagnosis, out: Path, accepted: Sequence[str]) -> None:
-    """One file for each formula that is offered, and none of an earlier answer."""
-    kept = {Path(path).resolve() for path in accepted}
-    for path in out.glob("formula_?.yaml"):
+def _formulas(found: Diagnosis, out: Path, given: Sequence[str]) -> None:
+    """One file for each formula that is offered, and none of an earlier answer but the `given`."""
+    kept = {Path(path).resolve() for path in given}
+    for path in out.glob("formula_[1-9].yaml"):
         if path.resolve() not in kept:
             path.unlink()
     for offer in found.formulas:
@@ -240,6 +240,6 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
         print(f"  note: {warning}")
     files = ["diagnosis.json", "model.yaml", *(["report.html"] if report else []),
              *(["next_experiment.yaml"] if found.next_experiment is not None else []),
-             *([FILE] if found.surface is not None else []),
-             *(offer.file for offer in found.formulas)]
+             *(offer.file for offer in found.formulas),
+             *([FILE] if found.surface is not None else [])]
     print(f"  {', '.join(files)} in {out}", flush=True)

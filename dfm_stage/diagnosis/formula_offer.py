@@ -84,8 +84,9 @@ def with_formulas(trial: Trial, h: Hypothesis, evidence: Evidence, v: Verdict) -
     fits = [f for k, p in enumerate(proposals[:MOST_OFFERED])
             if (f := _fitted(trial, p, k)) is not None and _pays(f, evidence)]
     offers = _ranked(fits, change)
-    free = iter(n for k in range(1, 100) if (n := f"formula_{k}") not in {
-        use.name for use in own.model.effects})
+    taken = {*EFFECTS.keys(), *(use.name for use in own.model.effects)}
+    free = [n for k in range(1, len(taken) + MOST_OFFERED + 1)
+            if (n := f"formula_{k}") not in taken]
     return replace(evidence, formulas=tuple(
         _offer(f, name, change, gap) for f, name in zip(offers, free, strict=False)))
 
