@@ -18,9 +18,10 @@ from dfm_stage.diagnosis.formula_terms import TERMS, Part, formula_from
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.verdict import Reason, Verdict
 from dfm_stage.diagnosis.verification import Prediction
-from dfm_stage.model import EFFECTS, Simulator, load_model, save_model
+from dfm_stage.model import EFFECTS, Model, Simulator, load_model, save_model
 from dfm_stage.model.formula_text import value
 from dfm_stage.model.registry import effects_of
+from dfm_stage.recording import AxisRecord, Provenance, Record
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -130,6 +131,40 @@ def test_of_a_force_that_is_none_of_the_motion_no_formula_is_made():
     found = diagnose(records[:1], truth.believed(), holdout=records[1:], library=NOTHING_LIKE_IT)
     assert (found.verdict, found.formulas) == ("unknown", ())
     assert found.to_dict()["description"]["formulas"] == []
+
+
+def cogged_body(seed):
+    """A body without a spring in a loop that follows a few sines, over magnets 4 mm apart."""
+    draw, h = np.random.default_rng(seed), truth.PERIOD / 4
+    time_s = truth.PERIOD * np.arange(8000)
+    wanted = sum(a * np.sin(2.0 * np.pi * f * time_s + p) for a, f, p in zip(
+        draw.uniform(1e-3, 5e-3, 5), draw.uniform(0.3, 4.0, 5), draw.uniform(0.0, 6.0, 5),
+        strict=True))
+    x = v = 0.0
+    feed, out = np.empty(time_s.size), np.empty(time_s.size)
+
+    def pushed(x, v, u):
+        return 2.0 * u - 3.0 * v - 0.6 * np.sin(2.0 * np.pi * x / 4e-3 + 0.5)
+
+    for k, target in enumerate(wanted.tolist()):
+        out[k], feed[k] = x, 200.0 * (target - x) - 10.0 * v
+        for _ in range(4):          # midpoint rule
+            half = v + 0.5 * h * pushed(x, v, feed[k])
+            v += h * pushed(x + 0.5 * h * v, half, feed[k])
+            x += h * half
+    return Record(time_s, truth.PERIOD, {"x": AxisRecord(
+        feed, out + 1e-6 * draw.standard_normal(out.size))}, Provenance(str(seed), "csv"))
+
+
+def test_a_body_without_a_spring_gets_its_formula_in_the_windows_it_is_judged_in():
+    model = Model("body", truth.PERIOD, {"mass": 1.0, "damping": 3.3, "force_constant": 2.0})
+    found = diagnose([cogged_body(1)], model, holdout=[cogged_body(2)], library=NOTHING_LIKE_IT)
+    assert (found.verdict, found.gap.judged) == ("unknown", "velocity")
+    assert found.gap.window_s is not None
+    first = found.formulas[0]
+    assert first.formula.text == "-f * sin(2 * pi * x / p + q)"
+    assert first.parameters["f"].value == pytest.approx(0.6, rel=0.02)
+    assert first.parameters["p"].value == pytest.approx(4e-3, rel=0.002)
 
 
 K, X0 = 220.0, 3e-4
