@@ -76,6 +76,8 @@ record | [records.md](records.md#from-a-table)
 `description` `next_experiment` `warnings` ...
 `missing_force.csv` | diagnose | programs | [the force that is missing]\
 (diagnosis_reference.md#the-missing-force) over position and velocity
+`formula_1.yaml` ... | diagnose; you | `diagnose --accept`, `--effect` | \
+[a formula](formulas.md) for a force without a name
 `simulation.json`, `response.csv` | simulate | programs | `rms` `unit` `fit_percent` `samples` \
 `skipped`, [simulate.md](simulate.md)
 `comparison.json` | compare | programs | the same of each model, [simulate.md](simulate.md)

@@ -28,6 +28,7 @@ from dfm_stage.cli.progress import steps
 from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
 from dfm_stage.model import Model, load_model, save_model
+from dfm_stage.model.formula_file import read_formulas
 from dfm_stage.model.registry import effects_of, library_of
 from dfm_stage.quantity import format_quantity
 
@@ -40,6 +41,7 @@ examples:
   ./run diagnose log.csv --model m.yaml --time t --input iq --output theta --output-unit rad
   ./run diagnose log.csv --model m.yaml --from 2 --to 60 --split 0.75
   ./run diagnose log.csv --model m.yaml --effect cable.yaml   # a formula of yours
+  ./run diagnose log.csv --model m.yaml --accept diagnosed/formula_1.yaml --out accepted
   ./run diagnose runs/multisine --model m.yaml --run stage.yaml   # and the next experiment
 """
 OPTIONS: Options = (
@@ -51,11 +53,14 @@ OPTIONS: Options = (
            help="a record to predict and never to fit, best of another kind; without one, the "
            "last 30 %% of each record"),
     option("--out", default="diagnosed", metavar="DIR",
-           help="folder for diagnosis.json, model.yaml, report.html, next_experiment.yaml and "
-           "missing_force.csv (default: %(default)s)"),
+           help="folder for diagnosis.json, model.yaml, report.html, next_experiment.yaml, "
+           "missing_force.csv and formulas (default: %(default)s)"),
     option("--effect", action="append", default=[], metavar="FILE",
            help="formulas (.yaml) or an effect (.py) that may be named beside the library, or a "
            "folder of such files"),
+    option("--accept", action="append", default=[], metavar="FILE",
+           help="add an offered formula (formula_1.yaml) to the model, and show what it does to "
+           "the gap; repeatable"),
     option("--axis", metavar="NAME", help="axis, where a record has several"),
     *(option(name, action="append", default=[], metavar="NAME[,NAME]", help=words)
       for name, words in (
@@ -74,6 +79,9 @@ OPTIONS: Options = (
     json_option("diagnosis.json"),
     NO_REPORT,
 )
+
+
+ACCEPT = "to add one to the model: the same command with --accept {}, and another --out"
 
 
 @command("diagnose", __doc__, EPILOG, OPTIONS, lambda options: options.run)
@@ -102,6 +110,7 @@ def _rounds(options: argparse.Namespace) -> int:
 def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
           held: Sequence[str], out: Path) -> Diagnosis:
     from dfm_stage.diagnosis import diagnose
+    from dfm_stage.diagnosis.formula_offer import accepted_in
     from dfm_stage.identification.model_fit import default_free
 
     library = library_of(names_in(options.library) or None)
@@ -110,7 +119,8 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
             raise DfmError(f"--without {name}: there is no such effect among "
                            f"{', '.join(library)}")
         library.remove(name)
-    one = model.axis(model.usual_axis(options.axis))
+    accepted = [f for path in options.accept for f in read_formulas(Path(path))]
+    one = accepted_in(model.axis(model.usual_axis(options.axis)), accepted)
     with steps("diagnose", options.json) as step:
         step("reading")
         records, holdout = divided(options, *([
@@ -121,13 +131,14 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
                          free=[*default_free(one), *names_in(options.free)],
                          fixed=names_in(options.fix),
-                         names=names, seed=options.seed, step=step)
+                         names=names, seed=options.seed, accept=accepted, step=step)
         step("writing")
         text = write_json(out / "diagnosis.json", {
             **found.to_dict(), "records": list(fitted), "holdout": list(held)})
         save_model(_with_gap(found), out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         _surface(found, out)
+        _formulas(found, out, [*options.accept, *options.effect])
     # the answer first: the page takes as long to draw as a short record to diagnose
     if options.json:
         print(text, end="", flush=True)
@@ -171,6 +182,23 @@ def _surface(found: Diagnosis, out: Path) -> None:
     write_output(out / FILE, found.surface.to_csv())
 
 
+def _formulas(found: Diagnosis, out: Path, given: Sequence[str]) -> None:
+    """One file for each formula that is offered, and none of an earlier answer but the `given`."""
+    kept = {Path(path).resolve() for path in given}
+    for path in out.glob("formula_[1-9].yaml"):
+        if path.resolve() not in kept:
+            path.unlink()
+    for offer in found.formulas:
+        text = StringIO()
+        text.write(f"# Offered by diagnose: {offer.share:.0%} of the held-out gap.\n"
+                   f"# diagnose --accept {offer.file} adds it to the model.\n")
+        yaml = YAML()
+        yaml.default_flow_style = None  # one line a parameter
+        yaml.dump({"effects": [offer.formula.to_dict(
+            {p.name: p.value for p in offer.formula.parameters})]}, text)
+        write_output(out / offer.file, text.getvalue())
+
+
 def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
     experiment = dict(found.next_experiment or {})
     if bag.exists():
@@ -183,7 +211,7 @@ def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
 
 def _print(found: Diagnosis, out: Path, report: bool) -> None:
     from dfm_stage.diagnosis.surface import FILE
-    from dfm_stage.diagnosis.wording import missing_force
+    from dfm_stage.diagnosis.wording import NO_FORMULA, formula, missing_force
     from dfm_stage.identification.convention import sentences
 
     print(f"{paint(found.verdict, TONES[found.verdict])}: {found.sentence}")
@@ -200,6 +228,10 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
           f"{gap.noise_floor_from})")
     if found.surface is not None:
         print(f"  {missing_force(found.surface)}")
+        for offer in found.formulas:
+            print(f"  {formula(offer)}")
+        print(f"  {ACCEPT.format(out / found.formulas[0].file)}" if found.formulas
+              else f"  {NO_FORMULA}")
     if found.next_experiment is not None:
         print(f"  next experiment: {found.next_experiment['description']}")
     for said in sentences(found.conventions):
@@ -208,5 +240,6 @@ def _print(found: Diagnosis, out: Path, report: bool) -> None:
         print(f"  note: {warning}")
     files = ["diagnosis.json", "model.yaml", *(["report.html"] if report else []),
              *(["next_experiment.yaml"] if found.next_experiment is not None else []),
+             *(offer.file for offer in found.formulas),
              *([FILE] if found.surface is not None else [])]
     print(f"  {', '.join(files)} in {out}", flush=True)

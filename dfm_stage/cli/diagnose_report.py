@@ -10,9 +10,8 @@ from scipy.signal import welch
 
 from dfm_stage.arrays import Array
 from dfm_stage.cli.command import TONES
+from dfm_stage.cli.diagnose_force_report import accepted, formulas, missing_force
 from dfm_stage.diagnosis import Comparison, Diagnosis
-from dfm_stage.diagnosis.surface import FILE, Surface
-from dfm_stage.diagnosis.wording import missing_force
 from dfm_stage.identification.convention import sentences
 from dfm_stage.reporting import (
     Drawing,
@@ -20,7 +19,6 @@ from dfm_stage.reporting import (
     Quantity,
     Table,
     display_unit,
-    format_number,
     format_quantity,
     log_labels,
     new_figure,
@@ -46,7 +44,8 @@ def write_report(found: Diagnosis, path: Path, records: Sequence[str], model: st
               found.verdict.replace("_", " "), TONES[found.verdict])
     for warning in found.warnings:
         page.note(warning)
-    for section in (_gap, _effects, _missing_force, _simulated, _evidence, _rejected, _next):
+    for section in (_gap, accepted, _effects, missing_force, formulas, _simulated, _evidence,
+                    _rejected, _next):
         section(page, found)
     page.provenance({"Records": ", ".join(records), "Model": model,
                      "Input": "; ".join(sentences(found.conventions)),
@@ -111,55 +110,6 @@ def _effects(page: Page, found: Diagnosis) -> None:
             ["side", d.side]])
     page.table(("base parameter", "re-estimated"),
                [[n, Quantity(q.value, q.unit, q.ci95)] for n, q in found.base.items()])
-
-
-def _missing_force(page: Page, found: Diagnosis) -> None:
-    s = found.surface
-    if s is None:
-        return
-    page.section("The force that is missing", f"{missing_force(s)}\n\nThe picture leaves out what "
-                 "is linear in position or velocity, the stage's own stiffness and damping"
-                 + (", and what was found." if found.effects else "."))
-    page.figure(_sections(s), "The missing force along sections of its surface, with 95 % "
-                "intervals")
-    page.text(f"{FILE} has the whole surface.")
-
-
-def _sections(s: Surface) -> Drawing:
-    """Force over position at three speeds, and over velocity at three positions."""
-    force, newton = display_unit((float(np.nanmax(np.abs(s.force))),), s.force_unit)
-    figure, axes = new_figure(2, 5.0, squeeze=False)
-    rows: list[list[Cell]] = []
-    motions = (("position", s.x, s.unit), ("velocity", s.v, f"{s.unit}/s"))
-    with page_style():
-        for number, (name, along, unit) in enumerate(motions):
-            axis, (other, across, its) = axes[number, 0], motions[1 - number]
-            (factor, shown), (scale, at_unit) = (
-                display_unit((float(np.nanmax(np.abs(each))),), of)
-                for each, of in ((along, unit), (across, its)))
-            for colour, at in enumerate(_chosen(s, number)):
-                line = (slice(None), at) if number == 0 else (at, slice(None))
-                place = format_number(scale * float(np.nanmean(across[line])), 2)
-                axis.errorbar(factor * along[line], force * s.force[line],
-                              1.96 * force * s.standard_error[line], color=f"C{colour}",
-                              marker="o", elinewidth=0.8, label=f"at {place} {at_unit}")
-                told = s.force[line][np.isfinite(s.force[line])]
-                rows.append([f"{other} {place} {at_unit}", int(np.sum(s.samples[line])), Quantity(
-                    float(told.min()), s.force_unit), Quantity(float(told.max()), s.force_unit)])
-            axis.set(xlabel=f"{name} ({shown})", ylabel=f"missing force ({newton})")
-            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
-                        handlelength=1.0, columnspacing=1.0)
-        figure.align_ylabels()
-    return Drawing(figure, Table(("section at", "samples", "smallest", "largest"), rows))
-
-
-def _chosen(s: Surface, number: int) -> list[int]:
-    """The middle bin of the axis that is not `number`, and one half-way to each end, as far as
-    they hold anything."""
-    counts = np.isfinite(s.force).sum(axis=number)
-    middle = counts.size // 2
-    reach = (counts.size + 1) // 4
-    return [at for at in (middle - reach, middle, middle + reach) if counts[at] > 1]
 
 
 def _compared(found: Diagnosis, held_out: bool) -> list[tuple[Comparison, Array, Array]]:

@@ -52,7 +52,7 @@ class Blocks:
     def __init__(self, columns: Array, edges: Lines, fitted: ArrayLike) -> None:
         self.edges, self.fitted = edges, np.asarray(fitted, dtype=bool)
         self.sizes = np.diff(edges)
-        self.norms = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+        self.norms = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-150)
         self.sums = np.stack([columns[a:b].T @ columns[a:b] for a, b in pairwise(edges)])
         self.sums /= np.outer(self.norms, self.norms)
 

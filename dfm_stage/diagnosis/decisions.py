@@ -185,6 +185,11 @@ OTHER_FORM = decision(
     set_on=SEEN_CORPUS + "; relatives of what is in no library: 0.11 to 0.96, above it in 12 of "
     "15 cases; right names beside another force: 0 to 1.0, above it in 7 of 38, 0.35 at most in "
     "the others")
+OFFERED_SHARE = decision(
+    "OFFERED_SHARE", 0.3, "1", meaning="Share of what is left of held-out power above the noise "
+    "that a formula must take, in simulation, to be offered.", set_on="derivation: as much as an "
+    "effect that is told as a part (`PARTIAL_SHARE`); blocks must bear it out, too "
+    "(`BLOCK_MARGIN`)")
 RIVAL_GAIN = decision(
     "RIVAL_GAIN", 0.4, "1", meaning="Screened gain over the effect's own from which such a rival "
     "is fitted.", set_on="derivation: it takes less than half of the gap otherwise")

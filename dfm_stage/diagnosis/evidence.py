@@ -17,6 +17,7 @@ from dfm_stage.diagnosis.margins import Constancy, Signal
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.identification.quantity import Quantity
+from dfm_stage.model.formula import Formula
 from dfm_stage.recording.units import Measured
 
 Which = Literal["given", "retuned", "extended"]
@@ -222,6 +223,49 @@ class Proposal:
 
 
 @dataclass(frozen=True)
+class Offer:
+    """A formula for what has no name, with the values of its fit.
+
+    `share` is of the held-out gap's power above the noise, `held_out_rms` what the model with it
+    leaves. `came_back` says of each term in how many of `draws` resamples it was chosen again,
+    `found_in` the share of these that chose all of them. It was fitted with the effects `beside`
+    it, which were found; without any, it stands in the place of all that were.
+    """
+
+    formula: Formula
+    parameters: Mapping[str, Quantity]
+    share: float
+    held_out_rms: float
+    found_in: float
+    came_back: tuple[tuple[str, int], ...]
+    draws: int
+    beside: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> str:
+        """What diagnosis.json calls its file, which stands beside it."""
+        return f"{self.formula.name}.yaml"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON keeps it."""
+        return {"name": self.formula.name, "force": self.formula.text, "share": self.share,
+                "found_in_percent": 100.0 * self.found_in, "held_out_rms": self.held_out_rms,
+                "parameters": {n: q.to_dict() for n, q in self.parameters.items()},
+                "came_back": {text: [n, self.draws] for text, n in self.came_back},
+                "beside": list(self.beside), "file": self.file}
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """Formulas that the user has added to the model, and what the model leaves without them: as
+    given, and with its own parameters re-estimated."""
+
+    formulas: tuple[Formula, ...]
+    given: ModelEvidence
+    retuned: ModelEvidence
+
+
+@dataclass(frozen=True)
 class Evidence:
     """The evidence of one diagnosis.
 
@@ -238,6 +282,7 @@ class Evidence:
     where that is clear of the noise. `graded` says that the effects were found by
     how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
     held-out powers are compared. `heard` says that the force domain alone bears the effects out.
+    `formulas` are offered for what no effect explains.
     """
 
     records: tuple[str, ...]
@@ -263,4 +308,6 @@ class Evidence:
     witness: Mapping[str, Any] | None = None
     heard: Heard | None = None
     surface: Surface | None = None
+    formulas: tuple[Offer, ...] = ()
+    accepted: Accepted | None = None
     conventions: tuple[Mapping[str, Any], ...] = ()

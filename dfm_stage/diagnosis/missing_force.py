@@ -74,10 +74,11 @@ def _described(candidates: Candidates, noise: float) -> Surface | None:
     bins = binned(x[fitted], v[fitted], -of[0], -np.array(of[1:]), edges)
     if bins is None:
         return None
-    lines = candidates.at.frequencies
+    lines, first_run = candidates.at.frequencies, found.runs[0]
+    history = (first_run.run.time[first_run.kept], -missing[:first_run.kept.size])
     return Surface(found.runs[0].run.unit, bins.x, bins.v, bins.force, bins.standard_error,
                    bins.samples, shares[0], max(shares), float(np.sqrt(np.mean(of[0]**2))),
-                   lines[0] if lines else None, _form_shares(candidates, noise))
+                   lines[0] if lines else None, _form_shares(candidates, noise), history)
 
 
 def _share(blocks: Blocks, base: int, found: Solution, noise: float) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dfm_stage.diagnosis import wording
-from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
+from dfm_stage.diagnosis.evidence import Comparison, Evidence, ModelEvidence, Offer, Which
 from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Description, Finding
 from dfm_stage.diagnosis.surface import FILE, Surface
@@ -21,7 +21,7 @@ SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partia
                "schema 1 should take it as unknown with a better model) and the keys complete, "
                "predictable_share, margins, constancy, predictable, judged, window_s, "
                "conventions, witness; in description: surface, predictable_share, "
-               "position_velocity_share")
+               "position_velocity_share, formulas")
 
 
 @dataclass(frozen=True)
@@ -98,13 +98,28 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class AcceptedFormula:
+    """A formula that the user has added to the model, with its re-estimated parameters."""
+
+    name: str
+    force: str
+    parameters: Mapping[str, Quantity]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON keeps it."""
+        return {"name": self.name, "force": self.force,
+                "parameters": {n: q.to_dict() for n, q in self.parameters.items()}}
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What was found. `model` is the extended model, `next_experiment` a mapping that
     `load_experiment` takes, or None. Where nothing was found, `detection_limits` are the sizes at
     which each effect would have been named in half of such records. `conventions` say what the
     input of each record does between its samples. `shown` says which of the models compared is the
     one after. `complete` says that the model explains all but noise. `witness` is what the force
-    domain says by itself, `surface` the force that is still missing, where clear of noise."""
+    domain says by itself, `surface` the force that is still missing, where clear of noise, and
+    `formulas` are offered for it; `accepted` were added to the model."""
 
     verdict: Kind
     sentence: str
@@ -125,6 +140,8 @@ class Diagnosis:
     complete: bool = True
     witness: Mapping[str, Any] | None = None
     surface: Surface | None = None
+    formulas: tuple[Offer, ...] = ()
+    accepted: tuple[AcceptedFormula, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -148,6 +165,7 @@ class Diagnosis:
                                  for name, sizes in self.detection_limits.items()},
             "conventions": [dict(each) for each in self.conventions],
             "witness": None if self.witness is None else dict(self.witness),
+            **({"accepted": [each.to_dict() for each in self.accepted]} if self.accepted else {}),
         }
 
     def _described(self) -> dict[str, Any] | None:
@@ -156,19 +174,22 @@ class Diagnosis:
         if force is None:
             return None if left is None else {
                 **left.to_dict(), "surface": None, "predictable_share": None,
-                "position_velocity_share": None}
+                "position_velocity_share": None, "formulas": []}
         left = left or Description(None, None, None, force.frequency_hz, "unclear")
         return {**left.to_dict(), "surface": FILE, "predictable_share": force.predictable_share,
-                "position_velocity_share": force.position_velocity_share}
+                "position_velocity_share": force.position_velocity_share,
+                "formulas": [offer.to_dict() for offer in self.formulas]}
 
 
 def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
     """Put evidence and verdict together; `model` is the one to go on with."""
     shown = e.extended if v.shown == "extended" else e.retuned
     effects = tuple(_named(e, found) for found in v.effects)
+    given, retuned = (e.given, e.retuned) if e.accepted is None else (
+        e.accepted.given, e.accepted.retuned)
     gap = Gap(e.unit, *e.noise.floor,
-              (e.given.fitted.rms, e.retuned.fitted.rms, shown.fitted.rms),
-              (e.given.held_out.rms, e.retuned.held_out.rms, shown.held_out.rms),
+              (given.fitted.rms, retuned.fitted.rms, shown.fitted.rms),
+              (given.held_out.rms, retuned.held_out.rms, shown.held_out.rms),
               e.judged.predictable, e.judged.signal, e.judged.window_s)
     rejected = (Rejected(r.name, r.held_out_rms, wording.rejection(r)) for r in v.rejected)
     proposal = e.next_experiment
@@ -180,7 +201,8 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
         _signed(model, effects, e), shown.findings,
         e.limits if v.kind in ("none", "not_excited", "retune") else {},
         e.comparisons, v.shown, conventions=e.conventions, complete=v.complete,
-        witness=e.witness, surface=e.surface if v.remainder else None)
+        witness=e.witness, surface=e.surface if v.remainder else None,
+        formulas=e.formulas, accepted=_accepted(e, shown))
 
 
 def _named(e: Evidence, found: Found) -> NamedEffect:
@@ -195,6 +217,15 @@ def _named(e: Evidence, found: Found) -> NamedEffect:
                        found.predictable_share,
                        {} if seen is None else {r.name: r.margin for r in seen.rivals},
                        None if seen is None else seen.constancy)
+
+
+def _accepted(e: Evidence, shown: ModelEvidence) -> tuple[AcceptedFormula, ...]:
+    """The formulas that were accepted, with the intervals of the model that is told."""
+    return () if e.accepted is None else tuple(
+        AcceptedFormula(f.name, f.text, {
+            p.name: shown.parameters.get(f"{f.name}.{p.name}",
+                                         Quantity(p.value, p.unit or "", None))
+            for p in f.parameters}) for f in e.accepted.formulas)
 
 
 def _signed(model: Model, effects: Sequence[NamedEffect], e: Evidence) -> Model:

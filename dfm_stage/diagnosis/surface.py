@@ -41,6 +41,7 @@ class Surface:
     position and velocity alone explain, `predictable_share` what a black box does that also knows
     acceleration, past motion and amplitude, `form_shares` what each effect of the model does in
     other forms. `rms` is of the missing force, `frequency_hz` where its spectrum is highest.
+    `history` is the force (N) over time (s) along the first fitted record, both (n,).
     """
 
     unit: str
@@ -54,6 +55,7 @@ class Surface:
     rms: float
     frequency_hz: float | None = None
     form_shares: Mapping[str, float] = field(default_factory=dict)
+    history: tuple[Array, Array] | None = None
 
     @property
     def force_unit(self) -> str:

@@ -12,7 +12,7 @@ from dfm_stage.diagnosis.decisions import (
     OTHER_FORM,
     PARTIAL_SHARE,
 )
-from dfm_stage.diagnosis.evidence import DropReason, Evidence, Proposal
+from dfm_stage.diagnosis.evidence import DropReason, Evidence, Offer, Proposal
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
     Found,
@@ -77,7 +77,35 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
 
 
 def sentence(e: Evidence, v: Verdict) -> str:
-    """The verdict in one sentence."""
+    """The verdict in one sentence, after what accepted formulas do."""
+    if e.accepted is None:
+        return _verdict(e, v)
+    shown = e.extended if v.shown == "extended" else e.retuned
+    before, after = e.accepted.retuned.held_out.rms, shown.held_out.rms
+    names = " and ".join(f.name for f in e.accepted.formulas)
+    gap = (f"With {names} the held-out gap falls from {format_quantity(before, e.unit)} to "
+           f"{format_quantity(after, e.unit)}, {after / max(e.noise.floor[0], 1e-300):.2f} times "
+           "the noise floor")
+    if after >= before:
+        gap = (f"With {names} the held-out gap does not fall: {format_quantity(before, e.unit)} "
+               f"without, {format_quantity(after, e.unit)} with")
+    rest = "what is left is noise." if v.kind in ("none", "retune") else _verdict(e, v)
+    return f"{gap}; {rest}" if v.kind in ("none", "retune") else f"{gap}. {rest}"
+
+
+def formula(offer: Offer) -> str:
+    """A formula that is offered, in a sentence."""
+    beside = f", beside {_listed(offer.beside)}" if offer.beside else ""
+    return (f"{offer.formula.name}: {offer.formula.text}  ({offer.share:.0%} of the held-out gap"
+            f"{beside}; all of its terms chosen again in {round(offer.found_in * offer.draws)} of "
+            f"{offer.draws} draws)")
+
+
+NO_FORMULA = ("no short formula of position, velocity and drive explains a real part of it on "
+              "held-out records")
+
+
+def _verdict(e: Evidence, v: Verdict) -> str:
     if v.kind in ("named", "partial") and e.graded:
         return _part(e, v)
     if v.kind == "named":
@@ -180,6 +208,8 @@ def lost_samples(name: str, times: Sequence[float]) -> str:
     many = "1 sample seems" if len(times) == 1 else f"{len(times)} samples seem"
     return (f"{name}: {many} to be missing, at {listed}{more} s, though the time stamps do not "
             "show it; what they must have been was put in")
+
+
 def missing_force(s: Surface) -> str:
     """The force that is still missing, in a sentence."""
     where = "" if s.frequency_hz is None else \

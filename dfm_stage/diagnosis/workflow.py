@@ -21,6 +21,12 @@ from dfm_stage.diagnosis.decisions import (
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
+from dfm_stage.diagnosis.formula_offer import (
+    accepted_in,
+    wants_formulas,
+    with_accepted,
+    with_formulas,
+)
 from dfm_stage.diagnosis.gather import (
     gather,
     with_confirmation,
@@ -57,6 +63,7 @@ from dfm_stage.diagnosis.wording import lost_samples
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.identification.system import steps_taken
 from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.formula import Formula
 from dfm_stage.model.registry import ALL, library_of
 from dfm_stage.recording import Record
 
@@ -67,7 +74,7 @@ Judgement = tuple[Trial, Hypothesis, Evidence]
 def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Record] = (),
              axis: str | None = None, library: Sequence[str] | None = None,
              free: Sequence[str] | None = None, fixed: Sequence[str] = (),
-             names: Sequence[str] = (), seed: int = 0,
+             names: Sequence[str] = (), seed: int = 0, accept: Sequence[Formula] = (),
              step: Callable[[str], None] | None = None) -> Diagnosis:
     """Find what is missing in `model` by records it should explain.
 
@@ -90,6 +97,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         Of the records, for the report; held-out ones follow the fitted ones.
     seed
         Fixes what is shuffled.
+    accept
+        Formulas to add to the model before. The gap is told without and with them.
     step
         Called with the name of each step as it begins.
 
@@ -103,7 +112,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     if not records:
         raise DiagnosisError("no record was given; name at least one")
     chosen = model.usual_axis(axis)
-    one = model.axis(chosen)
+    without = model.axis(chosen)
+    one = accepted_in(without, accept)
     known = tuple(library_of(library))
     for name in known:
         if name not in EFFECTS:
@@ -123,13 +133,14 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         runs, held = split_by_time(runs)
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
     search = Search(one, runs, freed, library=known, step=tell)
-    found = _diagnosis(search, held, seed, warnings, split=not holdout)
+    found = _diagnosis(search, held, seed, warnings, not holdout, (without, accept))
     return replace(found, seconds=time.monotonic() - begun)
 
 
 def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings: Sequence[str],
-               split: bool) -> Diagnosis:
-    """Search, test, gather the evidence, judge it and put it into words."""
+               split: bool, accepted: tuple[Model, Sequence[Formula]]) -> Diagnosis:
+    """Search, test, gather the evidence, judge it and put it into words; `accepted` are the model
+    without the formulas that were accepted, and these."""
     search.step("measuring the gap")
     first = search.begin()
     if not first.ok:
@@ -149,6 +160,10 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
         settled = verdict(evidence)
     if leaves_open(settled):
         evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
+    if wants_formulas(settled):
+        evidence = with_formulas(*_as_judged(trial, hypothesis, evidence), evidence, settled)
+    if accepted[1]:
+        evidence = with_accepted(trial, *accepted, evidence)
     search.step("judging")
     return told(evidence, settled, models[settled.model])
 
@@ -260,6 +275,16 @@ def is_gross(bare: Fit) -> bool:
     degree = 1 if bare.system.drifts else 0
     motion = max(float(np.std(np.diff(run.output, degree))) for run in bare.system.runs)
     return rms([np.diff(parts[0], degree) for parts in bare.residuals]) > GROSS_GAP * motion
+
+
+def _as_judged(trial: Trial, h: Hypothesis, evidence: Evidence) -> tuple[Trial, Hypothesis]:
+    """The trial in the windows in which the gap was judged, where it is not in them."""
+    if evidence.judged.window_s is None or trial.search.runs[0].window:
+        return trial, h
+    own = _in_windows(trial)
+    own.search.begin_work(LEAST_STEPS)
+    bare = own.search.begin()
+    return (own, Hypothesis((), bare, bare)) if bare.ok else (trial, h)
 
 
 def _in_windows(trial: Trial) -> Trial:

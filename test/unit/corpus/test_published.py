@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import formulas_found
 from benchmarks.blind import published
 from benchmarks.blind.published import by_severity, kept, kept_misses, measured_rates, rates
 from benchmarks.corpus import case_plan
@@ -38,6 +39,27 @@ def test_the_shares_by_severity_are_those_of_the_kept_counts(counts):
 
 def test_the_rates_of_cases_that_look_like_measurements_are_those_kept():
     assert "\n".join(measured_rates()) in PAGE.read_text("utf-8")
+
+
+def test_the_table_of_formulas_that_are_found_is_that_of_the_kept_run():
+    seed, results = formulas_found.kept()
+    text = PAGE.read_text("utf-8")
+    assert "\n".join(formulas_found.rows(results)) in text
+    assert f"--seed {seed} " in text
+    kinds = Counter(r.kind for r in results)
+    assert kinds == {kind: 60 if kind == "grammar" else 20 for kind in formulas_found.KINDS}
+
+
+def test_a_formula_counts_where_it_predicts_and_its_form_where_the_dictionary_has_it():
+    def result(formula, terms, expected, over_floor):
+        return formulas_found.Result("cogging", "", expected, 10.0, "unknown", formula, terms,
+                                     over_floor, 9.0, 2.0)
+
+    row = formulas_found.rows([
+        result("-f * a", ["a"], ["a"], 1.5), result("-f * b", ["b"], ["a"], 1.0),
+        result("-f * b", ["b"], [], 1.0), result("-f * a", ["a"], ["a"], 1.6),
+        result("", [], ["a"], 1.2)])[2]
+    assert row == "| cogging | 5 | 4 | 3 (60 %; 23 to 88) | 1 of 2 | 2.0 (2.0) |"
 
 
 def test_every_case_of_the_plan_is_counted_once(counts):

@@ -99,7 +99,7 @@ def test_a_missing_force_is_told_where_the_reading_was_not_described(cubic):
     assert found.to_dict()["description"] == {
         "parity": None, "memory": None, "amplitude_exponent": None, "frequency_hz": 3.0,
         "side": "unclear", "surface": "missing_force.csv", "predictable_share": 0.75,
-        "position_velocity_share": 0.5}
+        "position_velocity_share": 0.5, "formulas": []}
     assert dataclasses.replace(found, surface=None).to_dict()["description"] is None
 
 
