@@ -23,7 +23,6 @@ from dfm_stage.cli.command import (
     write_json,
     write_output,
 )
-from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
 from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
@@ -172,6 +171,8 @@ def _surface(found: Diagnosis, out: Path) -> None:
 
 
 def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
+    from dfm_stage.cli.graph_run import run_on_graph
+
     experiment = dict(found.next_experiment or {})
     if bag.exists():
         raise DfmError(f"{bag} is there already; choose another folder with --out")

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import welch
 
 from dfm_stage.arrays import Array
 from dfm_stage.cli.command import TONES
 from dfm_stage.diagnosis import Comparison, Diagnosis
+from dfm_stage.diagnosis.spectra import density
 from dfm_stage.diagnosis.surface import FILE, Surface
 from dfm_stage.diagnosis.wording import missing_force
 from dfm_stage.identification.convention import sentences
@@ -211,8 +211,7 @@ def _localised(run: Comparison, before: Array, after: Array, unit: str) -> Drawi
     rows: list[list[Cell]] = []
     with page_style():
         for label, left, colour in (("before", before, "C0"), ("after", after, "C1")):
-            hertz, power = welch(left, 1.0 / run.sample_period,
-                                 nperseg=min(4096, left.size // 2))
+            hertz, power = density(left, min(4096, left.size // 2), run.sample_period)
             axes[0, 0].loglog(hertz[1:], np.sqrt(power[1:]) * factor, color=colour, label=label)
             for row, (along, scale, _) in enumerate(abscissae, 1):
                 centre, mean = _binned(along, left)

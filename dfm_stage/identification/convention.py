@@ -14,11 +14,10 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from scipy.fft import prev_fast_len
-from scipy.interpolate import CubicSpline
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import (
@@ -33,6 +32,7 @@ from dfm_stage.identification.decisions import (
     TIMING_KNOWN,
     UNEXPLAINED,
 )
+from dfm_stage.transforms import shorter_length
 
 Hold = Literal["zero", "first", "band_limited"]
 Source = Literal["estimated", "assumed", "given"]
@@ -320,8 +320,9 @@ def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0
     edges = np.linspace(0, columns.shape[1], TIMING_BLOCKS + 1).astype(int)
     parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
     gram = np.array([columns[:, p] @ columns[:, p].T for p in parts])
-    cross = CubicSpline(LAGS, [delayed[:, p] @ columns[:, p].T for p in parts], axis=1)(GRID)
-    power = CubicSpline(LAGS, [np.sum(delayed[:, p] ** 2, axis=1) for p in parts], axis=1)(GRID)
+    finer = _finer()
+    cross = finer @ np.array([delayed[:, p] @ columns[:, p].T for p in parts])
+    power = np.array([finer @ np.sum(delayed[:, p] ** 2, axis=1) for p in parts])
     whole = gram.sum(axis=0), cross.sum(axis=0), power.sum(axis=0)
     left = _left(*whole)
     if left is None:
@@ -362,6 +363,26 @@ def _least(left: Array) -> float:
                  * (GRID[1] - GRID[0]))
 
 
+@cache
+def _finer() -> Array:
+    """What takes values at LAGS to those at GRID, (G, L): the cubic spline through them whose
+    third derivative is the same on both sides of the second and of the last but one."""
+    count = LAGS.size
+    inner = np.arange(1, count - 1)
+    bends, seconds = np.zeros((2, count, count))    # of `bends` @ f'' = `seconds` @ f
+    for at, weight, difference in ((-1, 1.0, 6.0), (0, 4.0, -12.0), (1, 1.0, 6.0)):
+        bends[inner, inner + at], seconds[inner, inner + at] = weight, difference
+    bends[0, :3] = bends[-1, -3:] = 1.0, -2.0, 1.0
+    curvature, values = np.linalg.solve(bends, seconds), np.eye(count)
+    place = (GRID - LAGS[0]) / (LAGS[1] - LAGS[0])
+    left = np.clip(place.astype(int), 0, count - 2)
+    after = (place - left)[:, None]
+    before = 1.0 - after
+    return np.asarray(before * values[left] + after * values[left + 1]
+                      + (before**3 - before) / 6.0 * curvature[left]
+                      + (after**3 - after) / 6.0 * curvature[left + 1])
+
+
 def _delayed(u: Array, width: float, sincs: int) -> Array:
     """The filtered input at every lag, (L, N)."""
     line, wave = _reflected(u)
@@ -369,8 +390,12 @@ def _delayed(u: Array, width: float, sincs: int) -> Array:
     spectrum = np.fft.rfft(wave) * np.exp(-0.5 * (omega * width) ** 2)
     spectrum *= np.sinc(omega / (2.0 * np.pi)) ** sincs
     time = np.arange(u.size)
-    return np.array([np.fft.irfft(spectrum * np.exp(-1j * omega * lag), wave.size)[:u.size]
-                     + line[0] + line[1] * (time - lag) for lag in LAGS])
+    whole = np.floor(LAGS)
+    moved = {part: np.fft.irfft(spectrum * np.exp(-1j * omega * part), wave.size)
+             for part in set((LAGS - whole).tolist())}
+    return np.array([np.roll(moved[lag - samples], int(samples))[:u.size]
+                     + line[0] + line[1] * (time - lag)
+                     for lag, samples in zip(LAGS, whole, strict=True)])
 
 
 def _features(y: Array, width: float, derivative: int) -> Array:
@@ -408,7 +433,7 @@ def _features(y: Array, width: float, derivative: int) -> Array:
 def _livest(u: Array, y: Array) -> tuple[Array, Array]:
     """At most LONGEST samples, those in which the output changes most."""
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    count = prev_fast_len(min(u.size, LONGEST) - 1, real=True) + 1
+    count = shorter_length(min(u.size, LONGEST) - 1) + 1
     change = np.concatenate(([0.0], np.cumsum(np.diff(y) ** 2)))
     starts = np.arange(0, u.size - count + 1, max(count // STARTS, 1))
     first = int(starts[int(np.argmax(change[starts + count - 1] - change[starts]))])

@@ -24,9 +24,10 @@ from dfm_stage.recording.bag import DROPPED_KEY, Bag, Topic, chosen_topics
 from dfm_stage.recording.chunk_data import DamagedError, expand, survey_chunk
 from dfm_stage.recording.decode_plan import Plan, compile_plan
 from dfm_stage.recording.errors import BagReadError, DefinitionError
+from dfm_stage.recording.formats import STORAGES
 from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
 from dfm_stage.recording.message_definitions import definition_text, full_name, parse_schema
-from dfm_stage.recording.rosbag2_metadata import STORAGES, BagFiles, find_files
+from dfm_stage.recording.rosbag2_metadata import BagFiles, find_files
 from dfm_stage.recording.sqlite_bag import read_sqlite
 
 if TYPE_CHECKING:

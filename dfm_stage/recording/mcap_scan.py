@@ -22,8 +22,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, McapRecord, Metadata, Schema, Statistics
 
 from dfm_stage.recording.errors import BagReadError
+from dfm_stage.recording.formats import MAGIC
 
-MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD_BYTES = 31
 

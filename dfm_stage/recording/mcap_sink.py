@@ -38,7 +38,8 @@ from mcap.records import (
 )
 
 from dfm_stage.recording.errors import BagWriteError, writing
-from dfm_stage.recording.mcap_scan import MAGIC, RECORD_HEAD
+from dfm_stage.recording.formats import MAGIC
+from dfm_stage.recording.mcap_scan import RECORD_HEAD
 
 COMPRESSIONS = ("zstd", "lz4", "none")
 
