@@ -9,6 +9,7 @@ if __name__ == "__main__":
 
 import gc
 import importlib
+import io
 import os
 import re
 import select
@@ -36,6 +37,8 @@ def entry() -> int:
     """
     end_at_once()
     gc.set_threshold(*COLLECTIONS)
+    if isinstance(sys.stdout, io.TextIOWrapper):    # what Windows pipes has no superscripts
+        sys.stdout.reconfigure(errors="replace")
     script = os.path.basename(sys.argv[0])
     try:
         try:

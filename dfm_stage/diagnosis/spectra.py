@@ -64,7 +64,8 @@ def density(signal: Array, length: int, sample_period: float = 1.0) -> tuple[Arr
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
     parts = sliding_window_view(signal, length)[::length - length // 2]
     spectra = np.fft.rfft(window * (parts - parts.mean(axis=1, keepdims=True)), axis=1)
-    power: Array = np.mean(np.abs(spectra) ** 2, axis=0) * 2.0 * sample_period / float(window @ window)
+    power: Array = np.mean(np.abs(spectra) ** 2, axis=0)
+    power *= 2.0 * sample_period / float(window @ window)
     power[0] *= 0.5
     if length % 2 == 0:
         power[-1] *= 0.5
