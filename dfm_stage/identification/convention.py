@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dfm_stage.arrays import Array
+from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.decisions import (
     EARLY_SHIFT,
     FINER,
@@ -275,8 +275,9 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
     if np.ptp(u) == 0.0 or np.ptp(y) == 0.0 or not (np.all(np.isfinite(u))
                                                     and np.all(np.isfinite(y))):
         return HELD
+    waves, motion = _Waves.of(u), _Motion(y, derivative)
     seen = [(width, t) for width in WIDTHS
-            if (t := timing(u, y, width, derivative)) is not None and t.left < UNEXPLAINED]
+            if (t := _timing(waves, motion, width)) is not None and t.left < UNEXPLAINED]
     if not seen:
         return HELD
     width, best = min(seen, key=lambda w: w[1].sigma)
@@ -288,22 +289,22 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
                           late_sigma=sigma)
     if best.left_late < LATE_RATIO * best.left:
         return HELD
-    early = best.tau - LATENESS[kind := _kind(u, y, width, derivative)]
+    early = best.tau - LATENESS[kind := _kind(waves, motion, width)]
     if early > -max(EARLY_SHIFT, HELD_SIGMAS * sigma):
         return Convention(kind, 0.0, sigma, "estimated", early, sigma)
     return Convention(kind, early, sigma, "estimated", 0.0, sigma)
 
 
-def _kind(u: Array, y: Array, width: float, derivative: int) -> Hold:
+def _kind(u: _Waves, motion: _Motion, width: float) -> Hold:
     """The kind of interpolation of an input that is not simply held: the one that leaves least
     behind the filter that tells its timing best. Kinds differ at high frequencies: a wider filter
     has none, a narrower one mostly noise."""
     left = {kind: found.left for kind, power in SINCS.items()
-            if (found := timing(u, y, width, derivative, power)) is not None}
+            if (found := _timing(u, motion, width, power)) is not None}
     return min(left, key=lambda kind: left[kind])
 
 
-def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0) -> Timing | None:
+def _timing(u: _Waves, motion: _Motion, width: float, sincs: int = 0) -> Timing | None:
     """Regress the input on the motion through one Gaussian filter of `width` samples.
 
     `sincs` is the power of sinc with which the input is weakened between its samples. None where
@@ -313,7 +314,7 @@ def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0
     inner = slice(cut, u.size - cut)
     if u.size < FEWEST * cut:
         return None
-    columns = _features(y, width, derivative)[:, inner]
+    columns = motion.features(width)[:, inner]
     columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=1)), 1e-300)[:, None]
     delayed = _delayed(u, width, sincs)[:, inner]
     delayed -= delayed.mean(axis=1, keepdims=True)
@@ -383,51 +384,73 @@ def _finer() -> Array:
                       + (after**3 - after) / 6.0 * curvature[left + 1])
 
 
-def _delayed(u: Array, width: float, sincs: int) -> Array:
+def _delayed(u: _Waves, width: float, sincs: int) -> Array:
     """The filtered input at every lag, (L, N)."""
-    line, wave = _reflected(u)
-    omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
-    spectrum = np.fft.rfft(wave) * np.exp(-0.5 * (omega * width) ** 2)
-    spectrum *= np.sinc(omega / (2.0 * np.pi)) ** sincs
-    time = np.arange(u.size)
+    spectrum = u.spectrum * np.exp(-0.5 * (u.omega * width) ** 2)
+    spectrum *= np.sinc(u.omega / (2.0 * np.pi)) ** sincs
     whole = np.floor(LAGS)
-    moved = {part: np.fft.irfft(spectrum * np.exp(-1j * omega * part), wave.size)
+    moved = {part: u.signal_of(spectrum * np.exp(-1j * u.omega * part))
              for part in set((LAGS - whole).tolist())}
+    time = np.arange(u.size)
     return np.array([np.roll(moved[lag - samples], int(samples))[:u.size]
-                     + line[0] + line[1] * (time - lag)
+                     + u.line[0] + u.line[1] * (time - lag)
                      for lag, samples in zip(LAGS, whole, strict=True)])
 
 
-def _features(y: Array, width: float, derivative: int) -> Array:
-    """Filtered motion and usual nonlinear functions of it, (F, N)."""
-    line, wave = _reflected(y)
-    omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
-    spectrum = np.fft.rfft(wave)
-    filter_ = np.exp(-0.5 * (omega * width) ** 2)
+@dataclass(frozen=True)
+class _Waves:
+    """A signal (N,) as the `line` through its ends, value and slope, and the `spectrum` of what
+    is left with its reflection, at `omega` radians a sample."""
 
-    time = np.arange(y.size)
+    size: int
+    line: Array
+    omega: Array
+    spectrum: Complex
 
-    def moved(order: int, weights: Array | float) -> Array:
+    @classmethod
+    def of(cls, values: Array) -> _Waves:
+        line, wave = _reflected(values)
+        return cls(values.size, line, 2.0 * np.pi * np.fft.rfftfreq(wave.size), np.fft.rfft(wave))
+
+    def signal_of(self, spectrum: Complex) -> Array:
+        """The periodic signal (2 N - 2,) of a spectrum."""
+        return np.asarray(np.fft.irfft(spectrum, 2 * self.size - 2))
+
+    def filtered(self, weights: Array) -> Array:
+        """The signal (N,) through a filter that leaves straight lines alone."""
+        return np.asarray(self.signal_of(self.spectrum * weights)[:self.size]
+                          + self.line[0] + self.line[1] * np.arange(self.size))
+
+
+class _Motion:
+    """An output (N,) that is the position's derivative of some order, and what of it is the same
+    behind every filter."""
+
+    def __init__(self, y: Array, derivative: int) -> None:
+        self.waves, self.derivative = _Waves.of(y), derivative
+        self.drift = np.linspace(-1.0, 1.0, y.size) ** np.arange(derivative + 1)[:, None]
+        raw = self.moved(0, 1.0)
+        raw -= np.linalg.lstsq(self.drift.T, raw, rcond=None)[0] @ self.drift
+        self.powers = [_Waves.of(raw**3), _Waves.of(raw**2)]
+
+    def moved(self, order: int, weights: Array | float) -> Array:
         """The position's derivative of some order, integrals up to their initial values."""
-        turns = np.where(omega > 0.0, 1j * omega, 1.0) ** (order - derivative)
+        waves, derivative = self.waves, self.derivative
+        turns = np.where(waves.omega > 0.0, 1j * waves.omega, 1.0) ** (order - derivative)
         turns[0] = float(order == derivative)
-        power = derivative - order
-        straight = np.zeros(y.size) if power < 0 else line[0] * time**power / math.gamma(power + 1)
+        power, time = derivative - order, np.arange(waves.size)
+        straight = np.zeros(waves.size) if power < 0 else \
+            waves.line[0] * time**power / math.gamma(power + 1)
         if power >= -1:
-            straight = straight + line[1] * time**(power + 1) / math.gamma(power + 2)
-        return np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size] + straight
+            straight = straight + waves.line[1] * time**(power + 1) / math.gamma(power + 2)
+        return waves.signal_of(waves.spectrum * turns * weights)[:waves.size] + straight
 
-    def filtered(values: Array) -> Array:
-        ends, folded = _reflected(values)
-        return np.asarray(np.fft.irfft(np.fft.rfft(folded) * filter_, wave.size)[:y.size]
-                          + ends[0] + ends[1] * time)
-
-    x, v, a = (moved(order, filter_) for order in range(3))
-    drift = np.linspace(-1.0, 1.0, y.size) ** np.arange(derivative + 1)[:, None]
-    raw = moved(0, 1.0)
-    raw -= np.linalg.lstsq(drift.T, raw, rcond=None)[0] @ drift
-    return np.array([a, v, x, *drift, filtered(np.sign(v)), filtered(raw**3), filtered(raw**2),
-                     filtered(np.abs(v) * v)])
+    def features(self, width: float) -> Array:
+        """Filtered motion and usual nonlinear functions of it, (F, N)."""
+        filter_ = np.exp(-0.5 * (self.waves.omega * width) ** 2)
+        x, v, a = (self.moved(order, filter_) for order in range(3))
+        directed = (_Waves.of(np.sign(v)), *self.powers, _Waves.of(np.abs(v) * v))
+        return np.array([a, v, x, *self.drift, *(each.filtered(filter_) for each in directed)])
 
 
 def _livest(u: Array, y: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from dfm_stage.identification.convention import (
     Convention,
     _delayed,
     _finer,
+    _Waves,
     drive_of,
     find_convention,
     interpolated,
@@ -301,7 +302,8 @@ def test_between_lags_values_follow_a_cubic_spline() -> None:
 
 def test_the_input_at_every_lag_is_the_whole_one_moved() -> None:
     u = np.random.default_rng(2).standard_normal(601)
-    for lag, moved in zip(LAGS, _delayed(u, 4.0, 1), strict=True):
+    for lag, moved in zip(LAGS, _delayed(_Waves.of(u), 4.0, 1), strict=True):
         inner = slice(50, 550)      # away from the ends, which are reflected
-        again = _delayed(interpolated(u, 1, -float(lag)), 4.0, 1)[np.flatnonzero(LAGS == 0.0)[0]]
+        early = _Waves.of(interpolated(u, 1, -float(lag)))
+        again = _delayed(early, 4.0, 1)[np.flatnonzero(LAGS == 0.0)[0]]
         np.testing.assert_allclose(moved[inner], again[inner], atol=1e-6)
