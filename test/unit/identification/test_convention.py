@@ -13,17 +13,13 @@ from scipy.signal import lsim
 
 from dfm_stage.identification import Run, Source, identify
 from dfm_stage.identification.convention import (
-    GRID,
     HELD,
-    LAGS,
     Convention,
-    _delayed,
-    _finer,
-    _Waves,
     drive_of,
     find_convention,
     interpolated,
 )
+from dfm_stage.identification.input_timing import GRID, LAGS, Waves, _delayed, _finer
 from dfm_stage.identification.system import System
 from dfm_stage.model import Model, Simulator
 from dfm_stage.recording import AxisRecord
@@ -302,8 +298,8 @@ def test_between_lags_values_follow_a_cubic_spline() -> None:
 
 def test_the_input_at_every_lag_is_the_whole_one_moved() -> None:
     u = np.random.default_rng(2).standard_normal(601)
-    for lag, moved in zip(LAGS, _delayed(_Waves.of(u), 4.0, 1), strict=True):
+    for lag, moved in zip(LAGS, _delayed(Waves.of(u), 4.0, 1), strict=True):
         inner = slice(50, 550)      # away from the ends, which are reflected
-        early = _Waves.of(interpolated(u, 1, -float(lag)))
+        early = Waves.of(interpolated(u, 1, -float(lag)))
         again = _delayed(early, 4.0, 1)[np.flatnonzero(LAGS == 0.0)[0]]
         np.testing.assert_allclose(moved[inner], again[inner], atol=1e-6)
