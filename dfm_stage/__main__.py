@@ -56,6 +56,7 @@ def entry() -> int:
         return INTERRUPTED
     finally:
         work_is_over()
+        gc.freeze()         # the end of the process frees all of it
 
 
 def _reader_gone() -> bool:
