@@ -42,6 +42,7 @@ DEPENDENCIES = [
     "mcap>=1.1",
     "numba>=0.59",
     "numpy>=1.26",
+    'numpy>=2; sys_platform == "win32"',    # whole numbers of 64 bits, as elsewhere
     "ruamel.yaml>=0.18",
     "scipy>=1.14",
     "zstandard>=0.22",
@@ -52,6 +53,7 @@ EXTRAS = {
     "frames": ["pandas>=2.0", "xarray>=2023.6"],
     "test": [
         "hypothesis>=6.90",
+        "mcap-ros2-support>=0.6",
         "pytest>=7.4,<9",
         "pytest-rerunfailures>=13",
         "pytest-timeout>=2.2",

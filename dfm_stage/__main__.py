@@ -7,7 +7,9 @@ from dfm_stage.interruption import INTERRUPTED, as_usual, end_at_once, interrupt
 if __name__ == "__main__":
     end_at_once()  # before the imports, which take the time
 
+import gc
 import importlib
+import io
 import os
 import re
 import select
@@ -20,6 +22,9 @@ from dfm_stage.errors import DfmError
 from dfm_stage.share import needs_ros
 
 ROS_MODULES = re.compile(r"rclpy|rpyutils|launch|ament_\w+|\w+_(msgs|srvs|interfaces)")
+COLLECTIONS = 200_000, 20, 100
+"""When the garbage collector looks for cycles: usually it does so again and again while modules
+load, which takes a tenth of a short command's time and finds nothing."""
 READER_GONE = 141
 """128 + SIGPIPE, which is what shells see of a program whose reader has left (`| head`)."""
 
@@ -31,6 +36,9 @@ def entry() -> int:
     leaves.
     """
     end_at_once()
+    gc.set_threshold(*COLLECTIONS)
+    if isinstance(sys.stdout, io.TextIOWrapper):    # what Windows pipes has no superscripts
+        sys.stdout.reconfigure(errors="replace")
     script = os.path.basename(sys.argv[0])
     try:
         try:
@@ -48,6 +56,7 @@ def entry() -> int:
         return INTERRUPTED
     finally:
         work_is_over()
+        gc.freeze()         # the end of the process frees all of it
 
 
 def _reader_gone() -> bool:

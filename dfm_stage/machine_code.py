@@ -9,6 +9,7 @@ is built from: copies share it, and a change anywhere can never run stale code.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import inspect
 import logging
 import os
@@ -25,6 +26,7 @@ import numba.core.caching
 import numba.core.ccallback
 import numba.core.codegen
 import numba.core.compiler
+import numba.np.linalg
 import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -32,6 +34,26 @@ _log = logging.getLogger(__package__)
 _caching: Any = numba.core.caching
 _codegen: Any = numba.core.codegen
 _compiler: Any = numba.core.compiler
+
+
+def _load_array_functions() -> None:
+    """Load what numba knows of NumPy without SciPy's BLAS.
+
+    numba looks for that BLAS to choose how np.convolve multiplies. To import it takes longer than
+    all else numba loads, and no code of ours needs it.
+    """
+    def unavailable() -> None:
+        raise ImportError
+
+    linalg: Any = numba.np.linalg
+    usual, linalg.ensure_blas = linalg.ensure_blas, unavailable
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = usual
+
+
+_load_array_functions()
 
 
 class _Part(_codegen.JITCodeLibrary):  # type: ignore[misc]

@@ -27,6 +27,7 @@ from dfm_stage.cli.bench_report import table, write_page
 from dfm_stage.cli.command import command_parser, option, paint
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
+from dfm_stage.processors import usable_cores
 
 ROOT = Path(__file__).resolve().parents[2]
 STDERR = 2
@@ -80,7 +81,7 @@ def machine() -> dict[str, Any]:
     """What the figures depend on; nothing that names the machine or its folders."""
     return {
         "cpu": _cpu_model(),
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": usable_cores(),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "kernel": platform.release(),
         "python": platform.python_version(),

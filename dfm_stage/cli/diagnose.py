@@ -23,7 +23,6 @@ from dfm_stage.cli.command import (
     write_json,
     write_output,
 )
-from dfm_stage.cli.graph_run import run_on_graph
 from dfm_stage.cli.progress import steps
 from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
@@ -200,6 +199,8 @@ def _formulas(found: Diagnosis, out: Path, given: Sequence[str]) -> None:
 
 
 def _perform(options: argparse.Namespace, found: Diagnosis, bag: Path) -> None:
+    from dfm_stage.cli.graph_run import run_on_graph
+
     experiment = dict(found.next_experiment or {})
     if bag.exists():
         raise DfmError(f"{bag} is there already; choose another folder with --out")

@@ -21,6 +21,7 @@ from dfm_stage.cli.command import command, option, output_folder, write_json
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.errors import DfmError
 from dfm_stage.model import load_model
+from dfm_stage.processors import usable_cores
 
 EPILOG = """\
 examples:
@@ -37,7 +38,7 @@ OPTIONS = (
     option("--model", required=True, metavar="FILE", help="as for diagnose"),
     option("--out", default="diagnosed", metavar="DIR",
            help="folder for a folder of each run and batch.json (default: %(default)s)"),
-    option("--jobs", type=int, default=len(os.sched_getaffinity(0)), metavar="N",
+    option("--jobs", type=int, default=usable_cores(), metavar="N",
            help="how many at once on this machine (default: one per core)"),
     option("--cluster", default="", metavar="ADDRESS",
            help="address of a Dask scheduler to use instead"),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import welch
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis import Diagnosis, wording
 from dfm_stage.diagnosis.evidence import Offer
+from dfm_stage.diagnosis.spectra import density
 from dfm_stage.diagnosis.surface import FILE, Surface
 from dfm_stage.model.formula_text import value
 from dfm_stage.reporting import (
@@ -94,7 +94,7 @@ def _history(s: Surface, time_s: Array, force: Array) -> Drawing:
     figure, axes = new_figure(2, 4.6, squeeze=False)
     step = float(np.median(np.diff(time_s)))
     even = np.interp(np.arange(time_s[0], time_s[-1], step), time_s, force)  # rests are left out
-    hertz, power = welch(even, 1.0 / step, nperseg=min(4096, max(even.size // 4, 8)))
+    hertz, power = density(even, min(4096, max(even.size // 4, 8)), step)
     with page_style():
         axes[0, 0].plot(*thinned(time_s, factor * force))
         axes[0, 0].set(xlabel="time (s)", ylabel=f"missing force ({newton})")

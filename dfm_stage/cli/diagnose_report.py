@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import welch
 
 from dfm_stage.arrays import Array
 from dfm_stage.cli.command import TONES
 from dfm_stage.cli.diagnose_force_report import accepted, formulas, missing_force
 from dfm_stage.diagnosis import Comparison, Diagnosis
+from dfm_stage.diagnosis.spectra import density
 from dfm_stage.identification.convention import sentences
 from dfm_stage.reporting import (
     Drawing,
@@ -161,8 +161,7 @@ def _localised(run: Comparison, before: Array, after: Array, unit: str) -> Drawi
     rows: list[list[Cell]] = []
     with page_style():
         for label, left, colour in (("before", before, "C1"), ("after", after, "C2")):
-            hertz, power = welch(left, 1.0 / run.sample_period,
-                                 nperseg=min(4096, left.size // 2))
+            hertz, power = density(left, min(4096, left.size // 2), run.sample_period)
             axes[0, 0].loglog(hertz[1:], np.sqrt(power[1:]) * factor, color=colour, label=label)
             for row, (along, scale, _) in enumerate(abscissae, 1):
                 centre, mean = _binned(along, left)

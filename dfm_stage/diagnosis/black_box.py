@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.force_domain import RunForces
@@ -48,6 +47,8 @@ def _filtered(runs: Sequence[RunForces],
 
 def _arguments(run: RunForces) -> Array:
     """(7, N): position, speed, acceleration, both a quarter period ago, amplitude, direction."""
+    from scipy.ndimage import uniform_filter1d
+
     t, size = run.trajectory, run.grid.size
     speed = max(float(np.std(t.v)), 1e-300)
     quarter = 0.5 * math.pi * float(np.std(t.x)) / speed / run.grid.period

@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from scipy.stats import t as student_t
-
 from dfm_stage.diagnosis.alike import shares_class
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
@@ -28,7 +26,7 @@ from dfm_stage.diagnosis.gather import gather, with_witness
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.verification import weights_like
 from dfm_stage.diagnosis.witness import Explained, Witness
-from dfm_stage.identification.quantity import Quantity
+from dfm_stage.identification.quantity import Quantity, interval
 from dfm_stage.model import EFFECTS
 
 
@@ -65,14 +63,14 @@ def clear_force(seen: Witness) -> Heard | None:
 
 def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:
     """The sizes that a jackknife over blocks gives an interval, by address, SI."""
-    wide = float(student_t.ppf(0.975, blocks - 1))
     found = {}
     for name in told.names:
         for size in EFFECTS[name].sizes:
             address = f"{name}.{size}"
             if address in told.errors:
-                value, half = told.parameters[address], wide * told.errors[address]
-                found[address] = Quantity(value, "", (value - half, value + half))
+                value = told.parameters[address]
+                found[address] = Quantity(value, "", interval(
+                    value, told.errors[address], blocks - 1))
     return found
 
 

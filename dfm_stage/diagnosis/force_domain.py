@@ -18,17 +18,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import welch
-from scipy.special import erf
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.spectra import density
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.kernel import along
 from dfm_stage.model.kernel.hooks import address
 from dfm_stage.model.linear import linear_part
+from dfm_stage.transforms import longer_length
 
 CONTINUED = 400
 """Samples by which a signal is continued at its ends before it is filtered."""
@@ -60,7 +59,7 @@ class Grid:
     def __init__(self, size: int, period: float) -> None:
         self.size, self.period = size, period
         self.pad = min(CONTINUED, size - 1)
-        self.length = next_fast_len(size + 2 * self.pad, real=True)
+        self.length = longer_length(size + 2 * self.pad)
         turns = np.arange(self.length // 2 + 1, dtype=np.float64)
         self.omega: Array = turns * (2.0 * math.pi / (self.length * period))
 
@@ -73,11 +72,11 @@ class Grid:
         whole = np.concatenate((mean + (before - mean) * fade, signal,
                                 mean + (after - mean) * fade[::-1],
                                 np.full(self.length - self.size - 2 * pad, mean)))
-        return np.asarray(rfft(whole))
+        return np.asarray(np.fft.rfft(whole))
 
     def signal(self, spectrum: Complex) -> Array:
         """(N,) of a spectrum as above."""
-        return np.asarray(irfft(spectrum, self.length)[self.pad:self.pad + self.size])
+        return np.asarray(np.fft.irfft(spectrum, self.length)[self.pad:self.pad + self.size])
 
     def gauss(self, width: float) -> Array:
         """The filter of standard deviation `width` (samples)."""
@@ -211,7 +210,7 @@ def noise_density(output: Array) -> float:
 
     Of second differences, so that a drift or a jump at the ends does not leak there.
     """
-    frequencies, power = welch(np.diff(output, 2), nperseg=min(1024, output.size // 4))
+    frequencies, power = density(np.diff(output, 2), min(1024, output.size // 4))
     top = frequencies > TOP
     return float(np.median(0.5 * power[top] / (2.0 * np.sin(math.pi * frequencies[top])) ** 4))
 
@@ -308,6 +307,8 @@ class Terms:
 
     def dry(self, run: RunForces, _: Effect, values: Array) -> Array:
         """Dry friction by the sign that a noisy speed has on average."""
+        from scipy.special import erf
+
         t = run.trajectory
         noise = math.sqrt(2.0) * max(t.speed_noise, 1e-9 * float(np.std(t.v)), 1e-300)
         return run.filtered(-values[0] * erf(t.v / noise))

@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import least_squares as minimised
-from scipy.special import erf
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.blocks import RIDGE, Blocks, Solution, log_ratio
@@ -110,6 +109,8 @@ class Regression:
     def _signals(self, run: RunForces, offset: float) -> dict[str, Array]:
         t, terms = run.trajectory, self.candidates.terms
         noise = np.sqrt(2.0) * max(t.speed_noise, 1e-9 * float(np.std(t.v)), 1e-300)
+        from scipy.special import erf  # slow to import, and not always needed
+
         return {"x": t.x - offset, "v": t.v, "direction": erf(t.v / noise),
                 "i": terms.per_newton * terms.linear.force(t)}
 

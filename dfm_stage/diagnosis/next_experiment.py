@@ -30,7 +30,6 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.weights import Weight, Weights
 from dfm_stage.model import EFFECTS, Model
-from dfm_stage.trajectory import load_experiment
 
 
 def propose(parts: Sequence[str], best: Model, rivals: Sequence[Fit],
@@ -138,6 +137,8 @@ def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
 
 
 def _tried(spec: dict[str, Any], model: Model, like: Observation) -> Observation:
+    from dfm_stage.trajectory import load_experiment
+
     asked = load_experiment({**spec, "duration_s": TRIED_S})
     voltage = asked.excitation("x", model.sample_period).voltage
     return Observation("next", voltage, np.zeros(voltage.size), model.sample_period,

@@ -10,13 +10,13 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from scipy.fft import dct, idct, irfft, next_fast_len, rfft
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.diagnosis.blocks import Blocks
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.model import Model
 from dfm_stage.model.linear import linear_part
+from dfm_stage.transforms import cosine_transform, inverse_cosine_transform, longer_length
 
 FOLDS = 6
 """Stretches of a record, each predicted from the others: few, so that slow noise does not reach
@@ -43,16 +43,16 @@ def foretold(run: Observation, residual: Array, model: Model) -> float:
     By octaves, because noise that grows towards low frequencies would hide a gap above them. The
     motion is simulated: a measured one would foretell its own noise.
     """
-    whole = dct(np.column_stack((_columns(run, residual, model), residual)), axis=0, norm="ortho")
-    total = np.linalg.norm(whole, axis=0)
+    whole = cosine_transform(np.vstack((_columns(run, residual, model), residual)))
+    total = np.linalg.norm(whole, axis=1)
     shares, low = [0.0], SLOWEST
     while low < residual.size // 2:
-        lines = whole[low:2 * low]
-        used = np.linalg.norm(lines, axis=0) > SEEN * total
+        lines = whole[:, low:2 * low]
+        used = np.linalg.norm(lines, axis=1) > SEEN * total
         used[-1] = True
-        octave = np.zeros((min(4 * low, residual.size), int(used.sum())))  # sampled as it needs
-        octave[low:low + len(lines)] = lines[:, used]
-        signals = idct(octave, axis=0, norm="ortho")
+        octave = np.zeros((int(used.sum()), min(4 * low, residual.size)))  # sampled as it needs
+        octave[:, low:low + lines.shape[1]] = lines[used]
+        signals = inverse_cosine_transform(octave).T
         edges = np.linspace(0, len(signals), FOLDS + 1).astype(np.int64)
         count = signals.shape[1] - 1
         blocks = Blocks(signals, edges, np.ones(FOLDS))
@@ -65,15 +65,15 @@ def foretold(run: Observation, residual: Array, model: Model) -> float:
 
 def _columns(run: Observation, residual: Array, model: Model) -> Array:
     """Bands of the input, and functions of the motion as errors of the reading and as forces on
-    the linear part (N - skip, c)."""
+    the linear part (c, N - skip)."""
     size = residual.size
-    length = next_fast_len(2 * size, real=True)
+    length = longer_length(2 * size)
     turns: Array = np.fft.rfftfreq(length).astype(np.float64)
 
     def through(signal: Array, response: Complex) -> Array:
         back = np.linspace(signal[-1], signal[0], length - size + 2)[1:-1]
-        spectrum = rfft(np.concatenate((signal, back)))
-        return np.asarray(irfft(spectrum * response, length)[:size])
+        spectrum = np.fft.rfft(np.concatenate((signal, back)))
+        return np.asarray(np.fft.irfft(spectrum * response, length)[:size])
 
     drive = run.input[run.skip:] - np.mean(run.input[run.skip:])
     found: list[Array] = []
@@ -83,7 +83,7 @@ def _columns(run: Observation, residual: Array, model: Model) -> Array:
     response = _response(model, 2.0 * math.pi * turns / run.sample_period)
     for each in _functions(run.output[run.skip:] - residual):
         found += [each, through(each - each.mean(), response)]
-    return np.asarray(np.array(found).T)
+    return np.array(found)
 
 
 def _bands(size: int) -> list[tuple[float, float]]:

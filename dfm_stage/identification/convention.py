@@ -10,15 +10,12 @@ to these; what is early is a convention.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.fft import prev_fast_len
-from scipy.interpolate import CubicSpline
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import (
@@ -28,32 +25,28 @@ from dfm_stage.identification.decisions import (
     HELD_LEAST,
     HELD_SIGMAS,
     LATE_RATIO,
-    TIMING_BLOCKS,
     TIMING_FLOOR,
     TIMING_KNOWN,
     UNEXPLAINED,
+)
+from dfm_stage.identification.input_timing import (
+    HELD_LATE,
+    Motion,
+    Waves,
+    livest,
+    reflected,
+    timing,
 )
 
 Hold = Literal["zero", "first", "band_limited"]
 Source = Literal["estimated", "others", "assumed", "given"]
 
-LATENESS: Mapping[Hold, float] = {"zero": 0.5, "first": 0.0, "band_limited": 0.0}
+LATENESS: Mapping[Hold, float] = {"zero": HELD_LATE, "first": 0.0, "band_limited": 0.0}
 """Samples by which an input of each kind acts late on average."""
 SINCS: Mapping[Hold, int] = {"zero": 1, "first": 2, "band_limited": 0}
 """Power of sinc by which the kinds weaken what is in the samples."""
 WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Standard deviations (samples) of the Gaussian filters that are tried."""
-LAGS = np.arange(-1.5, 3.01, 0.25)
-"""Values of tau (samples) at which the regression is made; it is smooth in between."""
-GRID = np.arange(LAGS[0], LAGS[-1] + 0.005, 0.01)
-TAIL = 6.0
-"""Widths of a filter after which its response is over."""
-FEWEST = 20
-"""Least samples of a record over those that a filter takes at each end."""
-LONGEST = 2**15
-"""Samples that are looked at, from the part that moves most: more make timing no surer."""
-STARTS = 8
-"""Starts of that part that are compared, within its length."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +206,7 @@ def image_share(motion: Array, factor: int, derivative: int = 0) -> float:
     (f / (factor - f))^2 of what f does; below the resonance, taken at the RMS frequency of the
     motion, by that of the resonance. In a derivative an image is stronger by its frequency.
     """
-    power = np.abs(np.fft.rfft(_reflected(motion)[1])) ** 2
+    power = np.abs(np.fft.rfft(reflected(motion)[1])) ** 2
     f = np.linspace(0.0, 0.5, power.size)
     total = max(float(power.sum()), 1e-300)
     resonance = math.sqrt(float(f**2 @ power) / total)
@@ -233,7 +226,7 @@ def interpolated(values: Array, factor: int, offset: float = 0.0, periodic: bool
     rate are left.
     """
     count = values.size
-    line, wave = (np.zeros(2), values) if periodic else _reflected(values)
+    line, wave = (np.zeros(2), values) if periodic else reflected(values)
     spectrum = np.fft.rfft(wave)
     if wave.size % 2 == 0:
         spectrum[-1] = 0.5 * spectrum[-1]
@@ -263,26 +256,7 @@ def _straight(values: Array, shift: float, factor: int, periodic: bool) -> Array
     return np.asarray(means[1:-1] - np.diff(means, 2) / 12.0)
 
 
-def _reflected(values: Array) -> tuple[Array, Array]:
-    """The line through first and last value, as value and slope, and what is left with its
-    reflection in the end points, (2 N - 2,): periodic, without a jump."""
-    slope = float(values[-1] - values[0]) / (values.size - 1)
-    left = values - values[0] - slope * np.arange(values.size)
-    return np.array([values[0], slope]), np.concatenate((left, -left[-2:0:-1]))
-
-
 # -- the estimate -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Timing:
-    """What one filter says: the tau (samples) that leaves least and its block-jackknife standard
-    error, RMS left over that of the input, and the same if tau may not be below half a sample."""
-
-    tau: float
-    sigma: float
-    left: float
-    left_late: float
 
 
 def find_convention(input_: Array, output: Array, derivative: int = 0, *,
@@ -295,12 +269,13 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
     if hold is not None or shift is not None:
         kind: Hold = "zero" if hold is None else hold  # type: ignore[assignment]
         return Convention(kind, 0.0 if shift is None else shift, source="given")
-    u, y = _livest(input_, output)
+    u, y = livest(input_, output)
     if np.ptp(u) == 0.0 or np.ptp(y) == 0.0 or not (np.all(np.isfinite(u))
                                                     and np.all(np.isfinite(y))):
         return HELD
+    waves, motion = Waves.of(u), Motion(y, derivative)
     seen = [(width, t) for width in WIDTHS
-            if (t := timing(u, y, width, derivative)) is not None and t.left < UNEXPLAINED]
+            if (t := timing(waves, motion, width)) is not None and t.left < UNEXPLAINED]
     if not seen:
         return HELD
     width, best = min(seen, key=lambda w: w[1].sigma)
@@ -312,7 +287,7 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
                           late_sigma=sigma)
     if best.left_late < LATE_RATIO * best.left:
         return HELD
-    left = _left_by_kind(u, y, width, derivative)
+    left = _left_by_kind(waves, motion, width)
     kind = min(left, key=lambda kind: left[kind])
     early = best.tau - LATENESS[kind]
     if early > -max(EARLY_SHIFT, HELD_SIGMAS * sigma):
@@ -320,124 +295,12 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
     return Convention(kind, early, sigma, "estimated", 0.0, sigma, left)
 
 
-def _left_by_kind(u: Array, y: Array, width: float, derivative: int) -> dict[Hold, float]:
+def _left_by_kind(u: Waves, motion: Motion, width: float) -> dict[Hold, float]:
     """What each kind of hold leaves of an input that is not simply held, behind the filter that
     tells its timing best. Kinds differ at high frequencies: a wider filter has none, a narrower
     one mostly noise."""
     return {kind: found.left for kind, power in SINCS.items()
-            if (found := timing(u, y, width, derivative, power)) is not None}
-
-
-def timing(u: Array, y: Array, width: float, derivative: int = 0, sincs: int = 0) -> Timing | None:
-    """Regress the input on the motion through one Gaussian filter of `width` samples.
-
-    `sincs` is the power of sinc with which the input is weakened between its samples. None where
-    the record is too short for the filter.
-    """
-    cut = int(TAIL * width) + 8
-    inner = slice(cut, u.size - cut)
-    if u.size < FEWEST * cut:
-        return None
-    columns = _features(y, width, derivative)[:, inner]
-    columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=1)), 1e-300)[:, None]
-    delayed = _delayed(u, width, sincs)[:, inner]
-    delayed -= delayed.mean(axis=1, keepdims=True)
-    edges = np.linspace(0, columns.shape[1], TIMING_BLOCKS + 1).astype(int)
-    parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
-    gram = np.array([columns[:, p] @ columns[:, p].T for p in parts])
-    cross = CubicSpline(LAGS, [delayed[:, p] @ columns[:, p].T for p in parts], axis=1)(GRID)
-    power = CubicSpline(LAGS, [np.sum(delayed[:, p] ** 2, axis=1) for p in parts], axis=1)(GRID)
-    whole = gram.sum(axis=0), cross.sum(axis=0), power.sum(axis=0)
-    left = _left(*whole)
-    if left is None:
-        return None
-    without = [_left(whole[0] - g, whole[1] - c, whole[2] - p)
-               for g, c, p in zip(gram, cross, power, strict=True)]
-    taus = np.array([_least(each) for each in without if each is not None])
-    spread = math.sqrt((taus.size - 1) * float(np.var(taus)))
-    late = float(np.min(left[LATENESS["zero"] <= GRID]))
-    at = _least(left)
-    inside = GRID[0] < at < GRID[-1]
-    return Timing(at, spread if inside else math.inf, math.sqrt(float(left.min())),
-                  math.sqrt(late))
-
-
-def _left(gram: Array, cross: Array, power: Array) -> Array | None:
-    """Share of the input's power (G,) that a regression leaves at each tau of the grid."""
-    values, vectors = np.linalg.eigh(gram)
-    kept = values > RANK * values[-1]
-    if values[-1] <= 0.0 or np.any(power <= 0.0):
-        return None
-    taken = np.sum((cross @ vectors[:, kept]) ** 2 / values[kept], axis=1)
-    return np.asarray(np.maximum(1.0 - taken / power, 0.0))
-
-
-RANK = 1e-12
-"""Eigenvalue over the largest below which columns are the same."""
-
-
-def _least(left: Array) -> float:
-    """Where on the grid the least lies, by a parabola through its neighbours."""
-    at = int(np.argmin(left))
-    if not 0 < at < left.size - 1:
-        return float(GRID[at])
-    before, here, after = left[at - 1:at + 2]
-    bend = before - 2.0 * here + after
-    return float(GRID[at] + (0.5 * (before - after) / bend if bend > 0.0 else 0.0)
-                 * (GRID[1] - GRID[0]))
-
-
-def _delayed(u: Array, width: float, sincs: int) -> Array:
-    """The filtered input at every lag, (L, N)."""
-    line, wave = _reflected(u)
-    omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
-    spectrum = np.fft.rfft(wave) * np.exp(-0.5 * (omega * width) ** 2)
-    spectrum *= np.sinc(omega / (2.0 * np.pi)) ** sincs
-    time = np.arange(u.size)
-    return np.array([np.fft.irfft(spectrum * np.exp(-1j * omega * lag), wave.size)[:u.size]
-                     + line[0] + line[1] * (time - lag) for lag in LAGS])
-
-
-def _features(y: Array, width: float, derivative: int) -> Array:
-    """Filtered motion and usual nonlinear functions of it, (F, N)."""
-    line, wave = _reflected(y)
-    omega = 2.0 * np.pi * np.fft.rfftfreq(wave.size)
-    spectrum = np.fft.rfft(wave)
-    filter_ = np.exp(-0.5 * (omega * width) ** 2)
-
-    time = np.arange(y.size)
-
-    def moved(order: int, weights: Array | float) -> Array:
-        """The position's derivative of some order, integrals up to their initial values."""
-        turns = np.where(omega > 0.0, 1j * omega, 1.0) ** (order - derivative)
-        turns[0] = float(order == derivative)
-        power = derivative - order
-        straight = np.zeros(y.size) if power < 0 else line[0] * time**power / math.gamma(power + 1)
-        if power >= -1:
-            straight = straight + line[1] * time**(power + 1) / math.gamma(power + 2)
-        return np.fft.irfft(spectrum * turns * weights, wave.size)[:y.size] + straight
-
-    def filtered(values: Array) -> Array:
-        ends, folded = _reflected(values)
-        return np.asarray(np.fft.irfft(np.fft.rfft(folded) * filter_, wave.size)[:y.size]
-                          + ends[0] + ends[1] * time)
-
-    x, v, a = (moved(order, filter_) for order in range(3))
-    drift = np.linspace(-1.0, 1.0, y.size) ** np.arange(derivative + 1)[:, None]
-    raw = moved(0, 1.0)
-    raw -= np.linalg.lstsq(drift.T, raw, rcond=None)[0] @ drift
-    return np.array([a, v, x, *drift, filtered(np.sign(v)), filtered(raw**3), filtered(raw**2),
-                     filtered(np.abs(v) * v)])
-
-
-def _livest(u: Array, y: Array) -> tuple[Array, Array]:
-    """At most LONGEST samples, those in which the output changes most."""
-    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    count = prev_fast_len(min(u.size, LONGEST) - 1, real=True) + 1
-    change = np.concatenate(([0.0], np.cumsum(np.diff(y) ** 2)))
-    starts = np.arange(0, u.size - count + 1, max(count // STARTS, 1))
-    first = int(starts[int(np.argmax(change[starts + count - 1] - change[starts]))])
-    return u[first:first + count], y[first:first + count]
+            if (found := timing(u, motion, width, power)) is not None}
 
 
 def _interval(value: float | None, sigma: float | None) -> list[float] | None:

@@ -7,7 +7,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import csc_array
 
 from dfm_stage.arrays import Array, Lines
 from dfm_stage.identification.least_squares import STUCK, Jacobian, Solution, dense, minimise
@@ -108,6 +107,8 @@ class Criterion:
                                          + np.arange(entries[k][-1].size, dtype=np.int64))
                 before += columns.shape[1] - order
         ends = np.cumsum([0, *(sum(e.size for e in found) for found in entries)])
+        from scipy.sparse import csc_array
+
         return csc_array((np.concatenate([e for found in entries for e in found]),
                           np.concatenate([p for parts in places for p in parts]), ends),
                          shape=(before, z.size))

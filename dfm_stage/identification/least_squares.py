@@ -11,18 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, issparse
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import ACCEPTED, CREEP, CREPT, NEARLY, RANK_TOLERANCE, SEEN
 
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array  # slow to import, and only windows need it
+
 STUCK = "no step lowers the cost"
 
-Jacobian: TypeAlias = Array | csc_array
+Jacobian: TypeAlias = "Array | csc_array"
 """The derivative (N, n) of a residual; sparse where windows have states of their own."""
 
 
@@ -67,7 +69,7 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
         return Solution(x, r, j, cost, iterations, converged, held, reason)
 
     for iteration in range(1, max_iterations + 1):
-        if not np.all(np.isfinite(j.data if issparse(j) else j)):
+        if not np.all(np.isfinite(j if isinstance(j, np.ndarray) else j.data)):
             return ended(iteration, False, "the sensitivities overflow")
         held = _pushed_out(x, j.T @ r, low, high, scale)
         variance = cost / max(r.size - x.size, 1)
@@ -114,14 +116,14 @@ def _pushed_out(x: Array, gradient: Array, low: Array, high: Array,
 
 def dense(jacobian: Any) -> Array:
     """The jacobian (N, n) with all that is zero."""
-    return np.asarray(jacobian.toarray() if issparse(jacobian) else jacobian)
+    return jacobian if isinstance(jacobian, np.ndarray) else np.asarray(jacobian.toarray())
 
 
 def column_norms(jacobian: Jacobian, scale: Array) -> Array:
     """Return the norms by which columns are divided; a column of nothing gets infinity."""
     entries: Any = jacobian
-    squares = entries.power(2).sum(axis=0) if issparse(entries) \
-        else np.einsum("ij,ij->j", entries, entries)
+    squares = np.einsum("ij,ij->j", entries, entries) if isinstance(jacobian, np.ndarray) \
+        else entries.power(2).sum(axis=0)
     norms = np.sqrt(squares)
     strongest = float(np.max(norms * scale, initial=0.0))
     return np.where(norms * scale > SEEN * strongest, norms, math.inf)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -93,7 +94,11 @@ class _Predictor:
     def __init__(self, u: Array, y: Array, coefficients: Array, spread: float) -> None:
         self.u, self.y, self.coefficients, self.spread = u, y, coefficients, spread
         self.error = np.concatenate((np.zeros(ORDER), self.errors(u, y)))
-        self.between = [_interpolation(u, count) for count in range(1, LOST_IN_A_ROW + 1)]
+
+    @cached_property
+    def between(self) -> list[tuple[Array, Array]]:
+        """How the input is filled in, for each number of samples that may be lost in a row."""
+        return [_interpolation(self.u, count) for count in range(1, LOST_IN_A_ROW + 1)]
 
     @classmethod
     def of(cls, u: Array, y: Array) -> _Predictor | None:

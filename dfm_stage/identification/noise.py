@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from dfm_stage.arrays import Array
 
@@ -45,7 +44,10 @@ def whiten(signal: Array, polynomial: Array) -> Array:
     order = polynomial.size - 1
     if order == 0:
         return signal
-    return np.asarray(lfilter(polynomial, [1.0], signal, axis=-1)[..., order:])
+    out = np.empty((*signal.shape[:-1], max(signal.shape[-1] - order, 0)))
+    for row in np.ndindex(out.shape[:-1]) if out.size else ():
+        out[row] = np.convolve(signal[row], polynomial, "valid")
+    return out
 
 
 def burg(residual: Array, max_order: int) -> tuple[list[Array], Array]:

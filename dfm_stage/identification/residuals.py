@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
-from scipy.linalg import toeplitz
 
 from dfm_stage.arrays import Array, Lines
 from dfm_stage.identification.periods import FEWEST_PERIODS
@@ -84,7 +82,8 @@ def input_correlation(innovations: Array, input_: Array, *, lags: int = 30) -> R
     cross = np.array([float(e[k:] @ u[:-k]) for k in index]) / deviation
     auto = np.array([float(u[k:] @ u[: samples - k]) for k in range(lags)])
     auto /= max(float(u @ u), 1e-300)
-    strength, directions = np.linalg.eigh(toeplitz(auto))
+    apart = np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))
+    strength, directions = np.linalg.eigh(auto[apart])
     kept = strength > STRENGTH * strength[-1]
     seen = directions[:, kept].T @ cross
     statistic = samples * float(np.sum(seen**2 / strength[kept]))
@@ -94,8 +93,10 @@ def input_correlation(innovations: Array, input_: Array, *, lags: int = 30) -> R
 
 def _test(name: str, statistic: float, dof: int, lags: Lines, correlation: Array, samples: int,
           verdicts: tuple[str, str]) -> ResidualTest:
-    p = float(stats.chi2.sf(statistic, dof))
-    band = np.full(lags.size, stats.norm.ppf(0.5 * (1.0 + BAND)) / math.sqrt(samples))
+    from scipy.special import chdtrc, ndtri
+
+    p = float(chdtrc(dof, statistic))
+    band = np.full(lags.size, ndtri(0.5 * (1.0 + BAND)) / math.sqrt(samples))
     largest = float(correlation[int(np.argmax(np.abs(correlation)))])
     clean, failed = verdicts
     text = clean if p >= LEVEL else f"{failed}: correlation {largest:.3f} at its largest"
@@ -134,8 +135,10 @@ def line_residuals(residual: Array, period: int, lines: Lines,
     mean = spectra.mean(axis=0)
     noise = np.sum(np.abs(spectra - mean) ** 2, axis=0) / (count - 1) / count
     ratio = np.abs(mean) ** 2 / np.maximum(noise, 1e-300)
+    from scipy.special import fdtri
+
     level = 1.0 - LINE_LEVEL / max(lines.size, 1)
-    band = float(stats.f.ppf(level, 2, 2 * (count - 1)))
+    band = float(fdtri(2, 2 * (count - 1), level))
     return LineResidual(np.asarray(lines / (period * sample_period)), np.asarray(ratio), band)
 
 

@@ -11,10 +11,10 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.errors import IdentificationError
@@ -191,4 +191,4 @@ def _percent(value: float, error: float, travel: float) -> Quantity:
 
 def _largest_of(count: int) -> float:
     """How much wider 95 % are for the largest of `count` figures than for one (Bonferroni)."""
-    return float(norm.ppf(1.0 - 0.025 / count)) / t95(math.inf)
+    return NormalDist().inv_cdf(1.0 - 0.025 / count) / t95(math.inf)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.errors import IdentificationError
@@ -132,9 +131,11 @@ def fit_transfer_function(measured: FrequencyResponse, *, modes: int = 1,
 
     solution = minimise(residual, jacobian, start, scale, low, high,
                         max_iterations=max_iterations)
+    from scipy.special import chdtri
+
     freedom = solution.residual.size - len(shape.names)
     misfit = solution.cost / max(freedom, 1)
-    excess = misfit if misfit > stats.chi2.ppf(LEVEL, freedom) / freedom else 1.0
+    excess = misfit if misfit > chdtri(freedom, 1.0 - LEVEL) / freedom else 1.0
     covariance = _covariance(solution.jacobian) * excess
     status = "converged" if solution.converged else "not_converged"
     message = solution.reason

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from dfm_stage.model.parameter import Parameter, SimulationError
 from dfm_stage.model.plan import Plan, parameter_table
 from dfm_stage.model.scales import typical_size
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
+from dfm_stage.processors import usable_cores
 
 Rounding = Callable[[float], float]
 RELATIVE_STEP = 1e-4
@@ -225,7 +225,7 @@ class Simulator:
                 if steps is not None:
                     steps[row] = work[plan.layout[slots.AT_HEAD] + slots.STEPS]
 
-        workers = max(1, min(threads or _cores(), len(table)))
+        workers = max(1, min(threads or usable_cores(), len(table)))
         if workers == 1:
             part(range(len(table)))
         else:
@@ -399,8 +399,3 @@ def _check(status: int) -> None:
     if status == UNSETTLED:
         raise SimulationError("the motion does not become periodic within 400 periods; "
                               "simulate several periods from an initial state instead")
-
-
-def _cores() -> int:
-    return (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity")
-            else os.cpu_count() or 1)

@@ -20,13 +20,15 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
+from dfm_stage.processors import usable_cores
 from dfm_stage.recording.bag import DROPPED_KEY, Bag, Topic, chosen_topics
 from dfm_stage.recording.chunk_data import DamagedError, expand, survey_chunk
 from dfm_stage.recording.decode_plan import Plan, compile_plan
 from dfm_stage.recording.errors import BagReadError, DefinitionError
+from dfm_stage.recording.formats import BINARY, STORAGES
 from dfm_stage.recording.mcap_scan import ChunkPlace, FileScan, Loss, parse_record, scan_file
 from dfm_stage.recording.message_definitions import definition_text, full_name, parse_schema
-from dfm_stage.recording.rosbag2_metadata import STORAGES, BagFiles, find_files
+from dfm_stage.recording.rosbag2_metadata import BagFiles, find_files
 from dfm_stage.recording.sqlite_bag import read_sqlite
 
 if TYPE_CHECKING:
@@ -63,11 +65,11 @@ def read_bag(path: str | os.PathLike[str], topics: Iterable[str] | None = None, 
     if files.files[0].suffix == STORAGES["sqlite3"]:
         return read_sqlite(where, files, topics)
     with ExitStack() as stack:
-        pool = stack.enter_context(ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))))
+        pool = stack.enter_context(ThreadPoolExecutor(threads or usable_cores()))
         sources = []
         for file in files.files:
             try:
-                handle = os.open(file, os.O_RDONLY)
+                handle = os.open(file, os.O_RDONLY | BINARY)
             except OSError as error:
                 raise BagReadError(f"{file}: cannot be read ({error.strerror})") from error
             stack.callback(os.close, handle)

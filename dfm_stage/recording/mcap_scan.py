@@ -11,6 +11,7 @@ import io
 import os
 import re
 import struct
+import threading
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -22,11 +23,12 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, McapRecord, Metadata, Schema, Statistics
 
 from dfm_stage.recording.errors import BagReadError
+from dfm_stage.recording.formats import MAGIC
 
-MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD_BYTES = 31
 
+_MOVING = threading.Lock()
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 _CHUNK_FIXED = 40
 _FOOTER_BYTES = 37
@@ -102,10 +104,18 @@ class FileScan:
 
 def read_at(file: int, offset: int, size: int) -> bytes:
     """Read up to `size` bytes at `offset`; shorter only at the end of the file."""
-    data = os.pread(file, size, offset)
-    while len(data) < size and (more := os.pread(file, size - len(data), offset + len(data))):
+    data = _some_at(file, offset, size)
+    while len(data) < size and (more := _some_at(file, offset + len(data), size - len(data))):
         data += more
     return data
+
+
+def _some_at(file: int, offset: int, size: int) -> bytes:
+    if hasattr(os, "pread"):
+        return os.pread(file, size, offset)
+    with _MOVING:       # Windows: a file has one place for all threads
+        os.lseek(file, offset, os.SEEK_SET)
+        return os.read(file, size)
 
 
 def scan_file(file: int, path: Path) -> FileScan:

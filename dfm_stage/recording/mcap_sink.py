@@ -38,7 +38,8 @@ from mcap.records import (
 )
 
 from dfm_stage.recording.errors import BagWriteError, writing
-from dfm_stage.recording.mcap_scan import MAGIC, RECORD_HEAD
+from dfm_stage.recording.formats import BINARY, MAGIC
+from dfm_stage.recording.mcap_scan import RECORD_HEAD
 
 COMPRESSIONS = ("zstd", "lz4", "none")
 
@@ -100,7 +101,8 @@ class McapSink:
         self._metadata: list[MetadataIndex] = []
         self._end = 0
         with writing(path):
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY,
+                                 0o644)
         try:
             self._append(MAGIC + _bytes_of(Header("ros2", library)))
         except BagWriteError:
@@ -209,7 +211,8 @@ class McapSink:
         try:
             with writing(self.path):
                 while view:
-                    view = view[os.pwrite(self._file, view, self._end):]
+                    os.lseek(self._file, self._end, os.SEEK_SET)
+                    view = view[os.write(self._file, view):]
                     self._end = offset + len(data) - len(view)
         except BagWriteError:
             self._end = offset

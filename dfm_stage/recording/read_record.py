@@ -10,15 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dfm_stage.recording.bag_fields import FieldPath
-from dfm_stage.recording.bag_join import joined_record
-from dfm_stage.recording.bag_reader import read_bag
-from dfm_stage.recording.bag_record import bag_record, topics_of
 from dfm_stage.recording.errors import RecordError, in_file
-from dfm_stage.recording.mcap_scan import MAGIC
+from dfm_stage.recording.formats import MAGIC, STORAGES
 from dfm_stage.recording.parts import filled, without_gaps
 from dfm_stage.recording.record import AxisRecord, FloatArray, Record
-from dfm_stage.recording.rosbag2_metadata import STORAGES
 from dfm_stage.recording.table import Options, Table, table_record
 from dfm_stage.recording.table_files import CsvTable, load_mat, load_npz
 
@@ -91,6 +86,12 @@ def read_record(
 
 
 def _from_bag(path: Path, options: Options) -> Record:
+    # who reads tables does not wait for the readers of bags
+    from dfm_stage.recording.bag_fields import FieldPath
+    from dfm_stage.recording.bag_join import joined_record
+    from dfm_stage.recording.bag_reader import read_bag
+    from dfm_stage.recording.bag_record import bag_record, topics_of
+
     if options.names_columns:
         with in_file(path):
             topics = {FieldPath.parse(each).topic for each in (options.input, options.output)

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from dfm_stage.recording.errors import BagReadError
+from dfm_stage.recording.formats import STORAGES
 from dfm_stage.recording.mcap_scan import Loss
 
 METADATA_FILE = "metadata.yaml"
-STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
-"""The storages of rosbag2 that are read, and what their files end in."""
 INFINITE_NS = 2**63 - 1
 VERSION = 9
 

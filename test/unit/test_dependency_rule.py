@@ -16,7 +16,8 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import, or start as a command
-BASE = {"arrays", "decisions", "errors", "files", "machine_code", "quantity", "share"}
+BASE = {"arrays", "decisions", "errors", "files", "machine_code", "processors", "quantity",
+        "share", "transforms"}
 RECORDS = BASE | {"model", "recording", "identification"}
 LOOP = BASE | {"model", "trajectory", "control", "recording", "drivers"}
 PURE: dict[str, set[str]] = {
@@ -26,8 +27,10 @@ PURE: dict[str, set[str]] = {
     "files": set(),
     "interruption": set(),
     "machine_code": set(),
+    "processors": set(),
     "quantity": set(),
     "share": {"errors"},
+    "transforms": {"arrays"},
     "commands": {"nodes", "cli"},  # their names, as text, for the entry point
     "model": BASE,
     "recording": BASE,

@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter, ss2tf
+from scipy.ndimage import median_filter
+from scipy.signal import cont2discrete, lfilter, ss2tf, welch
 
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import describe, findings
 from dfm_stage.diagnosis.spectra import (
     denoised,
+    density,
     frequency_peaks,
     lattice,
     position_peaks,
@@ -211,3 +213,24 @@ def test_the_exponent_of_amplitude_needs_two_sizes():
     ((noise() + 9.0 * np.sin(9.0 * TIME),), "actuator")])
 def test_the_side_is_told_by_the_current(current, side):
     assert describe([run(X)], [[1e-3 * X, *current]]).side == side
+
+
+@pytest.mark.parametrize("length", [256, 255])
+def test_a_density_is_that_of_scipy(length: int) -> None:
+    hertz, power = density(3.0 + noise(), length, DT)
+    expected = welch(3.0 + noise(), 1.0 / DT, nperseg=length)
+    np.testing.assert_allclose(hertz, expected[0])
+    np.testing.assert_allclose(power[1:], expected[1][1:], rtol=1e-9)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.99])
+@pytest.mark.parametrize("line", [0.0, 0.5])
+def test_the_highest_line_is_that_over_a_running_median(colour: float, line: float) -> None:
+    residual = lfilter([1.0], [1.0, -colour], noise(5)) + line * np.sin(2.0 * TIME / DT)
+    found = next(f for f in findings(run(residual), residual, None) if f.name == "line")
+    power = (np.abs(np.fft.rfft(residual - residual.mean())) ** 2)[3:]
+    ratio = power / median_filter(power, size=101, mode="mirror") * math.log(2.0)
+    assert found.value <= np.max(ratio) * (1.0 + 1e-12)
+    if line:
+        assert found.value == pytest.approx(np.max(ratio))
+        assert f"at {1.0 / math.pi:.3f}" in found.text

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.signal import lsim
 
 from dfm_stage.identification import Run, Source, identify
@@ -19,6 +20,7 @@ from dfm_stage.identification.convention import (
     find_convention,
     interpolated,
 )
+from dfm_stage.identification.input_timing import GRID, LAGS, Waves, _delayed, _finer
 from dfm_stage.identification.source import agreeing
 from dfm_stage.identification.system import System
 from dfm_stage.model import Model, Simulator
@@ -341,3 +343,17 @@ def test_silverbox_was_sampled_at_the_same_instant(name: str) -> None:
 def test_a_servo_s_input_is_held(name: str) -> None:
     data = np.load(SHARED / "emps" / f"{name}.npz")
     assert find_convention(data["input_v"], data["position_m"]).held
+
+
+def test_between_lags_values_follow_a_cubic_spline() -> None:
+    values = np.random.default_rng(1).standard_normal(LAGS.size)
+    np.testing.assert_allclose(_finer() @ values, CubicSpline(LAGS, values)(GRID), atol=1e-12)
+
+
+def test_the_input_at_every_lag_is_the_whole_one_moved() -> None:
+    u = np.random.default_rng(2).standard_normal(601)
+    for lag, moved in zip(LAGS, _delayed(Waves.of(u), 4.0, 1), strict=True):
+        inner = slice(50, 550)      # away from the ends, which are reflected
+        early = Waves.of(interpolated(u, 1, -float(lag)))
+        again = _delayed(early, 4.0, 1)[np.flatnonzero(LAGS == 0.0)[0]]
+        np.testing.assert_allclose(moved[inner], again[inner], atol=1e-6)

@@ -37,6 +37,13 @@ def test_whitening_inverts_the_colour():
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.02
 
 
+@pytest.mark.parametrize("shape", [(100,), (3, 100), (2, 3), (2, 2), (1, 1)])
+def test_whitening_is_the_filter_of_scipy_once_it_is_filled(shape):
+    signal = np.random.default_rng(3).standard_normal(shape)
+    np.testing.assert_allclose(whiten(signal, POLY), lfilter(POLY, [1.0], signal)[..., 2:],
+                               atol=1e-14)
+
+
 def test_spectrum_is_one_sided_power_density():
     model = fit_noise(coloured(2, 200_000))
     frequency, power = welch(coloured(2, 200_000), fs=1000.0, nperseg=1024)

@@ -115,15 +115,15 @@ def test_a_file_that_may_not_grow_is_a_clear_error_and_stays_readable(tmp_path: 
 def test_a_disk_that_fills_up_in_the_middle_of_a_write(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     room = 100_000
-    pwrite = os.pwrite
+    write = os.write
 
-    def until_full(file: int, data: bytes, offset: int) -> int:
-        fits = min(len(data), room - offset)
+    def until_full(file: int, data: bytes) -> int:
+        fits = min(len(data), room - os.lseek(file, 0, os.SEEK_CUR))
         if fits <= 0:
             raise OSError(errno.ENOSPC, "No space left on device")
-        return pwrite(file, data[:fits], offset)
+        return write(file, data[:fits])
 
-    monkeypatch.setattr(os, "pwrite", until_full)
+    monkeypatch.setattr(os, "write", until_full)
     bag = BagWriter(tmp_path / "bag", compression="none", chunk_bytes=8000)
     topic = bag.add_topic("/a", "a/msg/A", [], "", DEFINITION)
     record = b"\0\1\0\0" + bytes(16)
@@ -148,10 +148,10 @@ def test_a_disk_that_fills_up_in_the_middle_of_a_write(
 
 def test_a_full_disk_at_the_start_leaves_nothing_behind(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(file: int, data: bytes, offset: int) -> int:
+    def full(file: int, data: bytes) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(os, "pwrite", full)
+    monkeypatch.setattr(os, "write", full)
     with pytest.raises(BagWriteError, match="the disk is full"):
         BagWriter(tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []
