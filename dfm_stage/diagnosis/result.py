@@ -11,6 +11,7 @@ from dfm_stage.diagnosis import wording
 from dfm_stage.diagnosis.evidence import Comparison, Evidence, Which
 from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Description, Finding
+from dfm_stage.diagnosis.stretches import Stretches
 from dfm_stage.diagnosis.surface import FILE, Surface
 from dfm_stage.diagnosis.verdict import Found, Kind, Verdict
 from dfm_stage.identification.convention import origin_of
@@ -20,7 +21,7 @@ from dfm_stage.model import Model
 SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partial (a reader of "
                "schema 1 should take it as unknown with a better model) and the keys complete, "
                "predictable_share, margins, constancy, predictable, judged, window_s, "
-               "conventions, witness; in description: surface, predictable_share, "
+               "conventions, witness, stretches; in description: surface, predictable_share, "
                "position_velocity_share")
 
 
@@ -104,7 +105,8 @@ class Diagnosis:
     which each effect would have been named in half of such records. `conventions` say what the
     input of each record does between its samples. `shown` says which of the models compared is the
     one after. `complete` says that the model explains all but noise. `witness` is what the force
-    domain says by itself, `surface` the force that is still missing, where clear of noise."""
+    domain says by itself, `surface` the force that is still missing, where clear of noise.
+    `stretches` are what was chosen of long records."""
 
     verdict: Kind
     sentence: str
@@ -125,6 +127,7 @@ class Diagnosis:
     complete: bool = True
     witness: Mapping[str, Any] | None = None
     surface: Surface | None = None
+    stretches: tuple[Stretches, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -148,6 +151,7 @@ class Diagnosis:
                                  for name, sizes in self.detection_limits.items()},
             "conventions": [dict(each) for each in self.conventions],
             "witness": None if self.witness is None else dict(self.witness),
+            "stretches": [each.to_dict() for each in self.stretches],
         }
 
     def _described(self) -> dict[str, Any] | None:
