@@ -437,6 +437,26 @@ DIED_OUT = decision(
     "DIED_OUT", 0.01, "1", meaning="Power in the last part of a record over that of all of it, "
     "below which the motion has died out and an early part is held out.", set_on=HELD_OUT_FORM)
 
+# -- many diagnoses of one stage -----------------------------------------------------------------
+
+CHANGE_LEVEL = decision(
+    "CHANGE_LEVEL", 0.05, "1", meaning="Probability at which a line through unchanged parameters "
+    "of many records has a slope that is told, all parameters together.",
+    set_on="derivation: one false alarm in twenty summaries")
+OUTLYING_LEVEL = decision(
+    "OUTLYING_LEVEL", 0.01, "1", meaning="Probability at which a record stands out of such a line "
+    "by chance, all records together.", set_on="derivation: one in a hundred parameters")
+OUTLYING_SHARE = decision(
+    "OUTLYING_SHARE", 0.2, "1", meaning="Share of the records that may stand out; more are no "
+    "exceptions.", set_on="derivation: most records must agree on a line")
+FEWEST_IN_TIME = decision(
+    "FEWEST_IN_TIME", 4, "records", meaning="Fewest records for a line over time.",
+    set_on="derivation: two degrees of freedom; Student's factor is 12.7 with one, 4.3 with two")
+COPIED_S = decision(
+    "COPIED_S", 60.0, "s", meaning="Time between files, on average, below which they were copied "
+    "in a go, and their dates say nothing.",
+    set_on="derivation: a record that is worth a diagnosis takes ten seconds and a set-up")
+
 # -- the next experiment -------------------------------------------------------------------------
 
 TRAVEL = decision(
