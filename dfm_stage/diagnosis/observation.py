@@ -37,7 +37,7 @@ class Observation(Run):
     `output` (N,) is in `unit`; `other` has its noise filtered out. `reference` (N,) is what the
     stage was to follow, where recorded. `start_s` is the time of the first sample since the record
     began, `lost_s` are times at which the logger had dropped samples, which were put in. `of` is
-    the name of the long record of which the run is a stretch.
+    the name of the long record of which the run is a stretch, in `part_of_record`.
     """
 
     unit: str = "m"
@@ -47,6 +47,7 @@ class Observation(Run):
     start_s: float = 0.0
     lost_s: tuple[float, ...] = ()
     of: str = ""
+    part_of_record: int = 0
 
     @property
     def record(self) -> str:

@@ -13,6 +13,7 @@ coefficients of its own, so that all are among the chosen and what drifts stays 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,6 +25,9 @@ from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     LEAST_INFORMATION,
     LONG_RECORD,
+    OFFSET_SIGMAS,
+    RETUNE_GAIN,
+    RETUNE_RATIO,
     SIZE_GROUPS,
     SMALLEST_MOTION,
     STRETCH,
@@ -31,9 +35,11 @@ from dfm_stage.diagnosis.decisions import (
     STRETCH_PARTS,
     TIME_PARTS,
 )
+from dfm_stage.diagnosis.fit import fit, rms
 from dfm_stage.diagnosis.observation import Observation, axis_name, observe
 from dfm_stage.identification.convention import find_convention
 from dfm_stage.identification.motion import ORDER, differentiated
+from dfm_stage.identification.weights import Weights
 from dfm_stage.model import Model
 from dfm_stage.quantity import display_unit, format_number, format_quantity
 from dfm_stage.recording import Record
@@ -115,9 +121,35 @@ def observe_stretches(record: Record, model: Model, axis: str | None, name: str 
         begin, end = (k * record.sample_period for k in (start, stop))
         return replace(observe(record.slice(start, stop), model, chosen,
                                f"{called}, {begin:g} to {end:g} s", known),
-                       start_s=begin, of=called)
+                       start_s=begin, of=called, part_of_record=TIME_PARTS * start // len(record))
 
     return [part(k) for k in found.fitted], [part(k) for k in found.held], found
+
+
+def changes(model: Model, runs: Sequence[Observation], free: Sequence[str], weights: Weights,
+            noise: float) -> list[str]:
+    """Say which of the parameters `free` differ between the first and the last part of each long
+    record: fitted to each part they must leave clearly less than one set for both does."""
+    said = []
+    for record in dict.fromkeys(run.of for run in runs if run.of):
+        parts = [[k for k, run in enumerate(runs) if run.of == record
+                  and run.part_of_record == part] for part in (0, TIME_PARTS - 1)]
+        if not all(parts):
+            continue
+        both, first, last = (
+            fit(model, [runs[k] for k in which], free, tuple(weights[k] for k in which),
+                noise=noise) for which in (parts[0] + parts[1], *parts))
+        left = rms([r[0] for each in (first, last) for r in each.residuals])
+        if not (both.ok and first.ok and last.ok) or both.rms < RETUNE_RATIO * left \
+                or both.chi2 - first.chi2 - last.chi2 < RETUNE_GAIN:
+            continue
+        for name in free:
+            before, after = first.quantities[name], last.quantities[name]
+            apart = math.hypot(before.half_width, after.half_width) / 1.96
+            if abs(after.value - before.value) > OFFSET_SIGMAS * apart > 0.0:
+                said.append(f"{record}: {name.replace('_', ' ')} differs between the first and "
+                            f"the last part of the record: {before}, then {after}")
+    return said
 
 
 def choose(record: Record, data: AxisRecord, name: str, fitted: int, held: int) -> Stretches:

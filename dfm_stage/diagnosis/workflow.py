@@ -45,7 +45,7 @@ from dfm_stage.diagnosis.other_convention import (
 )
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.stretches import Stretches, is_long, observe_stretches
+from dfm_stage.diagnosis.stretches import Stretches, changes, is_long, observe_stretches
 from dfm_stage.diagnosis.verdict import (
     explained_share,
     leaves_open,
@@ -174,8 +174,11 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
         settled = verdict(evidence)
     if leaves_open(settled):
         evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
+    model = models[settled.model]
+    drifts = changes(model, search.runs, search.free, search.weights, search.noise)
+    evidence = replace(evidence, warnings=(*evidence.warnings, *drifts))
     search.step("judging")
-    return told(evidence, settled, models[settled.model])
+    return told(evidence, settled, model)
 
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:

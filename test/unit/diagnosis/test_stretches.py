@@ -101,6 +101,23 @@ def test_a_record_that_is_held_out_is_predicted_by_its_stretches(long_record):
     assert [c.name.partition(",")[0] for c in found.comparisons] == ["short", *["hour"] * 3]
 
 
+@pytest.mark.usefixtures("_shorter")
+@pytest.mark.parametrize(("fall", "differs"), [(0.02, True), (0.0, False)])
+def test_a_stiffness_that_falls_over_the_record_is_told(fall, differs):
+    feed = _bursts(12)
+    thirds = np.split(feed, 3)
+    position = np.concatenate([truth.move(part, damping=DAMPING,
+                                          stiffness=truth.STIFFNESS * (1.0 - fall * k / 2.0))
+                               for k, part in enumerate(thirds)])     # at rest at each cut
+    found = diagnose([truth.record(feed, position, 5)], truth.believed(damping=DAMPING),
+                     names=["hour"], library=["cubic_stiffness"])
+    told = [w for w in found.warnings if "stiffness differs between" in w]
+    assert bool(told) == differs
+    assert len(told) <= 1
+    assert not differs or told[0].startswith("hour: stiffness differs between the first and the "
+                                             "last part of the record: ")
+
+
 def test_a_record_of_the_longest_usual_length_is_taken_whole():
     samples = stretches.LONG_RECORD
     usual, long = (Record(np.zeros(n), 1e-3, {}, Provenance("r", "csv"))
