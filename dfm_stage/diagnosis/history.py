@@ -239,8 +239,8 @@ def _inlying(x: Array, y: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
         rest = (float(left @ left) - left**2 / np.maximum(lever, 1e-12)) / (size - 3)
         ratio = np.abs(left) / np.sqrt(np.maximum(rest * lever, 1e-300))
         worst = int(np.argmax(ratio))
-        if ratio[worst] < student.ppf(1.0 - OUTLYING_LEVEL / (2 * size), size - 3) \
-                or abs(left[worst]) < ROUNDING * float(np.max(np.abs(y))):
+        limit = float(student.ppf(1.0 - OUTLYING_LEVEL / (2 * size), size - 3))
+        if ratio[worst] < limit or abs(left[worst]) < ROUNDING * float(np.max(np.abs(y))):
             break
         kept[np.flatnonzero(kept)[worst]] = False
     return kept
