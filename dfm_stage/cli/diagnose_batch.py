@@ -81,7 +81,8 @@ def work(job: Job) -> Outcome:
                           env={**os.environ, **ONE_THREAD})
     lines = done.stderr.strip().splitlines()
     words = "" if done.returncode == 0 else f"ended by signal {-done.returncode}" \
-        if done.returncode < 0 else lines[-1] if lines else f"exit code {done.returncode}"
+        if done.returncode < 0 else lines[-1].removeprefix("error: ") if lines \
+        else f"exit code {done.returncode}"
     return Outcome(job.run, done.returncode, time.monotonic() - begun, words)
 
 

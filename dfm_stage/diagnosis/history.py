@@ -117,13 +117,12 @@ class Change:
             size, half, unit = 100.0 * size / abs(self.level), 100.0 * half / abs(self.level), "%"
         factor, unit = display_unit((size, half), unit)
         digits = 1 if half == 0.0 else max(1 - math.floor(math.log10(factor * half)), 0)
-        most = f"{factor * half:.{digits}f} {unit}"
-        told = f"{factor * size:.{digits}f} ± {most}"
+        told = f"{factor * size:.{digits}f} ± {factor * half:.{digits}f} {unit}"
         name = self.parameter.replace("_", " ").replace(".", ": ")
         grows = (self.slope.value > 0.0) == (self.level > 0.0)
         each = "an hour" if self.per == "hour" else f"a {self.per}"
         said = f"{name} {'rises' if grows else 'falls'} by {told} {each}" if self.real else \
-            f"{name} shows no change beyond ± {most} {each}"
+            f"{name} shows no clear change ({'+' if grows else '−'}{told} {each})"
         if self.outlying:
             said += (f"; {len(self.outlying)} of {len(self.names)} records stand"
                      f"{'s' if len(self.outlying) == 1 else ''} out: "

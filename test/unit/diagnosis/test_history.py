@@ -60,7 +60,7 @@ def test_a_fall_is_told_with_the_interval_that_linregress_gives():
     np.testing.assert_allclose(change.half_band(at), exact, rtol=1e-9)
     force = next(c for c in found.changes if c.parameter == "coulomb_friction.force")
     assert not force.real
-    assert "coulomb friction: force shows no change beyond ± " in force.words
+    assert force.words.startswith("coulomb friction: force shows no clear change (")
     assert (found.verdicts, found.effects) == ({"named": 40}, {"coulomb_friction": 40})
 
 
