@@ -133,7 +133,8 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
                          names=names, seed=options.seed, accept=accepted, step=step)
         step("writing")
         text = write_json(out / "diagnosis.json", {
-            **found.to_dict(), "records": list(fitted), "holdout": list(held)})
+            **found.to_dict(), "records": list(fitted), "holdout": list(held),
+            "recorded_ns": [each.provenance.start_ns for each in records]})
         save_model(_with_gap(found), out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         _surface(found, out)

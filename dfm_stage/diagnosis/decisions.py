@@ -394,6 +394,39 @@ WINDOWS = decision(
     "WINDOWS", 75, "1", meaning="Windows with a state of their own into which a record of a body "
     "without a spring is cut where its model leaves a gross gap.", set_on="EMPS: windows of 0.25 "
     "to 1 s of 25 s give the published parameters")
+LONG_RECORD = decision(
+    "LONG_RECORD", 300_000, "samples", meaning="Samples of a record above which stretches of it "
+    "are diagnosed.", set_on="derivation: a fit takes 3 kB a sample, so this is 1 GB")
+STRETCH = decision(
+    "STRETCH", 10_000, "samples", meaning="Length of such a stretch.",
+    set_on="derivation: a state and an offset of its own cost a thousandth of its information, "
+    "and a loop of 1 kHz passes ten time constants of a lightly damped stage")
+STRETCHES_FITTED = decision(
+    "STRETCHES_FITTED", 6, "1", meaning="Stretches that are fitted, of all long records "
+    "together.", set_on="derivation: two of each size of motion and of each part of a record. "
+    "An hour of a stage with dry friction: six take 22 s, twelve 76 s, for the same answer")
+STRETCHES_HELD = decision(
+    "STRETCHES_HELD", 3, "1", meaning="Stretches that are predicted and never fitted.",
+    set_on="derivation: one of each size of motion and of each part of a record")
+STRETCH_PARTS = decision(
+    "STRETCH_PARTS", 4, "1", meaning="Parts of a stretch, the quietest of which says how much the "
+    "stage moves in it.", set_on="an hour of a stage with dry friction: beside stretches in which "
+    "it stops and stands, fits end in local minima")
+SMALLEST_MOTION = decision(
+    "SMALLEST_MOTION", 0.01, "1", meaning="Motion of a stretch over the largest, below which it "
+    "is taken for standing still.", set_on="derivation: it has 1e-4 of the information on what "
+    "is linear, and less on what is not")
+TIME_PARTS = decision(
+    "TIME_PARTS", 3, "1", meaning="Parts of a long record from each of which stretches come.",
+    set_on="derivation: beginning, middle and end show what drifts")
+LEAST_INFORMATION = decision(
+    "LEAST_INFORMATION", 1e-4, "1", meaning="Power of a feature of the motion over its mean that "
+    "is taken as known before any stretch is chosen.",
+    set_on="derivation: a hundredth of its size; without it the first stretches cannot be ranked")
+STRETCH_FILTER = decision(
+    "STRETCH_FILTER", 4.0, "samples", meaning="Standard deviation of the filter behind which the "
+    "motion of stretches is compared.", set_on="derivation: it passes a twentieth of the sampling "
+    "rate, and takes the noise of an acceleration down to a hundredth")
 SHORTEST_WINDOW = decision(
     "SHORTEST_WINDOW", 200, "samples", meaning="Shortest such window.",
     set_on="derivation: two states of 200 samples cost a hundredth of the information")
@@ -406,6 +439,26 @@ FITTED_SHARE = decision(
 DIED_OUT = decision(
     "DIED_OUT", 0.01, "1", meaning="Power in the last part of a record over that of all of it, "
     "below which the motion has died out and an early part is held out.", set_on=HELD_OUT_FORM)
+
+# -- many diagnoses of one stage -----------------------------------------------------------------
+
+CHANGE_LEVEL = decision(
+    "CHANGE_LEVEL", 0.05, "1", meaning="Probability at which a line through unchanged parameters "
+    "of many records has a slope that is told, all parameters together.",
+    set_on="derivation: one false alarm in twenty summaries")
+OUTLYING_LEVEL = decision(
+    "OUTLYING_LEVEL", 0.01, "1", meaning="Probability at which a record stands out of such a line "
+    "by chance, all records together.", set_on="derivation: one in a hundred parameters")
+OUTLYING_SHARE = decision(
+    "OUTLYING_SHARE", 0.2, "1", meaning="Share of the records that may stand out; more are no "
+    "exceptions.", set_on="derivation: most records must agree on a line")
+FEWEST_IN_TIME = decision(
+    "FEWEST_IN_TIME", 4, "records", meaning="Fewest records for a line over time.",
+    set_on="derivation: two degrees of freedom; Student's factor is 12.7 with one, 4.3 with two")
+COPIED_S = decision(
+    "COPIED_S", 60.0, "s", meaning="Time between files, on average, below which they were copied "
+    "in a go, and their dates say nothing.",
+    set_on="derivation: a record that is worth a diagnosis takes ten seconds and a set-up")
 
 # -- the next experiment -------------------------------------------------------------------------
 

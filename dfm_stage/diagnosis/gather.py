@@ -66,7 +66,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
                           description=retuned.description or extended.description)
     return Evidence(
-        tuple(r.name for r in runs), runs[0].unit,
+        tuple(r.record for r in _whole(runs)), runs[0].unit,
         Noise(weight.rms, weight.source, noise_floor_from_periods(
             h.fit.residuals[0][0], repeats.period) if repeats is not None else None,
             quiet if graded or extended.remainder else None),
@@ -81,8 +81,14 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
         split=split, not_compared=tuple(search.not_compared), judged=judged,
-        graded=graded, conventions=tuple(r.convention.to_dict(r.name)
-                                         for r in (*runs, *(() if split else trial.held))))
+        graded=graded, conventions=tuple(
+            r.convention.to_dict(r.record)
+            for r in _whole([*runs, *(() if split else trial.held)])))
+
+
+def _whole(runs: Sequence[Observation]) -> list[Observation]:
+    """The runs, but of the stretches of one record the first alone."""
+    return [r for k, r in enumerate(runs) if not r.of or r.of not in {a.of for a in runs[:k]}]
 
 
 def judged_in(h: Hypothesis, noise: float) -> Judged:

@@ -19,7 +19,7 @@ from dfm_stage.diagnosis.decisions import (
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.spectra import denoised
-from dfm_stage.identification.convention import agreed, find_convention
+from dfm_stage.identification.convention import Convention, agreed, find_convention
 from dfm_stage.identification.decisions import SAME_PERIOD
 from dfm_stage.identification.input_unit import input_mismatch
 from dfm_stage.identification.lost_samples import find_lost, put_in
@@ -36,7 +36,8 @@ class Observation(Run):
 
     `output` (N,) is in `unit`; `other` has its noise filtered out. `reference` (N,) is what the
     stage was to follow, where recorded. `start_s` is the time of the first sample since the record
-    began, `lost_s` are times at which the logger had dropped samples, which were put in.
+    began, `lost_s` are times at which the logger had dropped samples, which were put in. `of` is
+    the name of the long record of which the run is a stretch, in `part_of_record`.
     """
 
     unit: str = "m"
@@ -45,6 +46,13 @@ class Observation(Run):
     skip: int = LEAD_IN
     start_s: float = 0.0
     lost_s: tuple[float, ...] = ()
+    of: str = ""
+    part_of_record: int = 0
+
+    @property
+    def record(self) -> str:
+        """The name of the record that it is, or that it is a part of."""
+        return self.of or self.name
 
     def simulated_position(self, residual: Array) -> Array:
         """The position (N - skip,) that a simulation gave which left `residual` of the output; the
@@ -73,15 +81,17 @@ class Observation(Run):
 
 
 def observe(record: Record, model: Model, axis: str | None = None,
-            name: str | None = None) -> Observation:
+            name: str | None = None, known: Convention | None = None) -> Observation:
     """Return one axis of a record, with the position of the neighbour that acts on it.
+
+    The convention of the input is found, unless it is `known`.
 
     Raises
     ------
     DiagnosisError
         If the record does not suit the model, is too short or holds values that are not finite.
     """
-    chosen = _axis_name(record, axis)
+    chosen = axis_name(record, axis)
     data = record.axis(chosen)
     called = name or record.provenance.source
     if abs(record.sample_period / model.sample_period - 1.0) > SAME_PERIOD:
@@ -116,8 +126,8 @@ def observe(record: Record, model: Model, axis: str | None = None,
 
     applied = put_in(applied, lost, [loss.input for loss in lost])
     output = put_in(output, lost, [loss.output for loss in lost])
-    found = find_convention(applied, output, ORDER[data.measures], hold=data.input_hold,
-                            shift=data.input_shift)
+    found = known or find_convention(applied, output, ORDER[data.measures], hold=data.input_hold,
+                                     shift=data.input_shift)
     return Observation(called, applied, output, record.sample_period, unit=data.output_unit,
                        current=whole(_usable(data.current)), other=whole(quiet),
                        reference=whole(_usable(data.reference)),
@@ -148,7 +158,8 @@ def alike(runs: Sequence[Observation]) -> list[Observation]:
     return [replace(run, velocity=None) for run in told]
 
 
-def _axis_name(record: Record, axis: str | None) -> str:
+def axis_name(record: Record, axis: str | None) -> str:
+    """The axis that is meant where none, or one, is named."""
     if axis is not None:
         record.axis(axis)
         return axis

@@ -11,6 +11,7 @@ from dfm_stage.diagnosis import wording
 from dfm_stage.diagnosis.evidence import Comparison, Evidence, ModelEvidence, Offer, Which
 from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Description, Finding
+from dfm_stage.diagnosis.stretches import Stretches
 from dfm_stage.diagnosis.surface import FILE, Surface
 from dfm_stage.diagnosis.verdict import Found, Kind, Verdict
 from dfm_stage.identification.convention import origin_of
@@ -20,7 +21,7 @@ from dfm_stage.model import Model
 SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partial (a reader of "
                "schema 1 should take it as unknown with a better model) and the keys complete, "
                "predictable_share, margins, constancy, predictable, judged, window_s, "
-               "conventions, witness; in description: surface, predictable_share, "
+               "conventions, witness, stretches; in description: surface, predictable_share, "
                "position_velocity_share, formulas")
 
 
@@ -119,7 +120,8 @@ class Diagnosis:
     input of each record does between its samples. `shown` says which of the models compared is the
     one after. `complete` says that the model explains all but noise. `witness` is what the force
     domain says by itself, `surface` the force that is still missing, where clear of noise, and
-    `formulas` are offered for it; `accepted` were added to the model."""
+    `formulas` are offered for it; `accepted` were added to the model. `stretches` are what was
+    chosen of long records."""
 
     verdict: Kind
     sentence: str
@@ -142,6 +144,7 @@ class Diagnosis:
     surface: Surface | None = None
     formulas: tuple[Offer, ...] = ()
     accepted: tuple[AcceptedFormula, ...] = ()
+    stretches: tuple[Stretches, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,6 +169,7 @@ class Diagnosis:
             "conventions": [dict(each) for each in self.conventions],
             "witness": None if self.witness is None else dict(self.witness),
             **({"accepted": [each.to_dict() for each in self.accepted]} if self.accepted else {}),
+            "stretches": [each.to_dict() for each in self.stretches],
         }
 
     def _described(self) -> dict[str, Any] | None:

@@ -17,6 +17,8 @@ from dfm_stage.diagnosis.decisions import (
     LEAST_STEPS,
     MOST_STEPS,
     PARTIAL_SHARE,
+    STRETCHES_FITTED,
+    STRETCHES_HELD,
 )
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
@@ -50,6 +52,7 @@ from dfm_stage.diagnosis.other_convention import (
 )
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.stretches import Stretches, changes, is_long, observe_stretches
 from dfm_stage.diagnosis.verdict import (
     explained_share,
     leaves_open,
@@ -69,6 +72,8 @@ from dfm_stage.recording import Record
 
 Judgement = tuple[Trial, Hypothesis, Evidence]
 """What was tried, what was found, and the evidence for it."""
+Wanted = tuple[Record, Model, "str | None", "str | None"]
+"""A record, the model of its axis, the axis, and the record's name."""
 
 
 def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Record] = (),
@@ -81,7 +86,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     Parameters
     ----------
     records
-        To fit.
+        To fit. Of a long one (more than LONG_RECORD samples) stretches are, chosen to tell most.
     model
         Of one axis, or of several with `axis` naming one.
     holdout
@@ -121,20 +126,42 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
                                  f"{', '.join(library_of([ALL]))}")
     tell("reading")
     labels = [*names, *[""] * (len(records) + len(holdout) - len(names))]
-    runs = [observe(r, one, chosen if chosen in r.axes else axis, n or None)
-            for r, n in zip(records, labels, strict=False)]
-    held = [observe(r, one, chosen if chosen in r.axes else axis, n or None)
-            for r, n in zip(holdout, labels[len(records):], strict=True)]
-    warnings = [f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings]
+    wanted = [(r, one, chosen if chosen in r.axes else axis, n or None)
+              for r, n in zip((*records, *holdout), labels, strict=True)]
+    runs, held, chosen_of = _observed(wanted[:len(records)], wanted[len(records):])
+    warnings = [*(each.words for each in chosen_of), *(
+        f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings)]
     both = alike([*runs, *held])
     runs, held = both[:len(runs)], both[len(runs):]
     warnings += [lost_samples(run.name, run.lost_s) for run in (*runs, *held) if run.lost_s]
-    if not held:
-        runs, held = split_by_time(runs)
+    whole = [run for run in runs if not run.of]
+    if not holdout:
+        parts = split_by_time(whole)
+        runs, held = ([run for run in each if run.of] + part
+                      for each, part in zip((runs, held), parts, strict=True))
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
     search = Search(one, runs, freed, library=known, step=tell)
-    found = _diagnosis(search, held, seed, warnings, not holdout, (without, accept))
-    return replace(found, seconds=time.monotonic() - begun)
+    found = _diagnosis(search, held, seed, warnings, bool(whole) and not holdout,
+                       (without, accept))
+    return replace(found, stretches=chosen_of, seconds=time.monotonic() - begun)
+
+
+def _observed(fitted: Sequence[Wanted], held: Sequence[Wanted]
+              ) -> tuple[list[Observation], list[Observation], tuple[Stretches, ...]]:
+    """The runs to fit and to predict, and what was chosen of long records: of these stretches,
+    some of which are predicted where no record is held out."""
+    fits, predicted, chosen = list[Observation](), list[Observation](), list[Stretches]()
+    for group, is_held in ((fitted, False), (held, True)):
+        many = max(sum(is_long(record) for record, *_ in group), 1)
+        counts = (0 if is_held else max(STRETCHES_FITTED // many, 1),
+                  0 if held and not is_held else max(STRETCHES_HELD // many, 1))
+        for each in group:
+            if is_long(each[0]):
+                own, other, what = observe_stretches(*each, *counts)
+                fits, predicted, chosen = fits + own, predicted + other, [*chosen, what]
+            else:
+                (predicted if is_held else fits).append(observe(*each))
+    return fits, predicted, tuple(chosen)
 
 
 def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings: Sequence[str],
@@ -164,8 +191,11 @@ def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings:
         evidence = with_formulas(*_as_judged(trial, hypothesis, evidence), evidence, settled)
     if accepted[1]:
         evidence = with_accepted(trial, *accepted, evidence)
+    model = models[settled.model]
+    drifts = changes(model, search.runs, search.free, search.weights, search.noise)
+    evidence = replace(evidence, warnings=(*evidence.warnings, *drifts))
     search.step("judging")
-    return told(evidence, settled, models[settled.model])
+    return told(evidence, settled, model)
 
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:

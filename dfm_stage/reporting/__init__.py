@@ -13,10 +13,10 @@ from dfm_stage.reporting.figures import (
     time_figure,
 )
 from dfm_stage.reporting.page import Page, ReportError
-from dfm_stage.reporting.table import Table
+from dfm_stage.reporting.table import Link, Table
 
 __all__ = [
-    "Drawing", "Page", "Quantity", "ReportError", "Response", "Table", "bode_figure",
+    "Drawing", "Link", "Page", "Quantity", "ReportError", "Response", "Table", "bode_figure",
     "display_unit", "format_number", "format_quantity", "log_labels", "new_figure", "page_style",
     "statistics", "thinned", "time_figure",
 ]

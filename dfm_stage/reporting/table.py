@@ -6,10 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from numbers import Integral, Real
+from urllib.parse import quote
 
 from dfm_stage.quantity import Quantity, format_number
 
-Cell = str | float | int | bool | Quantity | None
+
+@dataclass(frozen=True)
+class Link:
+    """Text that leads to another file, by its path from the page."""
+
+    text: str
+    path: str
+
+
+Cell = str | float | int | bool | Quantity | Link | None
 LONG_TEXT = 40
 """Characters above which a cell needs a column as wide as a phone."""
 MOST_ON_PHONE = 3
@@ -62,6 +72,8 @@ def cell_html(cell: Cell) -> str:
         return "–"
     if isinstance(cell, bool):
         return "yes" if cell else "no"
+    if isinstance(cell, Link):
+        return f'<a href="{escape(quote(cell.path))}">{escape(cell.text)}</a>'
     if isinstance(cell, Integral):
         return str(int(cell)).replace("-", "−")
     if isinstance(cell, Real):
