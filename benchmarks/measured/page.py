@@ -62,7 +62,7 @@ def answers(results: Mapping[str, Result],
     rows = ["| record | expected | answered | | held-out RMS left | processor time |",
             "|---|---|---|---|---|---|"]
     for name, record in (table or load_records()).items():
-        mark = " (set rules)" if record.development else ""
+        mark = " (set rules)" if record.set_rules else ""
         row = [f"[`{name}`](#{name}){mark}", _expected(record, MOST_NAMES)]
         result = results.get(name)
         if result is None:
@@ -131,7 +131,7 @@ def sources(table: Mapping[str, MeasuredRecord] | None = None) -> str:
     """What each record is, where it is from, how it is split, what was said of it before."""
     parts = []
     for name, r in (table or load_records()).items():
-        used = " This record set rules." if r.development else ""
+        used = " This record set rules." if r.set_rules else ""
         held = ", ".join(f"`{part}` ({words})" for part, words in r.hold.items())
         fitted = ", ".join(f"`{part}` ({words})" for part, words in r.fit.items())
         parts += [f"### {name}", f"{r.what[0].upper()}{r.what[1:]}.{used}", "",

@@ -31,7 +31,10 @@ class Expected:
 
 @dataclass(frozen=True)
 class MeasuredRecord:
-    """One entry of the table. `fit` and `hold` are names of parts, each with its words."""
+    """One entry of the table. `fit` and `hold` are names of parts, each with its words.
+
+    `development` says that it was used to set rules, `answers_used` that it was after a first run.
+    """
 
     name: str
     what: str
@@ -44,6 +47,7 @@ class MeasuredRecord:
     expected: Expected
     published: tuple[str, ...]
     development: bool = False
+    answers_used: bool = False
     folder: str = ""
     model: Mapping[str, Any] = field(default_factory=dict)
     model_file: str | None = None
@@ -59,6 +63,11 @@ class MeasuredRecord:
             if all((found / Path(file).name).is_file() for file in self.files):
                 return found
         return None
+
+    @property
+    def set_rules(self) -> bool:
+        """Whether answers on it are not blind."""
+        return self.development or self.answers_used
 
     @property
     def how_to_get(self) -> str:

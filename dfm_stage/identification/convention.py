@@ -19,6 +19,7 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.decisions import (
+    EARLIEST,
     EARLY_SHIFT,
     FINER,
     FOLLOWED,
@@ -285,12 +286,13 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
     if best.tau + HELD_SIGMAS * best.sigma >= HELD_LEAST:
         return Convention("zero", source="estimated", late=best.tau - LATENESS["zero"],
                           late_sigma=sigma)
-    if best.left_late < LATE_RATIO * best.left:
+    margin = max(EARLY_SHIFT, HELD_SIGMAS * sigma)
+    if best.left_late < LATE_RATIO * best.left or best.tau < EARLIEST - margin:
         return HELD
     left = _left_by_kind(waves, motion, width)
     kind = min(left, key=lambda kind: left[kind])
     early = best.tau - LATENESS[kind]
-    if early > -max(EARLY_SHIFT, HELD_SIGMAS * sigma):
+    if early > -margin:
         return Convention(kind, 0.0, sigma, "estimated", early, sigma, left)
     return Convention(kind, early, sigma, "estimated", 0.0, sigma, left)
 

@@ -172,6 +172,10 @@ TIMING_BLOCKS = decision(
 EARLY_SHIFT = decision(
     "EARLY_SHIFT", 0.1, "samples", meaning="A shift smaller than this is none.",
     set_on=TIMING_FORM)
+EARLIEST = decision(
+    "EARLIEST", -1.0, "samples", meaning="An input that acts earlier than this is no matter of "
+    "columns, and shows nothing.", set_on="derivation: a logger swaps columns by one sample; the "
+    "harvester's velocity leads its input's column by 1.4")
 FINER = decision(
     "FINER", 4, "steps", meaning="Steps a sample, at most, for an input that is not held.",
     set_on="derivation: the images of a frequency f lie at 4 - f sampling rates and beyond, and a "

@@ -288,6 +288,12 @@ def test_a_record_that_does_not_show_its_convention_takes_that_of_the_others() -
     assert others == both[1:]
 
 
+def test_an_input_that_acts_more_than_a_sample_early_is_no_convention() -> None:
+    column, output = recorded("band_limited", 7, noise=1e-5, shift=-1.0)
+    assert find_convention(column, output).shift == pytest.approx(-1.0, abs=0.05)
+    assert find_convention(*recorded("band_limited", 7, noise=1e-5, shift=-1.4)) == HELD
+
+
 def test_records_share_the_kind_of_hold_that_leaves_least_over_all() -> None:
     """One says straight lines by a hair, the other band-limited by a factor of two."""
     first, second = agreed([
