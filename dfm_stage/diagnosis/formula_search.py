@@ -17,7 +17,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import least_squares as minimised
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.blocks import RIDGE, Blocks, Solution, log_ratio
@@ -173,6 +172,8 @@ class Regression:
                 own = tuple((shapes[a:b] * scales[a:b]).tolist())
                 found.append(Column(c.term, own, self.column(c.term, own)))
             return found
+
+        from scipy.optimize import least_squares as minimised  # slow to import, as erf is
 
         best = minimised(lambda at: self.left([c.values for c in columns(at)]),
                          np.clip(begin, low, high), bounds=(low, high), x_scale=0.3,

@@ -123,9 +123,11 @@ class NodeSet:
         """Start the nodes; when that fails nothing is left of them."""
         try:
             self._open()
+            if self.composed:
+                steady_interpreter()  # before nodes run: it may take half a second
             self.start_nodes()
             if self.composed:
-                steady_interpreter()
+                gc.freeze()
         except BaseException:
             self.close()
             raise
