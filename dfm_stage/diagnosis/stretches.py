@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
@@ -179,6 +178,8 @@ def _seen(output: Array, data: AxisRecord, period: float) -> tuple[Array, float]
     part. Zero where a sample is missing."""
     if not np.all(np.isfinite(output)):
         return np.zeros((7, 7)), 0.0
+    from scipy.ndimage import gaussian_filter1d  # slow to import; few records are long
+
     x, v, a = (gaussian_filter1d(differentiated(output - np.mean(output), k - ORDER[data.measures],
                                                 period), STRETCH_FILTER) for k in range(3))
     turns = v / np.maximum(np.abs(v), max(SMALLEST_MOTION * float(np.max(np.abs(v))), 1e-300))
