@@ -270,9 +270,7 @@ def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
             or seen.best.share < PARTIAL_SHARE \
             or explained_share(found[2]) > FAR_BEHIND * seen.best.share:
         return found
-    own = _in_windows(trial)
-    own.search.begin_work(LEAST_STEPS)
-    bare = own.search.begin()
+    own, bare = _begun_in_windows(trial)
     other = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
     return other if other[1].names else found
 
@@ -280,17 +278,15 @@ def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
 def _by_force(trial: Trial, h: Hypothesis, warnings: Sequence[str],
               split: bool) -> Judgement | None:
     """What the force domain alone bears out, where the model with it predicts the held-out motion
-    no worse; a motion that is grossly missed is compared in windows."""
+    better; a motion that is grossly missed is compared in windows."""
     seen = trial.witness
     heard = None if seen is None else clear_force(seen)
     if seen is None or heard is None:
         return None
     bare = h.bare
     if is_gross(bare) and not trial.search.runs[0].window:
-        trial = _in_windows(trial)
-        trial.search.begin_work(LEAST_STEPS)
-        bare = trial.search.begin()
-    found = by_force(trial, bare, seen, heard, warnings, split)
+        trial, bare = _begun_in_windows(trial)
+    found = by_force(trial, bare, seen, heard, warnings, split) if bare.ok else None
     return None if found is None else (trial, *found)
 
 
@@ -311,10 +307,15 @@ def _as_judged(trial: Trial, h: Hypothesis, evidence: Evidence) -> tuple[Trial, 
     """The trial in the windows in which the gap was judged, where it is not in them."""
     if evidence.judged.window_s is None or trial.search.runs[0].window:
         return trial, h
+    own, bare = _begun_in_windows(trial)
+    return (own, Hypothesis((), bare, bare)) if bare.ok else (trial, h)
+
+
+def _begun_in_windows(trial: Trial) -> tuple[Trial, Fit]:
+    """The same in windows, with work of its own and the fit without effects."""
     own = _in_windows(trial)
     own.search.begin_work(LEAST_STEPS)
-    bare = own.search.begin()
-    return (own, Hypothesis((), bare, bare)) if bare.ok else (trial, h)
+    return own, own.search.begin()
 
 
 def _in_windows(trial: Trial) -> Trial:

@@ -12,7 +12,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TELLS = "import os, time\nos.mkdir({begun!r})\ntime.sleep(60.0)\n"
+WAITS = "any(time.sleep(0.05) for _ in range(1200))"
+"""A minute in steps: Python looks for a signal between them. One that comes just before a single
+long sleep is seen after it."""
+TELLS = f"import os, time\nos.mkdir({{begun!r}})\n{WAITS}\n"
 """A module whose import takes long, and tells when it has begun."""
 
 
@@ -61,7 +64,7 @@ def test_a_signal_when_the_work_is_over_ends_it_quietly(number, code, tmp_path):
     begun = tmp_path / "begun"
     (tmp_path / "sitecustomize.py").write_text(
         "import atexit, os, time\natexit.register(lambda: (os.mkdir(" + repr(str(begun))
-        + "), time.sleep(60.0)))\n")
+        + f"), {WAITS}))\n")
     process = start(["example", str(tmp_path / "out")], tmp_path)
     wait_for(begun, process)
     process.send_signal(number)

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from dfm_stage.cli import diagnose as command
 from dfm_stage.diagnosis import diagnose, formula_offer
@@ -167,23 +166,8 @@ def test_a_body_without_a_spring_gets_its_formula_in_the_windows_it_is_judged_in
     assert first.parameters["p"].value == pytest.approx(4e-3, rel=0.002)
 
 
-K, X0 = 220.0, 3e-4
+K, X0 = truth.CABLE
 FEEDS = {"fitted": 2.0 * truth.multisine(31)[:5000], "held": 2.0 * truth.scan()[:5000]}
-
-
-def pulled(feed: np.ndarray) -> np.ndarray:
-    """Position (N,) of the stage with a cable that pulls beyond X0, from rest, by DOP853."""
-    state, out = np.zeros(2), np.empty(feed.size)
-
-    def slope(_: float, s: np.ndarray, u: float) -> list[float]:
-        force = truth.GAIN * u - truth.DAMPING * s[1] - truth.STIFFNESS * s[0]
-        return [s[1], (force - K * max(s[0] - X0, 0.0)) / truth.MASS]
-
-    for k, u in enumerate(feed):
-        out[k] = state[0]
-        state = solve_ivp(slope, (0.0, truth.PERIOD), state, "DOP853", args=(u,), rtol=1e-9,
-                          atol=1e-13).y[:, -1]
-    return out
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +175,7 @@ def cable(tmp_path_factory):
     """A folder with two records of a stage with a cable and the model that lacks it, and the
     motion of the held-out one without noise."""
     folder, draw = tmp_path_factory.mktemp("cable"), np.random.default_rng(5)
-    moved = {name: pulled(feed) for name, feed in FEEDS.items()}
+    moved = {name: truth.pulled(feed) for name, feed in FEEDS.items()}
     for name, x in moved.items():
         table = np.column_stack((truth.PERIOD * np.arange(x.size), FEEDS[name],
                                  x + truth.NOISE * draw.standard_normal(x.size)))

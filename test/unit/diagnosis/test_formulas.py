@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from dfm_stage.cli import diagnose as command
 from dfm_stage.identification import Run, fit_model
@@ -39,29 +38,14 @@ effects:
       k: {value: 0, unit: N/m, range: [0, 1e4]}
       x0: {value: 0, unit: m, range: [-0.01, 0.01]}
 """
-K, X0 = 220.0, 3e-4
-
-
-def pulled(feed: np.ndarray) -> np.ndarray:
-    """Position (N,) of the stage with a cable that pulls beyond X0, from rest."""
-    state, out = np.zeros(2), np.empty(feed.size)
-
-    def slope(_: float, s: np.ndarray, u: float) -> list[float]:
-        force = truth.GAIN * u - truth.DAMPING * s[1] - truth.STIFFNESS * s[0]
-        return [s[1], (force - K * max(s[0] - X0, 0.0)) / truth.MASS]
-
-    for k, u in enumerate(feed):
-        out[k] = state[0]
-        state = solve_ivp(slope, (0.0, truth.PERIOD), state, "DOP853", args=(u,), rtol=1e-9,
-                          atol=1e-13).y[:, -1]
-    return out
+K, X0 = truth.CABLE
 
 
 def test_a_cable_is_named_by_its_formula_and_the_model_stands_alone(tmp_path, capsys) -> None:
     rng = np.random.default_rng(5)
     for name, feed in (("train", 2.0 * truth.multisine(31)[:5000]),
                        ("held", 2.0 * truth.scan()[:5000])):
-        x = pulled(feed) + 5e-8 * rng.standard_normal(feed.size)
+        x = truth.pulled(feed) + 5e-8 * rng.standard_normal(feed.size)
         table = np.column_stack((truth.PERIOD * np.arange(feed.size), feed, x))
         np.savetxt(tmp_path / f"{name}.csv", table, "%.10g", ",",
                    header="time_s,input_v,position_m", comments="")
@@ -85,7 +69,7 @@ def test_a_cable_is_named_by_its_formula_and_the_model_stands_alone(tmp_path, ca
     assert "-k * max(x - x0, 0)" in text
     found = load_model(tmp_path / "out" / "model.yaml")
     feed = truth.scan()[:5000]
-    expected = pulled(feed)
+    expected = truth.pulled(feed)
     moved = Simulator(found).run(feed).position
     assert np.std(moved - expected) < 0.01 * np.std(expected)
     save_model(found, tmp_path / "again.yaml")

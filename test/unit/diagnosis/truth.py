@@ -1,10 +1,11 @@
-"""Records made without the library: classical Runge-Kutta in fine steps, numpy noise."""
+"""Records made without the library: Runge-Kutta methods, numpy noise."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from dfm_stage.model import Model
 from dfm_stage.recording import AxisRecord, Provenance, Record
@@ -12,6 +13,8 @@ from dfm_stage.recording import AxisRecord, Provenance, Record
 PERIOD, SAMPLES, FINE = 1e-3, 10_000, 8
 MASS, DAMPING, STIFFNESS, GAIN = 1.0, 4.0, 4000.0, 2.0
 NOISE = 1e-7
+CABLE = 220.0, 3e-4
+"""Stiffness (N/m) of a cable, and the position (m) beyond which it pulls."""
 
 
 def believed(**base: float) -> Model:
@@ -69,3 +72,19 @@ def record(feed: np.ndarray, position: np.ndarray, seed: int, name: str = "run")
     noise = NOISE * np.random.default_rng(seed).standard_normal(feed.size)
     return Record(PERIOD * np.arange(feed.size), PERIOD,
                   {"x": AxisRecord(feed, position + noise)}, Provenance(name, "csv"))
+
+
+def pulled(feed: np.ndarray) -> np.ndarray:
+    """Position (N,) of the stage with the cable, from rest, by DOP853: the force has a kink."""
+    k, x0 = CABLE
+    state, out = np.zeros(2), np.empty(feed.size)
+
+    def slope(_: float, s: np.ndarray, u: float) -> list[float]:
+        force = GAIN * u - DAMPING * s[1] - STIFFNESS * s[0]
+        return [s[1], (force - k * max(s[0] - x0, 0.0)) / MASS]
+
+    for n, u in enumerate(feed):
+        out[n] = state[0]
+        state = solve_ivp(slope, (0.0, PERIOD), state, "DOP853", args=(u,), rtol=1e-9,
+                          atol=1e-13).y[:, -1]
+    return out
