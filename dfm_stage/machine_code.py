@@ -207,7 +207,10 @@ def _cache_in(folder: Path, missed: Callable[[], None] = lambda: None) -> type:
             return sig, codegen.magic_tuple()       # the folder stands for the content
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
-            found = super().load_overload(sig, target_context)
+            try:
+                found = super().load_overload(sig, target_context)
+            except ImportError:     # another version kept it, with a module that is no more
+                found = None
             if found is None:
                 missed()
             return found

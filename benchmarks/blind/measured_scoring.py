@@ -88,7 +88,7 @@ def _judged(label: Mapping[str, Any], verdict: str, names: set[str],
             listed: set[str]) -> tuple[bool, bool]:
     """Whether the answer is right, and whether it has a name that it must not have."""
     right, allowed = set(label["right"]), set(label["allowed"])
-    if label["group"] == "outsider":
+    if label["group"] == "outsider" and not right:
         wrong = verdict == NAMED or bool(names - allowed) or bool(listed - allowed)
         return not wrong and verdict in (UNKNOWN, PARTIAL, AMBIGUOUS), wrong
     if right:

@@ -50,7 +50,7 @@ def diagnosed(case: Case) -> dict[str, Any]:
     from dfm_stage.diagnosis import diagnose
     from dfm_stage.model import EFFECTS
 
-    library = [name for name in EFFECTS if name not in case.remove]
+    library = [name for name in EFFECTS if name not in case.remove] if case.remove else None
     result = diagnose(records_of(case, "run"), model_of(case),
                       holdout=records_of(case, "holdout"), library=library)
     answer: dict[str, Any] = json.loads(json.dumps(result.to_dict()))

@@ -28,7 +28,7 @@ from dfm_stage.cli.records import RECORDS, SPLIT, divided, held_names, read_with
 from dfm_stage.errors import DfmError
 from dfm_stage.model import Model, load_model, save_model
 from dfm_stage.model.formula_file import read_formulas
-from dfm_stage.model.registry import effects_of, library_of
+from dfm_stage.model.registry import ALL, effects_of, library_of
 from dfm_stage.quantity import format_quantity
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ OPTIONS: Options = (
     option("--axis", metavar="NAME", help="axis, where a record has several"),
     *(option(name, action="append", default=[], metavar="NAME[,NAME]", help=words)
       for name, words in (
-          ("--library", "effects that may be named, or all (default: all but those on request)"),
+          ("--library", "effects that may be named, or all (default: uncommon ones come last)"),
           ("--without", "effects that may not be named"),
           ("--free", "re-estimate these as well, for instance mass"),
           ("--fix", "hold these at the model's values"))),
@@ -112,12 +112,11 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
     from dfm_stage.diagnosis.formula_offer import accepted_in
     from dfm_stage.identification.model_fit import default_free
 
-    library = library_of(names_in(options.library) or None)
+    library = names_in(options.library) or None
     for name in names_in(options.without):
-        if name not in library:
+        if name not in (among := library_of(library or [ALL])):
             raise DfmError(f"--without {name}: there is no such effect among "
-                           f"{', '.join(library)}")
-        library.remove(name)
+                           f"{', '.join(among)}")
     accepted = [f for path in options.accept for f in read_formulas(Path(path))]
     one = accepted_in(model.axis(model.usual_axis(options.axis)), accepted)
     with steps("diagnose", options.json) as step:
@@ -128,6 +127,7 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         names = [Path(path).name or path for path in fitted]
         names += held_names(options, names, [Path(path).name or path for path in held])
         found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
+                         without=names_in(options.without),
                          free=[*default_free(one), *names_in(options.free)],
                          fixed=names_in(options.fix),
                          names=names, seed=options.seed, accept=accepted, step=step)

@@ -56,7 +56,8 @@ class Hypothesis:
 class Trial:
     """Finds a hypothesis with `search` and tests it on the records `held`.
 
-    `dropped` is what failed and why; `seed` fixes the surrogates.
+    `dropped` is what failed and why; `seed` fixes the surrogates. `uncommon` are effects that are
+    looked for only where those of the search leave more than noise.
     """
 
     search: Search
@@ -64,6 +65,7 @@ class Trial:
     seed: int = 0
     held_weights: Weights = ()
     dropped: dict[str, DropReason] = field(default_factory=dict)
+    uncommon: Names = ()
 
     @cached_property
     def witness(self) -> Witness | None:

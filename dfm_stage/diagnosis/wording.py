@@ -25,7 +25,6 @@ from dfm_stage.diagnosis.verdict import (
     other_form,
 )
 from dfm_stage.model import EFFECTS
-from dfm_stage.model.registry import ON_REQUEST
 from dfm_stage.quantity import format_number, format_quantity
 
 SENTENCES = {
@@ -43,7 +42,7 @@ SPLIT = (f"no hold-out record was given: the last {100 - round(100 * FITTED_SHAR
 CUT_SHORT = ("not compared to the end for want of work: {names}; diagnose shorter records or "
              "fewer effects (--without)")
 MOST_TOLD = 5
-"""Times of lost samples, and effects on request, that are told."""
+"""Times of lost samples that are told."""
 COLOURED = ("{name}: what is left is stronger than its high frequencies, but neither input nor "
             "motion foretells it: noise with a colour, or a disturbance from outside, no gap")
 DOUBTS = {
@@ -178,14 +177,7 @@ def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
                 if not v.remainder and any(f.coloured for f in each)]
     return (*e.warnings, *([SPLIT] if e.split else []), *short, *coloured,
             *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
-              for d in v.doubts), *_disagreement(e, v), *_not_tried(e, v))
-
-
-def _not_tried(e: Evidence, v: Verdict) -> Iterator[str]:
-    """Where something stays without a name, the effects that a diagnosis tries on request."""
-    if v.kind in ("unknown", "partial") and not {c.name for c in e.library} & set(ON_REQUEST):
-        yield (f"{len(ON_REQUEST)} further effects are tried on request (--library all), among "
-               f"them {', '.join(map(_spoken, ON_REQUEST[:MOST_TOLD]))}")
+              for d in v.doubts), *_disagreement(e, v))
 
 
 def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:

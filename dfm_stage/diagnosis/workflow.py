@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.decisions import (
     STRETCHES_FITTED,
     STRETCHES_HELD,
 )
+from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
@@ -67,7 +68,7 @@ from dfm_stage.identification.model_fit import default_free
 from dfm_stage.identification.system import steps_taken
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.formula import Formula
-from dfm_stage.model.registry import ALL, library_of
+from dfm_stage.model.registry import ALL, UNCOMMON, library_of
 from dfm_stage.recording import Record
 
 Judgement = tuple[Trial, Hypothesis, Evidence]
@@ -78,8 +79,9 @@ Wanted = tuple[Record, Model, "str | None", "str | None"]
 
 def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Record] = (),
              axis: str | None = None, library: Sequence[str] | None = None,
-             free: Sequence[str] | None = None, fixed: Sequence[str] = (),
-             names: Sequence[str] = (), seed: int = 0, accept: Sequence[Formula] = (),
+             without: Sequence[str] = (), free: Sequence[str] | None = None,
+             fixed: Sequence[str] = (), names: Sequence[str] = (), seed: int = 0,
+             accept: Sequence[Formula] = (),
              step: Callable[[str], None] | None = None) -> Diagnosis:
     """Find what is missing in `model` by records it should explain.
 
@@ -93,8 +95,10 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         Records to predict and never to fit. Without one, the last 30 % of each record are held
         out, and a warning says so.
     library
-        Effects that may be named, by default those listed in `dfm_stage.model.EFFECTS`; `all`
-        stands for these and the effects on request.
+        Effects that may be named. By default those listed in `dfm_stage.model.EFFECTS` and, where
+        these leave more than noise, the uncommon ones; `all` stands for both from the first.
+    without
+        Effects that may not be named.
     free
         Base parameters to re-estimate, without those in `fixed`. By default damping, stiffness,
         force constant, lag and delay where the model has them, and the effects it has.
@@ -117,13 +121,9 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     if not records:
         raise DiagnosisError("no record was given; name at least one")
     chosen = model.usual_axis(axis)
-    without = model.axis(chosen)
-    one = accepted_in(without, accept)
-    known = tuple(library_of(library))
-    for name in known:
-        if name not in EFFECTS:
-            raise DiagnosisError(f"library: there is no effect {name}; choose among "
-                                 f"{', '.join(library_of([ALL]))}")
+    unextended = model.axis(chosen)
+    one = accepted_in(unextended, accept)
+    known, uncommon = _libraries(library, without)
     tell("reading")
     labels = [*names, *[""] * (len(records) + len(holdout) - len(names))]
     wanted = [(r, one, chosen if chosen in r.axes else axis, n or None)
@@ -141,9 +141,22 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
                       for each, part in zip((runs, held), parts, strict=True))
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
     search = Search(one, runs, freed, library=known, step=tell)
-    found = _diagnosis(search, held, seed, warnings, bool(whole) and not holdout,
-                       (without, accept))
+    found = _diagnosis(Trial(search, held, seed, uncommon=uncommon), warnings,
+                       bool(whole) and not holdout, (unextended, accept))
     return replace(found, stretches=chosen_of, seconds=time.monotonic() - begun)
+
+
+def _libraries(library: Sequence[str] | None,
+               without: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The effects that may be named, and those where these leave more than noise."""
+    known, uncommon = library_of(library), UNCOMMON if library is None else ()
+    for option, names in (("library", known), ("without", without)):
+        for name in names:
+            if name not in EFFECTS:
+                raise DiagnosisError(f"{option}: there is no effect {name}; choose among "
+                                     f"{', '.join(library_of([ALL]))}")
+    return (tuple(n for n in known if n not in without),
+            tuple(n for n in uncommon if n not in without and n not in known))
 
 
 def _observed(fitted: Sequence[Wanted], held: Sequence[Wanted]
@@ -164,17 +177,18 @@ def _observed(fitted: Sequence[Wanted], held: Sequence[Wanted]
     return fits, predicted, tuple(chosen)
 
 
-def _diagnosis(search: Search, held: Sequence[Observation], seed: int, warnings: Sequence[str],
-               split: bool, accepted: tuple[Model, Sequence[Formula]]) -> Diagnosis:
+def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
+               accepted: tuple[Model, Sequence[Formula]]) -> Diagnosis:
     """Search, test, gather the evidence, judge it and put it into words; `accepted` are the model
     without the formulas that were accepted, and these."""
+    search = trial.search
     search.step("measuring the gap")
     first = search.begin()
     if not first.ok:
         raise DiagnosisError(f"model {search.model.name}: cannot be simulated on "
                              f"{search.runs[0].name}: the motion escapes or the parameters leave "
                              "their limits; correct the model")
-    found = _judged(Trial(search, held, seed), first, warnings, split)
+    found = _judged(trial, first, warnings, split)
     if has_linear_effect(found[1]):
         found = _simplest(found, warnings, split)
     trial, hypothesis, evidence = found
@@ -210,32 +224,76 @@ def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
 
 
 def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
+    """What the effects of the search explain; where they leave more than noise, what these and
+    the uncommon ones do."""
+    if not trial.uncommon:
+        return _explained(trial, first, warnings, split)
+    if not _is_carried_away(first):
+        names, found = _first_grown(trial.search, first)
+        if not leaves_gross(found):
+            h, evidence = _to_noise(trial, names, found, MOST_STEPS, warnings, split)
+            if verdict(evidence).complete and not needs_grading(evidence):
+                return trial, h, evidence
+    old = trial.search
+    old.step("looking for uncommon effects, too")
+    search = Search(old.model, old.runs, old.free, library=(*old.library, *trial.uncommon),
+                    step=old.step)
+    return _explained(Trial(search, trial.held, trial.seed), search.begin(), warnings, split)
+
+
+def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
     """The effects that bring the gap to the noise; where none do, those that explain most.
 
-    The latter come first where the first effects found leave a gross remainder. Without a spring
-    or an input they come before any search where a gross force is missed and the force domain can
-    tell: positions, or phases, are carried away then.
+    The latter come first where the first effects found leave a gross remainder, and before any
+    search where positions, or phases, are carried away and the force domain can tell.
     """
     begun = steps_taken()
     part: Judgement | None = None
-    free = first.system.springless or not any(run.driven for run in first.system.runs)
-    if free and is_gross(first) and (
+    if _is_carried_away(first) and (
             trial.witness is not None and not trial.witness.cannot_tell):
         own = _in_windows(trial)
         bare = own.search.begin()
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
         if stays_open(part[2]):
             return part
-    search = trial.search
-    search.begin_work(FIRST_SHARE * MOST_STEPS)
-    names, found = search.grown((), first, rounds=1)
+    names, found = _first_grown(trial.search, first)
     if part is None and leaves_gross(found):
         part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
         if stays_open(part[2]) and leaves_gross(part[1].fit):
             return part
         if part[0] is trial and part[1].names:
             names, found = part[1].names, part[1].fit
-    search.begin_work(max(MOST_STEPS - (steps_taken() - begun), LEAST_STEPS))
+    h, evidence = _to_noise(trial, names, found, MOST_STEPS - (steps_taken() - begun), warnings,
+                            split)
+    if not needs_grading(evidence):
+        return trial, h, evidence
+    if part is None:
+        part = _explaining(trial, h, warnings, split)
+    elif h.names and not part[1].names:
+        part = trial, *graded(trial, h, warnings, split)
+    forced = None if part[1].names else _by_force(trial, h, warnings, split)
+    if part[1].names or forced is not None:
+        return forced or part
+    return trial, h, replace(evidence, witness=part[2].witness, judged=part[2].judged)
+
+
+def _is_carried_away(first: Fit) -> bool:
+    """Whether a gross force is missed without a spring or an input."""
+    free = first.system.springless or not any(run.driven for run in first.system.runs)
+    return free and is_gross(first)
+
+
+def _first_grown(search: Search, first: Fit) -> tuple[Names, Fit]:
+    """The first effects that help most."""
+    search.begin_work(FIRST_SHARE * MOST_STEPS)
+    return search.grown((), first, rounds=1)
+
+
+def _to_noise(trial: Trial, names: Names, found: Fit, steps: float, warnings: Sequence[str],
+              split: bool) -> tuple[Hypothesis, Evidence]:
+    """The effects that a search goes on to, with the evidence for them."""
+    search = trial.search
+    search.begin_work(max(steps, LEAST_STEPS))
     h = trial.no_worse(trial.run(*search.grown(names, found)))
     evidence = gather(trial, h, warnings, split)
     if needs_joint_fit(evidence):
@@ -246,18 +304,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
             trial.dropped[name] = DropReason.SMALL_PART
             h = h.without(name, search)
         evidence = gather(trial, h, warnings, split)
-    if needs_grading(evidence):
-        if part is None:
-            part = _explaining(trial, h, warnings, split)
-        elif h.names and not part[1].names:
-            part = trial, *graded(trial, h, warnings, split)
-        if part[1].names:
-            return part
-        forced = _by_force(trial, h, warnings, split)
-        if forced is not None:
-            return forced
-        evidence = replace(evidence, witness=part[2].witness, judged=part[2].judged)
-    return trial, h, evidence
+    return h, evidence
 
 
 def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.registry import ALL, EFFECTS, ON_REQUEST, library_of
+from dfm_stage.model.registry import ALL, EFFECTS, UNCOMMON, library_of
 
 HEAD = """\
 # Effects
@@ -14,8 +14,8 @@ or `v` the velocity of the driven point. The first range of a parameter is what 
 accepts, the second what such stages typically show. This page is generated from the registry
 (`python -m dfm_stage.model.effect_table`).
 
-A diagnosis looks for an effect on request only where `--library` names it, or says `all`. Each
-further candidate makes a diagnosis slower and wrong names likelier.
+A diagnosis looks for the uncommon effects where the others leave more than noise. With `--library`
+it looks for those that are named there, from the first.
 
 ![What each usual effect adds to the motion of one sweep from 1 to 13 Hz, at the middle of its \
 typical range](pictures/effects.png)
@@ -23,7 +23,7 @@ typical range](pictures/effects.png)
 | effect | equation | parameters (unit, accepted, typical) | side | what shows it |
 |---|---|---|---|---|
 """
-REQUEST = " (on request)"
+UNCOMMON_MARK = " (uncommon)"
 CLASSES = """
 ## What the data cannot tell apart
 
@@ -39,7 +39,7 @@ SOURCES = """
 def effect_table() -> str:
     """The text of docs/effects.md: parameters, equivalence classes and sources of all effects."""
     effects = [EFFECTS[name] for name in sorted(library_of([ALL]))]
-    rows = [_row(f"`{e.name}`{REQUEST * (e.name in ON_REQUEST)}: {e.meaning}", e.equation,
+    rows = [_row(f"`{e.name}`{UNCOMMON_MARK * (e.name in UNCOMMON)}: {e.meaning}", e.equation,
                  _parameters(e), e.side, e.shown_by)
             for e in effects]
     classes = [_row(f"`{e.name}`", ", ".join(f"`{m}`" for m in c.members if m != e.name), c.on,

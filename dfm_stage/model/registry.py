@@ -1,8 +1,9 @@
 """All effects: those of the package `dfm_stage.model.effects`, and those registered at run time.
 
 Whoever needs an effect looks it up here when it is needed, so that one that is registered later,
-or replaced, counts from then on. What is listed here is what a diagnosis may name. Two kinds are
-found by their name and are no members: those of `effects.on_request`, which are loaded when they
+or replaced, counts from then on. What is listed here is what a diagnosis looks for first. Two
+kinds are found by their name and are no members: those of `effects.uncommon`, which are loaded
+when they
 are first asked for, and a formula that a model holds, as long as somebody holds the formula.
 """
 
@@ -23,19 +24,19 @@ from weakref import WeakValueDictionary
 
 from dfm_stage.model import effects
 from dfm_stage.model.effect import Effect
-from dfm_stage.model.effects import on_request
+from dfm_stage.model.effects import uncommon
 from dfm_stage.model.formula import FormulaEffect
 from dfm_stage.model.formula_file import YAML_ENDINGS, read_formulas
 from dfm_stage.model.parameter import ModelError
 
-ON_REQUEST = sorted(module.name for module in pkgutil.iter_modules(on_request.__path__))
+UNCOMMON = sorted(module.name for module in pkgutil.iter_modules(uncommon.__path__))
 """Effects that are found by their name, and not listed."""
 ALL = "all"
 """Stands for every effect where effects are named."""
 
 
 class Effects(dict[str, Effect]):
-    """The effects by name; those on request, and formulas of models, are found and not listed."""
+    """The effects by name; uncommon ones, and formulas of models, are found and not listed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,12 +47,12 @@ class Effects(dict[str, Effect]):
         self._of_models[effect.name] = effect
 
     def __missing__(self, name: str) -> Effect:
-        if name in ON_REQUEST:
-            return _loaded(on_request, name)
+        if name in UNCOMMON:
+            return _loaded(uncommon, name)
         return self._of_models[name]
 
     def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or name in ON_REQUEST or name in self._of_models
+        return super().__contains__(name) or name in UNCOMMON or name in self._of_models
 
     def get(self, name: str, default: Any = None) -> Any:
         """As of any mapping."""
@@ -62,12 +63,12 @@ EFFECTS = Effects()
 
 
 def library_of(names: Iterable[str] | None = None) -> list[str]:
-    """The effects that a diagnosis may name: those that are listed, or `names`, of which ALL
-    stands for these and all on request."""
+    """The effects that a diagnosis looks for first: those that are listed, or `names`, of which
+    ALL stands for these and the uncommon ones."""
     if names is None:
         return list(EFFECTS)
     return list(dict.fromkeys(itertools.chain.from_iterable(
-        (*EFFECTS, *ON_REQUEST) if name == ALL else (name,) for name in names)))
+        (*EFFECTS, *UNCOMMON) if name == ALL else (name,) for name in names)))
 
 
 def register(effect: Effect) -> Effect:

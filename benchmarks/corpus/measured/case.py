@@ -18,6 +18,7 @@ from benchmarks.corpus.measured.effects import (
     OUTSIDE,
     Fields,
     Scales,
+    with_like,
 )
 from benchmarks.corpus.measured.gap import (
     as_motion,
@@ -385,7 +386,7 @@ def _label(spec: MeasuredSpec, setup: Setup, model: dict[str, Any]) -> dict[str,
         convention["input_shift_samples"] += late - early
     return {
         **spec.to_dict(), "expected": expected, "right": sorted(right),
-        "allowed": sorted(right | allowed), "note": note, "true_effects": documented,
+        "allowed": sorted(with_like(right | allowed)), "note": note, "true_effects": documented,
         "plant": {**setup.effect, **setup.rest}, "true_base": stage.base,
         "noise": stage.sensor.noise, "colour": stage.sensor.colour,
         "resolution": stage.sensor.resolution, "mount": stage.mount, "gap": setup.gap,
@@ -409,12 +410,13 @@ def _expected(spec: MeasuredSpec,
     # a mount that resonates is a second mode, and far below its resonance a lag
     extra = LATE | {"second_mode"} if setup.stage.mount else frozenset()
     if spec.group == "remainder":
-        relatives = OUTSIDE[spec.kind].relatives
-        return ["named", "partial", "ambiguous"], class_of(spec.effect), relatives | extra, (
-            OUTSIDE[spec.kind].reason)
+        beside = OUTSIDE[spec.kind]
+        return ["named", "partial", "ambiguous"], class_of(spec.effect), (
+            beside.relatives | beside.own | extra), beside.reason
     if spec.group == "outsider":
         kind = OUTSIDE[spec.kind]
-        return ["unknown", "partial"], frozenset(), kind.relatives | extra, kind.reason
+        verdicts = ["named", "partial", "ambiguous"] if kind.own else ["unknown", "partial"]
+        return verdicts, kind.own, kind.relatives | extra, kind.reason
     if spec.group == "nuisance":
         found = NUISANCES[spec.kind]
         # a model with a delay or lag of its own takes a mount's into it

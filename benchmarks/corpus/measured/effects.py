@@ -118,13 +118,16 @@ DOCUMENTED = {
 
 @dataclass(frozen=True)
 class Outside:
-    """An effect outside the library. relatives: effects that it behaves like in part, and why;
-    to be `partial` with them is right, to be certain of them is not. dry: a dry friction; force:
-    it acts along the motion, so that closed loops can have it; spring: it needs one."""
+    """An effect that is none of the common ones. relatives: effects that it behaves like in part,
+    and why; to be `partial` with them is right, to be certain of them is not. own: uncommon
+    effects of the library that it is, or that no data here part from it; to be certain of these is
+    right. dry: a dry friction; force: it acts along the motion, so that closed loops can have it;
+    spring: it needs one."""
 
     draw: Draw
     relatives: frozenset[str]
     reason: str
+    own: frozenset[str] = frozenset()
     remainder: bool = True
     alone: bool = True
     dry: bool = False
@@ -142,11 +145,13 @@ OUTSIDE: dict[str, Outside] = {
         frozenset({"quadratic_damping"}), "damping that grows with the amplitude"),
     "directional_damping": Outside(
         lambda r, a, s: {"damping_direction": _sign(r) * s * a.force / a.v}, NO_RELATIVE,
-        "|v|: even in the speed, and all dampers of the library are odd"),
+        "|v|: even in the speed, and all dampers of the library are odd",
+        own=frozenset({"directional_friction"})),
     "stribeck_curve": Outside(
         lambda r, a, s: {"bump": 2.0 * s * a.force, "bump_speed": a.v * r.uniform(0.2, 0.8)},
         FRICTION, "dry friction near standstill; alone it is a stiff presliding friction",
-        alone=False, dry=True),
+        alone=False, dry=True,
+        own=frozenset({"stribeck_friction"})),
     "odd_force_constant": Outside(
         lambda r, a, s: {"motor_wave": 1.4 * s, "motor_length": a.peak / r.uniform(2.5, 4.0)},
         EVEN, "the slope at the middle, and what a slope is mistaken for"),
@@ -154,18 +159,22 @@ OUTSIDE: dict[str, Outside] = {
         lambda r, a, s: {"play_stiffness": 3.0 * s * a.force / a.x,
                          "play_width": a.x * r.uniform(0.3, 0.8)},
         FRICTION, "a play loaded by a spring is a loop; alone it is nearly a hysteresis",
-        alone=False),
+        alone=False,
+        own=frozenset({"backlash"})),
     "stiffness_drift": Outside(
         lambda r, a, s: {"stiffness_rate": 2.0 * _sign(r) * s * a.force / a.x / a.last},
         NO_RELATIVE, "a coefficient that changes with time; drifts of the library add",
-        spring=True),
+        spring=True,
+        own=frozenset({"stiffness_drift"})),
     "structural_damping": Outside(
         lambda r, a, s: {"maxwell_stiffness": s * a.force / a.x,
                          "maxwell_time": r.uniform(0.1, 0.4) / a.pace},
-        frozenset({"creep"}), "creep is one of its relaxations", spring=True, force=False),
+        frozenset({"creep"}), "creep is one of its relaxations", spring=True, force=False,
+        own=frozenset({"structural_damping"})),
     "load_dependent_gain": Outside(
         lambda _r, a, s: {"soft_gain": s / a.u}, frozenset({"saturation"}),
-        "a gain that falls with the command"),
+        "a gain that falls with the command",
+        own=frozenset({"supply_sag", "coil_heating"})),
     "root_drag": Outside(
         lambda _r, a, s: {"root_drag": s * a.force / math.sqrt(a.v)},
         FRICTION | {"eddy_current_damping"}, "sqrt(|v|) lies between dry and viscous friction, "
@@ -180,11 +189,13 @@ OUTSIDE: dict[str, Outside] = {
         lambda _r, _a, s: {"gain_noise": s}, NO_RELATIVE, "multiplies; disturbances add"),
     "dead_zone": Outside(
         lambda _r, a, s: {"dead_zone": s * a.u}, NO_RELATIVE,
-        "loses the small commands; saturation loses the large ones"),
+        "loses the small commands; saturation loses the large ones",
+        own=frozenset({"dead_zone"})),
     "cogging": Outside(
         lambda r, a, s: {"cogging": 1.4 * s * a.force, "cogging_phase": r.uniform(-3.0, 3.0),
                          "cogging_length": a.peak * r.uniform(0.3, 0.8)},
-        NO_RELATIVE, "several periods within the motion"),
+        NO_RELATIVE, "several periods within the motion",
+        own=frozenset({"cogging", "gravity"})),
     "end_stop": Outside(
         lambda r, a, s: {"stop_gap": a.peak * r.uniform(0.4, 0.7),
                          "stop_stiffness": 8.0 * s * a.force / a.x},
@@ -193,26 +204,52 @@ OUTSIDE: dict[str, Outside] = {
         lambda r, a, s: {"stop_gap": a.peak * r.uniform(0.4, 0.7), "stop_one_sided": 1.0,
                          "stop_stiffness": 8.0 * s * a.force / a.x},
         frozenset({"cubic_stiffness", "quadratic_stiffness"}), "hardens, on one side",
-        remainder=False),
+        remainder=False,
+        own=frozenset({"end_stop"})),
     "one_sided_cable": Outside(
         lambda _r, a, s: {"cable": 2.0 * s * a.force / a.x}, EVEN,
-        "|x| is the even half of it", remainder=False),
+        "|x| is the even half of it", remainder=False,
+        own=frozenset({"one_sided_cable", "end_stop"})),
     "sine_gravity": Outside(
         lambda r, a, s: {"gravity": 1.4 * s * a.force, "gravity_length": a.peak / r.uniform(
-            2.0, 4.0)}, ODD, "softens with the motion", remainder=False),
+            2.0, 4.0)}, ODD, "softens with the motion", remainder=False,
+        own=frozenset({"gravity", "cogging"})),
     "supply_sag": Outside(
         lambda r, a, s: {"sag": 0.5 * s / a.u**2, "sag_time": r.uniform(0.5, 5.0) / a.pace},
-        frozenset({"saturation"}), "the gain falls where much is asked", remainder=False),
+        frozenset({"saturation"}), "the gain falls where much is asked", remainder=False,
+        own=frozenset({"supply_sag", "coil_heating"})),
     "slew_limit": Outside(
         lambda _r, a, s: {"slew": 0.3 * a.u * a.pace / s}, LAGS | {"saturation"},
-        "a drive that comes late, the more the more is asked", remainder=False, force=False),
+        "a drive that comes late, the more the more is asked", remainder=False, force=False,
+        own=frozenset({"slew_limit"})),
     "position_dependent_friction": Outside(
         lambda r, a, s: {"level_wave": s * a.force, "level_length": a.peak / r.uniform(1.5, 3.0)},
-        FRICTION, "half of it is constant", remainder=False, dry=True),
+        FRICTION, "half of it is constant", remainder=False, dry=True,
+        own=frozenset({"position_dependent_friction", "load_dependent_friction"})),
     "load_dependent_friction": Outside(
         lambda _r, _a, s: {"load_friction": s}, FRICTION, "dry friction, of a level that varies",
-        remainder=False, dry=True),
+        remainder=False, dry=True,
+        own=frozenset({"load_dependent_friction", "position_dependent_friction"})),
 }
+LIKE: dict[str, frozenset[str]] = {
+    "coulomb_friction": frozenset({"stribeck_friction", "position_dependent_friction",
+                                   "load_dependent_friction"}),
+    "hysteresis": frozenset({"hardening_hysteresis", "prandtl_ishlinskii", "backlash"}),
+    "cubic_stiffness": frozenset({"gravity", "cogging"}),
+    "quadratic_stiffness": frozenset({"one_sided_cable", "end_stop"}),
+    "saturation": frozenset({"supply_sag", "coil_heating"}),
+    "transport_delay": frozenset({"sensor_lag", "slew_limit"}),
+    "second_mode": frozenset({"sensor_mount"}),
+    "creep": frozenset({"structural_damping"}),
+    "force_offset": frozenset({"one_sided_cable"})}
+"""Uncommon effects that a common one is a case of, or that some data do not part from it."""
+
+
+def with_like(names: frozenset[str]) -> frozenset[str]:
+    """The names, and the uncommon effects that are like them."""
+    return names.union(*(LIKE.get(name, frozenset()) for name in names))
+
+
 REMAINDERS = tuple(name for name, kind in OUTSIDE.items() if kind.remainder)
 OUTSIDERS = tuple(name for name, kind in OUTSIDE.items() if kind.alone)
 

@@ -14,7 +14,7 @@ import pytest
 import dfm_stage.model
 from dfm_stage.model import BASE_PARAMETERS, EFFECTS, Model, ModelError, Simulator
 from dfm_stage.model.effect_table import effect_table
-from dfm_stage.model.registry import ALL, ON_REQUEST, library_of
+from dfm_stage.model.registry import ALL, UNCOMMON, library_of
 
 NAMES = [
     "cubic_stiffness", "quadratic_stiffness", "coulomb_friction", "presliding_friction",
@@ -40,20 +40,20 @@ def test_library_is_complete() -> None:
     assert set(NAMES) == set(EFFECTS) == set(library_of())
 
 
-def test_effects_on_request_are_known_and_not_listed() -> None:
-    assert all(name in EFFECTS and EFFECTS.get(name).name == name for name in ON_REQUEST)
-    assert not set(ON_REQUEST) & set(EFFECTS)
-    assert library_of(["gravity", ALL]) == list(dict.fromkeys(["gravity", *EFFECTS, *ON_REQUEST]))
+def test_uncommon_effects_are_known_and_not_listed() -> None:
+    assert all(name in EFFECTS and EFFECTS.get(name).name == name for name in UNCOMMON)
+    assert not set(UNCOMMON) & set(EFFECTS)
+    assert library_of(["gravity", ALL]) == list(dict.fromkeys(["gravity", *EFFECTS, *UNCOMMON]))
     assert library_of(["creep", "gravity"]) == ["creep", "gravity"]
     with pytest.raises(ModelError, match="did you mean gravity"):
         Model("m", 1e-3, BASE).with_effect("gravitiy", {})
 
 
-def test_effects_on_request_are_loaded_when_they_are_asked_for() -> None:
+def test_uncommon_effects_are_loaded_when_they_are_asked_for() -> None:
     code = """
 import sys
 from dfm_stage.model import EFFECTS, load_model
-there = {m for m in sys.modules if m.startswith("dfm_stage.model.effects.on_request.")}
+there = {m for m in sys.modules if m.startswith("dfm_stage.model.effects.uncommon.")}
 assert "gravity" in EFFECTS and not there, there
 assert EFFECTS["gravity"].name == "gravity"
 """
@@ -68,7 +68,7 @@ def test_effect_describes_itself(name: str) -> None:
     assert effect.source
     assert effect.shown_by
     folder = Path(dfm_stage.model.__file__).parent / "effects"
-    module = folder / ("on_request" if name in ON_REQUEST else "") / f"{name}.py"
+    module = folder / ("uncommon" if name in UNCOMMON else "") / f"{name}.py"
     assert "Source:" in (ast.get_docstring(ast.parse(module.read_text())) or "")
     assert set(effect.priors) == {p.name for p in effect.parameters}
     for parameter in effect.parameters:

@@ -32,7 +32,7 @@ SMOOTH = {
     "periodic_disturbance": {"amplitude": 0.2, "frequency": 37.3, "phase": 0.7},
     "eddy_current_damping": {"damping": 4.0, "critical_velocity": 0.05},
 }
-ON_REQUEST = {
+UNCOMMON = {
     "gravity": {"weight": 0.9, "length": 2e-3, "tilt": 0.2},
     "cogging": {"amplitude": 0.1, "period": 7e-4, "phase": 0.5},
     "directional_friction": {"difference": 1.5},
@@ -77,22 +77,22 @@ def compare(effects: dict[str, dict[str, float]], seed: int, samples: int = 240,
         assert_allclose(own / scale, theirs / scale, rtol=0, atol=tolerance, err_msg=name)
 
 
-@pytest.mark.parametrize("name", sorted(SMOOTH | ON_REQUEST))
+@pytest.mark.parametrize("name", sorted(SMOOTH | UNCOMMON))
 def test_effect_alone(name: str) -> None:
     # a gain that changes within a sample is held at its mean
     tolerance = 1e-5 if name in ("supply_sag", "coil_heating") else 1e-6
-    compare({name: (SMOOTH | ON_REQUEST)[name]}, seed=1, tolerance=tolerance)
+    compare({name: (SMOOTH | UNCOMMON)[name]}, seed=1, tolerance=tolerance)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_effects_on_request_beside_others(seed: int) -> None:
+def test_uncommon_effects_beside_others(seed: int) -> None:
     rng = np.random.default_rng(2000 + seed)
-    forces = sorted(ON_REQUEST.keys() - {"sensor_lag", "sensor_mount", "supply_sag",
+    forces = sorted(UNCOMMON.keys() - {"sensor_lag", "sensor_mount", "supply_sag",
                                          "coil_heating"})
     chosen = [*rng.choice(sorted(SMOOTH), 2, replace=False), *rng.choice(forces, 3, replace=False),
               str(rng.choice(["sensor_lag", "sensor_mount"]))]
     # no step ends at a kink of a contact
-    compare({str(name): (SMOOTH | ON_REQUEST)[str(name)] for name in chosen}, seed, samples=160,
+    compare({str(name): (SMOOTH | UNCOMMON)[str(name)] for name in chosen}, seed, samples=160,
             tolerance=1e-5)
 
 

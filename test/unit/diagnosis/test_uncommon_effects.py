@@ -1,4 +1,4 @@
-"""Each effect on request is named, where it is asked for, on a stage that has it at clear size."""
+"""Each uncommon effect is named, where it is asked for, on a stage that has it at clear size."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ CASES = {
     "structural_damping": ({"loss_stiffness": 0.02 * STIFFNESS}, ("creep", "quadratic_damping")),
     "supply_sag": ({"sag": 0.01, "time_constant": 0.1}, ("force_constant_droop", "saturation")),
 }
-"""Effect on request -> its parameters and two rivals of the usual library."""
+"""uncommon effect -> its parameters and two rivals of the usual library."""
 TOLERANCE = 0.02
 """Relative error of a parameter that the noise lets be."""
 CLASSES = {"sensor_lag": {"sensor_lag", "amplifier_bandwidth"}}
