@@ -286,6 +286,8 @@ PROMISED = _search("PROMISED", 0.5, "1", "Share of a limit that the screen must 
                    "fit; share of the promise below which a fit begins again.")
 SHORT_LIST = decision("SHORT_LIST", 4, "1", meaning="Candidates, and rivals of one effect, that "
                       "are fitted at most.", set_on=SEARCH_FORM)
+SCREENS_KEPT = _search("SCREENS_KEPT", 4, "1", "Screens that are remembered: each holds the "
+                       "responses of all candidates.")
 SHORT_LIST_GAIN = _search("SHORT_LIST_GAIN", 0.8, "1", "Share of the best screened gain from "
                           "which a candidate is fitted.")
 FULL_SHARE = _search("FULL_SHARE", 0.985, "1", "Share of what is above the noise that one fit "

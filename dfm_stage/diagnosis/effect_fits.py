@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,8 @@ class Fits:
     fits: dict[tuple[frozenset[str], int], Fit] = field(default_factory=dict)
     weights: Weights = ()
     weighing: int = 0
+    weighings: dict[tuple[Any, ...], int] = field(default_factory=dict)
+    """The number of each set of weights so far: fits by the same weights are not made again."""
     noise: float = 0.0
     """RMS of the output's noise, over which a quantised reading is averaged."""
     begun: float = field(default_factory=steps_taken)
@@ -109,7 +112,8 @@ class Fits:
         """Compare fits by other weights from now on."""
         self.weights = weights
         self.noise = weights[0][0].rms if noise is None else noise
-        self.weighing += 1
+        content = self.noise, *((w.polynomial.tobytes(), w.sigma) for ws in weights for w in ws)
+        self.weighing = self.weighings.setdefault(content, len(self.weighings))
 
     def keep(self, names: Iterable[str], found: Fit) -> Fit:
         """Remember a fit under the present weights."""

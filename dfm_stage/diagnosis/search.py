@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
@@ -23,6 +24,7 @@ from dfm_stage.diagnosis.decisions import (
     RELATED_GAIN,
     RESTART_ABOVE,
     ROUNDING_GAIN,
+    SCREENS_KEPT,
     SHORT_LIST,
     SHORT_LIST_GAIN,
     TWIN_ABOVE,
@@ -63,11 +65,21 @@ class Search(Fits):
     """Size of each effect that would have been seen beyond the model as it is."""
     above: float = math.inf
     """Chi-square of the model as it is above the noise, where `hits` were screened."""
+    seen: dict[tuple[Any, ...], tuple[Screen, list[Hit]]] = field(default_factory=dict)
+    """The last screens by what they depend on."""
     barred: set[str] = field(default_factory=set)
     """Effects that were found and not borne out: not looked for again."""
 
     def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         """Hits of every effect that is allowed and not in `current` yet, best first."""
+        key = frozenset(names), self.weighing, current.chi2, frozenset(self.barred)
+        if key not in self.seen:
+            while len(self.seen) >= SCREENS_KEPT:
+                del self.seen[next(iter(self.seen))]
+            self.seen[key] = self._screened(current, names)
+        return self.seen[key]
+
+    def _screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         alike = self.fitted((), current).model if names else None
         screen = Screen(current, self.runs, self.weights, self.noise, alike)
         if not names and not self.hits:

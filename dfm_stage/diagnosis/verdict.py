@@ -307,7 +307,8 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
         (taken < _least_part(x, further) * left or (further and _is_small(e, x)),
          DropReason.SMALL_PART),
         (x.force_share is not None and not x.in_best
-         and (further or x.force_share < LEAST_HEARD), DropReason.UNHEARD),
+         and (taken < NAMED_SHARE * left if further else x.force_share < LEAST_HEARD),
+         DropReason.UNHEARD),
         (len(unrelated) > (0 if further else 1), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
 
