@@ -410,12 +410,12 @@ def test_an_effect_that_the_force_domain_does_not_find_falls(share, in_best, fal
     assert (fallen(e) is not None) is falls
 
 
-@pytest.mark.parametrize(("taken", "falls"), [(0.79, True), (0.81, False)])
+@pytest.mark.parametrize(("taken", "falls"), [(0.94, True), (0.96, False)])
 def test_a_further_effect_may_take_nearly_all_of_what_is_left_unheard(taken, falls):
     """The force domain has two effects in a set at most."""
-    e = part(0.97)
+    e = part(0.99)
     further = replace(e.effects[0], name="force_offset", force_share=0.1, in_best=False,
-                      without=part(1.0 - 0.03 / (1.0 - taken)).extended)
+                      without=part(1.0 - 0.01 / (1.0 - taken)).extended)
     found = fallen(replace(e, effects=(*e.effects, further)))
     assert found == (("force_offset", DropReason.UNHEARD) if falls else None)
 
