@@ -111,8 +111,8 @@ BLOCK_MARGIN = decision(
     set_on=REAL)
 NAMED_SHARE = decision(
     "NAMED_SHARE", 0.95, "1", meaning="Share of the predictable held-out gap from which effects "
-    "that leave a remainder are named; of what is left, what a further effect takes that the force "
-    "domain need not find.", set_on=CORPUS)
+    "that leave a remainder are named; of what is left, what a further effect takes that may be "
+    "small, and that the force domain need not find.", set_on=CORPUS)
 LEAST_PREDICTABLE = decision(
     "LEAST_PREDICTABLE", 0.8, "1", meaning="Share of the held-out gap that counts as predictable "
     "at least, whatever a black box predicts of it.", set_on=CORPUS)

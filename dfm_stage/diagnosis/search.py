@@ -70,6 +70,11 @@ class Search(Fits):
     barred: set[str] = field(default_factory=set)
     """Effects that were found and not borne out: not looked for again."""
 
+    def widened(self, names: Names) -> Search:
+        """A search among these effects, too, that knows the fits made so far."""
+        return Search(self.model, self.runs, self.free, fits=self.fits, weighings=self.weighings,
+                      library=(*self.library, *names), step=self.step)
+
     def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         """Hits of every effect that is allowed and not in `current` yet, best first."""
         key = frozenset(names), self.weighing, current.chi2, frozenset(self.barred)

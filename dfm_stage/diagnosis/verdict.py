@@ -307,7 +307,7 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
         (taken < _least_part(x, further) * left or (further and _is_small(e, x)),
          DropReason.SMALL_PART),
         (x.force_share is not None and not x.in_best
-         and (taken < NAMED_SHARE * left if further else x.force_share < LEAST_HEARD),
+         and (not _takes_all(e, x) if further else x.force_share < LEAST_HEARD),
          DropReason.UNHEARD),
         (len(unrelated) > (0 if further else 1), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
@@ -328,10 +328,16 @@ def small_parts(e: Evidence) -> tuple[str, ...]:
 
 def _is_small(e: Evidence, x: EffectEvidence) -> bool:
     """Whether the effect takes little of a held-out gap that exercises it, and the force domain
-    does not put it beside the others."""
+    does not put it beside the others, nor does it take all that these leave."""
     taken = x.without.held_out.power - e.extended.held_out.power
     gap = e.retuned.held_out.power - e.judged.noise_power
-    return x.exercised and not x.confirmed and taken < SMALL_SHARE * gap
+    return x.exercised and not x.confirmed and taken < SMALL_SHARE * gap and not _takes_all(e, x)
+
+
+def _takes_all(e: Evidence, x: EffectEvidence) -> bool:
+    """Whether the effect takes nearly all that is left of the held-out gap without it."""
+    taken = x.without.held_out.power - e.extended.held_out.power
+    return taken >= NAMED_SHARE * (x.without.held_out.power - e.judged.noise_power)
 
 
 def needs_grading(e: Evidence) -> bool:

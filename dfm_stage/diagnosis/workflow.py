@@ -234,10 +234,8 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
             h, evidence = _to_noise(trial, names, found, MOST_STEPS, warnings, split)
             if verdict(evidence).complete and not needs_grading(evidence):
                 return trial, h, evidence
-    old = trial.search
-    old.step("looking for uncommon effects, too")
-    search = Search(old.model, old.runs, old.free, library=(*old.library, *trial.uncommon),
-                    step=old.step)
+    trial.search.step("looking for uncommon effects, too")
+    search = trial.search.widened(trial.uncommon)
     return _explained(Trial(search, trial.held, trial.seed), search.begin(), warnings, split)
 
 

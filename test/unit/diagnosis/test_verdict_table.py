@@ -458,15 +458,17 @@ def test_another_size_for_other_motion_counts_where_it_is_clear():
     assert Constancy(0.3, 0.09).share == pytest.approx(0.451, abs=1e-3)
 
 
-@pytest.mark.parametrize(("share", "confirmed", "named"), [
-    (0.11, False, True), (0.09, False, False), (0.09, True, True)])
-def test_a_small_further_effect_needs_the_force_domain(share, confirmed, named):
-    e = part(0.999)
-    offset = EffectEvidence("force_offset", {}, part(0.999 - share).extended, margin=20.0,
+@pytest.mark.parametrize(("both", "share", "confirmed", "named"), [
+    (0.99, 0.11, False, True), (0.99, 0.09, False, False), (0.99, 0.09, True, True),
+    (0.999, 0.09, False, True)])
+def test_a_small_further_effect_needs_the_force_domain_or_takes_all_that_is_left(
+        both, share, confirmed, named):
+    e = part(both)
+    offset = EffectEvidence("force_offset", {}, part(both - share).extended, margin=20.0,
                             confirmed=confirmed)
-    both = replace(e, effects=(*e.effects, offset))
-    assert (fallen(both) is None) is named
-    assert small_parts(both) == (() if named else ("force_offset",))
+    e = replace(e, effects=(*e.effects, offset))
+    assert (fallen(e) is None) is named
+    assert small_parts(e) == (() if named else ("force_offset",))
 
 
 def test_a_small_effect_alone_is_not_a_further_one():
