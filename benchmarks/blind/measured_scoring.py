@@ -14,6 +14,8 @@ from benchmarks.blind.scoring import AMBIGUOUS, ERROR, NAMED, wilson
 from benchmarks.figure import BarKind, Figure
 
 PARTIAL, UNKNOWN = "partial", "unknown"
+UNCOMMON = "uncommon"
+"""Outsiders to the common effects that are uncommon effects of the library."""
 TIMING_SLACK = 0.1
 """Samples by which a shift that was found may be wrong."""
 CORRECTED = 0.01
@@ -73,7 +75,7 @@ def judge_measured(label: Mapping[str, Any], answer: Mapping[str, Any],
     only = [e for e in effects if e["name"] == label["effect"]] if names == [label["effect"]] \
         else []
     return MeasuredScore(
-        int(label["index"]), str(label["group"]), _row(label), share,
+        int(label["index"]), _group(label), _row(label), share,
         _text(verdict, names, listed, bool(answer.get("complete", True))), right,
         right and names[:1] == [label["effect"]], wrong,
         tuple(found for (found, _), asked in zip(told, must, strict=True) if asked),
@@ -97,6 +99,11 @@ def _judged(label: Mapping[str, Any], verdict: str, names: set[str],
     wrong = bool((names | listed) - allowed)
     said = bool(names or listed)
     return not wrong and (said or verdict in label["expected"]), wrong
+
+
+def _group(label: Mapping[str, Any]) -> str:
+    """The group of the plan; of outsiders those apart that an uncommon effect of the library is."""
+    return UNCOMMON if label["group"] == "outsider" and label["right"] else str(label["group"])
 
 
 def _row(label: Mapping[str, Any]) -> str:
@@ -165,7 +172,7 @@ def _rate(key: str, hits: Iterable[bool], bar: float | None, kind: BarKind, what
 def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[Figure]:
     """The rates against what was promised, keys ending in `suffix`."""
     of = {group: [s for s in scores if s.group == group]
-          for group in ("remainder", "outsider", "nuisance", "convention")}
+          for group in ("remainder", UNCOMMON, "outsider", "nuisance", "convention")}
     beside, outside, nothing = of["remainder"], of["outsider"], of["nuisance"]
     found = [
         _rate("remainder_right_percent", (s.right for s in beside), 90.0, "at least",
@@ -176,6 +183,9 @@ def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[
         _rate("outsider_wrong_percent", (s.wrong_name for s in outside), 3.0, "at most",
               "effects outside the library given a name that is no relative, or a certain one; "
               f"answered rightly {sum(s.right for s in outside)}"),
+        _rate("uncommon_right_percent", (s.right for s in of[UNCOMMON]), None, "at least",
+              "uncommon effects alone named in their class; "
+              f"{sum(s.wrong_name for s in of[UNCOMMON])} with another name"),
         _rate("nothing_wrong_percent", (s.wrong_name for s in nothing), 1.0, "at most",
               "complete models and nuisances given a name; "
               f"verdict right in {sum(s.right for s in nothing)}"),

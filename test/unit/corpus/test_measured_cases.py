@@ -110,9 +110,13 @@ def test_labels_of_remainders_and_outsiders() -> None:
     assert set(case.label["right"]) == class_of("quadratic_stiffness")
     assert set(case.label["allowed"]) >= OUTSIDE[case.spec.kind].relatives
     assert 3.0 <= case.label["gap_over_noise"] <= 100.0
-    out = make_case(next(s for s in measured_plan("outsider", 40, 2) if s.kind == "cogging"))
+    plan = measured_plan("outsider", 40, 2)
+    out = make_case(next(s for s in plan if s.kind == "sensor_even"))
     assert out.label["right"] == []
     assert out.label["expected"] == ["unknown", "partial"]
+    uncommon = make_case(next(s for s in plan if s.kind == "cogging"))
+    assert uncommon.label["right"] == ["cogging", "gravity"]
+    assert "named" in uncommon.label["expected"]
 
 
 def test_a_model_says_nothing_of_the_truth() -> None:

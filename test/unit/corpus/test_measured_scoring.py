@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.blind.measured import MeasuredJob, read_measured, timing_rates
 from benchmarks.blind.measured_scoring import (
+    UNCOMMON,
     judge_measured,
     judge_timing,
     measured_figures,
@@ -58,6 +59,17 @@ def test_an_outsider_has_relatives_and_no_name(said: dict, right: bool, wrong: b
     score = judge_measured(label("outsider", effect="", right=[], allowed=["creep"],
                                  expected=["unknown", "partial"]), said)
     assert (score.right, score.wrong_name) == (right, wrong)
+
+
+@pytest.mark.parametrize(("said", "right", "wrong"), [
+    (answer("named", "cogging"), True, False),
+    (answer("partial", "cogging"), True, False),
+    (answer("named", "creep"), False, True),
+    (answer("unknown"), False, False)])
+def test_an_uncommon_effect_has_a_name(said: dict, right: bool, wrong: bool) -> None:
+    score = judge_measured(label("outsider", effect="", right=["cogging"], allowed=["cogging"]),
+                           said)
+    assert (score.group, score.right, score.wrong_name) == (UNCOMMON, right, wrong)
 
 
 @pytest.mark.parametrize(("said", "right", "wrong"), [
