@@ -102,7 +102,7 @@ def _judged(label: Mapping[str, Any], verdict: str, names: set[str],
 
 
 def _group(label: Mapping[str, Any]) -> str:
-    """The group of the plan; of outsiders those apart that an uncommon effect of the library is."""
+    """The group of the plan; uncommon effects of the library apart from other outsiders."""
     return UNCOMMON if label["group"] == "outsider" and label["right"] else str(label["group"])
 
 
