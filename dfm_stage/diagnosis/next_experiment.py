@@ -75,6 +75,7 @@ def _round(value: float) -> float:
 
 def _experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
     """Experiments to choose from; the first is the one that shows most where nothing is known."""
+    period = round(PERIOD_S / model.sample_period) * model.sample_period  # whole samples
     natural = max(_natural_hz(model), 0.5)
     nyquist = 0.5 / model.sample_period
     top = min(max(10.0 * natural, 50.0), 0.8 * nyquist)
@@ -86,7 +87,7 @@ def _experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
             yield _as_experiment(
                 f"A multisine with odd lines and detection lines, {where}, {size[share]}.",
                 {"kind": "multisine", "amplitude_v": _round(share * volts), "low_hz": _round(low),
-                 "high_hz": _round(high), "period_s": PERIOD_S, "odd": True,
+                 "high_hz": _round(high), "period_s": period, "odd": True,
                  "detection_lines": True})
     for share in (1.0, 0.3):
         yield _as_experiment(

@@ -340,6 +340,20 @@ def _takes_all(e: Evidence, x: EffectEvidence) -> bool:
     return taken >= NAMED_SHARE * (x.without.held_out.power - e.judged.noise_power)
 
 
+def is_clearly_more(e: Evidence, known: Evidence) -> bool:
+    """Whether the effects of `e` explain all, or something where those of `known` explain nothing,
+    or much of what these leave of the held-out gap."""
+    new, old = verdict(e), verdict(known)
+    if new.kind == "unknown" or new.complete or old.kind == "unknown":
+        return new.kind != "unknown"
+    return _left(e) < (1.0 - FURTHER_PART) * _left(known)
+
+
+def _left(e: Evidence) -> float:
+    """Share of the held-out gap, or of the missing force, that the effects leave."""
+    return 1.0 - (above(e, e.extended.held_out.power) if e.heard is None else e.heard.share)
+
+
 def needs_grading(e: Evidence) -> bool:
     """Whether a gap stays that no set of effects brings to the noise."""
     real = e.retuned.remainder if not e.effects else True

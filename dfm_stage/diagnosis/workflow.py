@@ -56,6 +56,7 @@ from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.stretches import Stretches, changes, is_long, observe_stretches
 from dfm_stage.diagnosis.verdict import (
     explained_share,
+    is_clearly_more,
     leaves_open,
     needs_grading,
     needs_joint_fit,
@@ -224,19 +225,16 @@ def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
 
 
 def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
-    """What the effects of the search explain; where they leave more than noise, what these and
-    the uncommon ones do."""
-    if not trial.uncommon:
-        return _explained(trial, first, warnings, split)
-    if not _is_carried_away(first):
-        names, found = _first_grown(trial.search, first)
-        if not leaves_gross(found):
-            h, evidence = _to_noise(trial, names, found, MOST_STEPS, warnings, split)
-            if verdict(evidence).complete and not needs_grading(evidence):
-                return trial, h, evidence
+    """What the effects of the search explain; where they do not explain nearly all that can be
+    predicted, what these and the uncommon ones do, if that is clearly more."""
+    found = _explained(trial, first, warnings, split)
+    said = verdict(found[2])
+    if not trial.uncommon or said.complete or said.kind == "named":
+        return found
     trial.search.step("looking for uncommon effects, too")
     search = trial.search.widened(trial.uncommon)
-    return _explained(Trial(search, trial.held, trial.seed), search.begin(), warnings, split)
+    among_all = _explained(Trial(search, trial.held, trial.seed), search.begin(), warnings, split)
+    return among_all if is_clearly_more(among_all[2], found[2]) else found
 
 
 def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
@@ -247,14 +245,16 @@ def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -
     """
     begun = steps_taken()
     part: Judgement | None = None
-    if _is_carried_away(first) and (
+    free = first.system.springless or not any(run.driven for run in first.system.runs)
+    if free and is_gross(first) and (
             trial.witness is not None and not trial.witness.cannot_tell):
         own = _in_windows(trial)
         bare = own.search.begin()
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
         if stays_open(part[2]):
             return part
-    names, found = _first_grown(trial.search, first)
+    trial.search.begin_work(FIRST_SHARE * MOST_STEPS)
+    names, found = trial.search.grown((), first, rounds=1)
     if part is None and leaves_gross(found):
         part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
         if stays_open(part[2]) and leaves_gross(part[1].fit):
@@ -273,18 +273,6 @@ def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -
     if part[1].names or forced is not None:
         return forced or part
     return trial, h, replace(evidence, witness=part[2].witness, judged=part[2].judged)
-
-
-def _is_carried_away(first: Fit) -> bool:
-    """Whether a gross force is missed without a spring or an input."""
-    free = first.system.springless or not any(run.driven for run in first.system.runs)
-    return free and is_gross(first)
-
-
-def _first_grown(search: Search, first: Fit) -> tuple[Names, Fit]:
-    """The first effects that help most."""
-    search.begin_work(FIRST_SHARE * MOST_STEPS)
-    return search.grown((), first, rounds=1)
 
 
 def _to_noise(trial: Trial, names: Names, found: Fit, steps: float, warnings: Sequence[str],

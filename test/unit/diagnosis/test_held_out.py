@@ -103,6 +103,16 @@ def test_without_rivals_the_liveliest_experiment_is_proposed(runs):
     assert 0.9 * largest < np.max(np.abs(voltage)) < 1.01 * largest
 
 
+@pytest.mark.parametrize("period", [0.0016384, 1.0 / 610.35, 0.003])
+def test_an_experiment_lasts_whole_samples_of_any_machine(runs, period):
+    slow = [replace(runs[0], sample_period=period)]
+    model = replace(MODEL, sample_period=period)
+    found = propose((), model, [], slow, WEIGHT, [])
+    for duration in (found.experiment["duration_s"], 80.0):
+        asked = load_experiment({**found.experiment, "duration_s": duration})
+        assert np.any(asked.excitation("x", period).voltage)
+
+
 def test_nothing_is_proposed_for_a_current_drive(runs):
     assert propose((), replace(MODEL, drive="current"), [], runs[:1], WEIGHT, []) is None
 
