@@ -1,0 +1,115 @@
+"""A block of faults in a process of its own, and where permitted with a /dev/shm of its own.
+
+What a fault leaves in shared memory ends with the block, and a full one is nobody else's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from benchmarks.fault_campaign import Campaign
+from benchmarks.fault_kinds import FAKETIME_FILE, KINDS, PRIVATE, faketime
+from benchmarks.fault_outcome import Fault, Tally
+from dfm_stage.errors import DfmError
+from dfm_stage.files import write_whole
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOM = "512m"
+"""Of /dev/shm, and of the disk for the bags, each."""
+MOUNT = (f"mount -t tmpfs -o size={ROOM} none /dev/shm && "
+         f'mount -t tmpfs -o size={ROOM} none "$0" && exec "$@"')
+
+
+def run_block(faults: Sequence[Fault], answer: Path) -> Tally:
+    """Suffer faults in a process of its own; return their tally, which is in the file `answer`.
+
+    Raises
+    ------
+    DfmError
+        If the process fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="dfm_faults_") as folder:
+        asked = Path(folder) / "faults.json"
+        asked.write_text(json.dumps([vars(fault) for fault in faults]), "utf-8")
+        bags = Path(folder) / "bags"
+        bags.mkdir()
+        environment = dict(os.environ)
+        private = private_mounts()
+        if private:
+            environment[PRIVATE] = "1"
+        command = [*private, *(["sh", "-c", MOUNT, str(bags)] if private else []),
+                   sys.executable, "-m", "benchmarks.fault_block", str(asked), str(bags),
+                   str(answer)]
+        with subprocess.Popen(command, cwd=ROOT, env=environment) as process:
+            try:
+                code = process.wait()
+            except BaseException:
+                process.send_signal(signal.SIGINT)
+                process.wait()
+                raise
+        if code != 0:
+            raise DfmError(f"a block of faults ended with code {code}: its message is above")
+    return kept(faults, answer) or Tally()
+
+
+def kept(faults: Sequence[Fault], answer: Path) -> Tally | None:
+    """Return the tally of these very faults from the file `answer`, or None."""
+    try:
+        tally = Tally.from_dict(json.loads(answer.read_text("utf-8")))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return tally if [each.fault for each in tally.outcomes] == [*faults] else None
+
+
+@cache
+def private_mounts() -> tuple[str, ...]:
+    """Return the command that gives a program mounts of its own; empty where not permitted."""
+    for flags in ("-m", "-Urm"):
+        command = ("unshare", flags)
+        if shutil.which("unshare") and subprocess.run(
+                [*command, "mount", "-t", "tmpfs", "none", "/dev/shm"],  # noqa: S108
+                check=False, capture_output=True).returncode == 0:
+            return command
+    return ()
+
+
+def _faked_clock(folder: Path) -> dict[str, str]:
+    """Return the environment in which children, not this process, have a clock that a file sets.
+
+    Their monotonic clock stays, as it does where the clock of a machine is set.
+    """
+    file = folder / "clock"
+    file.write_text("+0\n", "ascii")
+    return {"LD_PRELOAD": str(faketime()), FAKETIME_FILE: str(file), "FAKETIME_NO_CACHE": "1",
+            "DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1"}
+
+
+def main() -> int:
+    """Suffer the faults of a file, with bags in a folder, and write the tally to a third."""
+    parser = argparse.ArgumentParser()
+    for name in ("faults", "bags", "answer"):
+        parser.add_argument(name, type=Path)
+    given = parser.parse_args()
+    faults = [Fault(**each) for each in json.loads(given.faults.read_text("utf-8"))]
+    if any(KINDS[fault.kind].faked_clock for fault in faults):
+        os.environ.update(_faked_clock(given.bags))
+    try:
+        tally = Campaign(given.bags).run(faults)
+    except KeyboardInterrupt:
+        return 130
+    write_whole(given.answer, json.dumps(tally.to_dict(), indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
