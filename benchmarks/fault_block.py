@@ -6,6 +6,7 @@ What a fault leaves in shared memory ends with the block, and a full one is nobo
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import shutil
@@ -23,8 +24,9 @@ from benchmarks.fault_outcome import Fault, Tally
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
+PR_SET_PDEATHSIG = 1
 ROOT = Path(__file__).resolve().parents[1]
-ROOM = "512m"
+ROOM = "256m"
 """Of /dev/shm, and of the disk for the bags, each."""
 MOUNT = (f"mount -t tmpfs -o size={ROOM} none /dev/shm && "
          f'mount -t tmpfs -o size={ROOM} none "$0" && exec "$@"')
@@ -100,6 +102,7 @@ def main() -> int:
     for name in ("faults", "bags", "answer"):
         parser.add_argument(name, type=Path)
     given = parser.parse_args()
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT, 0, 0, 0)  # end with who asked
     faults = [Fault(**each) for each in json.loads(given.faults.read_text("utf-8"))]
     if any(KINDS[fault.kind].faked_clock for fault in faults):
         os.environ.update(_faked_clock(given.bags))

@@ -9,6 +9,7 @@ zero or the loop at work, diagnostics must say what happened, and an operator's 
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -67,6 +68,7 @@ class Campaign:
                         self._suffer(outcome)
                     except HarnessError as error:
                         outcome.words += f"; {error}"
+                    print(_line(outcome), file=sys.stderr, flush=True)
                     if not outcome.recovered:
                         break
                 ended_ns = self._ledger.ends_ns or time.time_ns()
@@ -202,3 +204,12 @@ class Campaign:
         kinds = [node.rpartition("/")[2] for node in (fault.node, *gone)]
         return any("output at zero" in text or text.startswith(f"{fault.node}:")
                    or any(kind in text.partition(": ")[2] for kind in kinds) for text in said)
+
+
+def _line(outcome: Outcome) -> str:
+    fault = outcome.fault
+    return (f"{fault.kind} {fault.node}: {'safe' if outcome.safe else 'UNSAFE'}, "
+            f"{'loop cut' if outcome.cut else 'loop at work'}, "
+            f"{'UNEXPLAINED, ' if outcome.explained is False else ''}"
+            f"{'recovered' if outcome.recovered else 'NOT RECOVERED'} in {outcome.took_s:.1f} s, "
+            f"operator answered in {outcome.answered_s:.2f} s")

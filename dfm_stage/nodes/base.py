@@ -377,6 +377,17 @@ class LoopNode(Node):
                    if (name if "/" in name else f"{self.get_namespace()}/{name}") not in here]
         return f"there is no {', '.join(missing)}" if missing else ""
 
+    def _namesakes(self) -> str:
+        """Say that other nodes have this one's name: both obey, and both publish."""
+        topic = self._config.topic_name
+        if self.count_publishers(topic) < 2:  # who they are takes longer to find out
+            return ""
+        killed = killed_endpoints()
+        alive = sum(not bytes(info.endpoint_gid).startswith(killed)
+                    for info in self.get_publishers_info_by_topic(topic))
+        return (f"{alive} nodes are called {self.get_fully_qualified_name()}: end all but one"
+                if alive > 1 else "")
+
     def _broken(self) -> str:
         if self._watch.silent:
             return "a topic of the loop is silent"
@@ -386,6 +397,8 @@ class LoopNode(Node):
         now = time.monotonic()
         if not self.lockstep:
             self._watch.look(now)
+        if self.errors_active.put("name", self._namesakes()):
+            self.get_logger().error(self.errors_active["name"])
         if (self.realtime.wanted and self.priority >= PRIORITY.default
                 and self.realtime.look(now, self._broken())):
             self.get_logger().info(f"scheduling: {self.realtime.words}")

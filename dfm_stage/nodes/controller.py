@@ -38,6 +38,7 @@ from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 
 _AT_ZERO = Point()
 _LAW_FILES = "law_files"
+_MODEL = "model"
 
 
 @lru_cache(maxsize=8)
@@ -93,6 +94,7 @@ class Controller(LoopNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
+        self._known = laws_with(self.settings[_LAW_FILES])
         self._guard = self._new_guard()
         self._seq = 0
         self._last_seq: int | None = None
@@ -111,7 +113,7 @@ class Controller(LoopNode):
     def start_work(self) -> None:
         """Make the laws that were planned from the parameters."""
         values = self.settings.values
-        self._laws = LawSet(values, self.settings.plan, laws_with(values[_LAW_FILES]))
+        self._laws = LawSet(values, self.settings.plan, self._known)
 
     # Parameters
 
@@ -127,12 +129,18 @@ class Controller(LoopNode):
             cls.settings_table)
 
     def check_settings(self, values: dict[str, Any]) -> Plan:
-        """Return the plan of the laws; refuse gains and models that they cannot work with."""
-        name, model = values["model"], None
-        if name:
+        """Return the plan of the laws; refuse gains and models that they cannot work with.
+
+        The file of the model is read where `model` is set, and only there: one that was replaced
+        meanwhile must neither change the law unasked nor keep an operator from setting the mode.
+        """
+        name, model = values[_MODEL], None
+        if self.settings.plan is not None and _MODEL not in self.settings.asked:
+            model = self.settings.plan.model
+        elif name:
             changed_ns = Path(name).stat().st_mtime_ns if Path(name).is_file() else 0
             model = _axis_model(name, changed_ns, self.axis)
-        return plan_laws(values, model, laws_with(values[_LAW_FILES]))
+        return plan_laws(values, model, self._known)
 
     def settings_applied(self, names: set[str]) -> None:
         """Take over new gains and modes without a bump."""

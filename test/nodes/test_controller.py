@@ -18,6 +18,9 @@ from dfm_stage.model import Plant, load_model
 from dfm_stage.nodes.controller import Controller
 
 
+MODELS = Path(__file__).parents[2] / "config" / "models"
+
+
 class Loop:
     """A controller whose links are cut and whose measurements come from a plant."""
 
@@ -278,6 +281,29 @@ def test_a_saturation_of_the_model_is_the_outputs_limit(loop, tmp_path):
     stage.reference = (0.5e-3, 0.0, 0.0)
     stage.run(2500)
     assert stage.position[-1] == pytest.approx(0.5e-3, abs=2e-6)
+
+
+@pytest.mark.parametrize("replaced", ["raster_bench", "rubbish", "gone"])
+def test_a_model_file_that_is_replaced_changes_nothing_until_model_is_set(loop, tmp_path, replaced):
+    path = tmp_path / "model.yaml"
+    known = (MODELS / "paper_stage.yaml").read_text()
+    path.write_text(known)
+    stage = loop(mode="lqr", model=str(path))
+    gain = stage.node.settings.plan.laws["lqr"].design
+    if replaced == "gone":
+        path.unlink()
+    else:
+        path.write_text("- [" if replaced == "rubbish" else
+                        (MODELS / f"{replaced}.yaml").read_text())
+    stage.set(mode="pid", kp=1234.0)
+    stage.set(mode="lqr")
+    assert stage.node.settings.plan.laws["lqr"].design is gain
+    if replaced == "raster_bench":
+        stage.set(model=str(path))
+        assert stage.node.settings.plan.laws["lqr"].design is not gain
+    else:
+        with pytest.raises(DfmError, match=re.escape(str(path))):
+            stage.set(model=str(path))
 
 
 def test_the_guard_watches_in_open_loop_too(loop):

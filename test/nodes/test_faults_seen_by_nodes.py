@@ -67,6 +67,26 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
     assert node.counters["inputs_lost"] == 1
 
 
+def test_nodes_of_one_name_say_so_and_one_that_was_killed_does_not_count(make, monkeypatch):
+    first, second = make(EncoderDriver), make(EncoderDriver)
+    deadline = time.monotonic() + 10.0
+    while first.count_publishers("encoder_driver/config") < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    first._every_second()
+    assert first.errors_active["name"] == (
+        "2 nodes are called /stage/x/encoder_driver: end all but one")
+    with monkeypatch.context() as patched:
+        gone = first.get_publishers_info_by_topic("encoder_driver/config")[1].endpoint_gid
+        patched.setattr(base, "killed_endpoints", lambda: (bytes(gone),))
+        first._every_second()
+        assert "name" not in first.errors_active
+    second.destroy_publisher(second._config)
+    while first.count_publishers("encoder_driver/config") > 1 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    first._every_second()
+    assert "name" not in first.errors_active
+
+
 def test_an_amplifier_that_stood_still_does_not_go_on_by_itself(make):
     node = make(AmplifierDriver, stale_timeout_s=0.2)
     node._checked_s = time.monotonic() - 0.7  # the other nodes of its process were starting
