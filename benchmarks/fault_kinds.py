@@ -7,7 +7,6 @@ it goes onto `scene.undo`, which the campaign closes before the operator repairs
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import os
 import random
 import resource
@@ -63,7 +62,7 @@ class Kind:
         """Return why it cannot be done on this machine, or nothing."""
         if self.private and PRIVATE not in os.environ:
             return "a mount namespace of its own is not permitted"
-        return "libfaketime is not installed" if self.faked_clock and not faketime() else ""
+        return "libfaketime (apt: libfaketime) is not installed" if self.faked_clock and not faketime() else ""
 
 
 # Nodes
@@ -137,7 +136,12 @@ def _disk_full(scene: Scene, fault: Fault) -> None:
 
 
 def _shared_memory_full(scene: Scene, fault: Fault) -> None:
+    """A node that starts meanwhile cannot have its ports."""
+    if fault.node in NODES:
+        scene.end(fault.node, signal.SIGINT)
     scene.undo.enter_context(_full(SHARED_MEMORY))
+    if fault.node in NODES:
+        scene.graph.launch_again(fault.node)
     scene.spin(fault.pause_s)
 
 
@@ -215,8 +219,8 @@ KINDS = {kind.name: kind for kind in (
     Kind("second_graph", _second_graph, ("/stage", "/elsewhere"), (MEMBERS_S, MEMBERS_S + 2.0)),
     Kind("no_memory", _no_memory, lasts_s=(1.0, 4.0)),
     Kind("disk_full", _disk_full, (RECORDER,), (1.0, 3.0), ("the disk is full",), private=True),
-    Kind("shared_memory_full", _shared_memory_full, (str(SHARED_MEMORY),), (1.0, 3.0),
-         private=True),
+    Kind("shared_memory_full", _shared_memory_full, (str(SHARED_MEMORY), "/stage/x/controller"),
+         (1.0, 3.0), private=True),
     Kind("clock_set", _clock_set, ("forward", "back"), (1.0, 3.0), faked_clock=True),
     Kind("model_replaced", _model_replaced, ("another", "broken", "gone"), (0.5, 1.0)),
     Kind("storm", _storm, lasts_s=(1.0, 3.0)),
@@ -241,12 +245,5 @@ def draw(count: int, seed: int, only: str | None = None) -> list[Fault]:
 
 
 def faketime() -> Path | None:
-    """Return libfaketime, of the PyPI package of this name or of the system's."""
-    found = importlib.util.find_spec("libfaketime")
-    folders = [Path(each) for each in (found.submodule_search_locations or ())] if found else []
-    for folder, pattern in (*((each, "vendor/libfaketime/src/libfaketime.so.1")
-                              for each in folders),
-                            (Path("/usr/lib"), "*/faketime/libfaketimeMT.so.1")):
-        if library := next(folder.glob(pattern), None):
-            return library
-    return None
+    """Return libfaketime of the system, the one for programs with threads, or None."""
+    return next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)

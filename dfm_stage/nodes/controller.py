@@ -64,6 +64,9 @@ def settings_of(laws: Mapping[str, type[Law]]) -> tuple[Setting, ...]:
 
 
 _KEPT_AHEAD = 64
+_LATE_NS = 10**9
+"""A measurement not newer than the last, by this at most, comes from a second encoder_driver of the
+same name, and would be taken for a jump; by more, the clock was set back."""
 
 
 class Ahead(Recent[Any]):
@@ -98,6 +101,7 @@ class Controller(LoopNode):
         self._guard = self._new_guard()
         self._seq = 0
         self._last_seq: int | None = None
+        self._answered_ns = -_LATE_NS
         self._sent_v = self._added_v = 0.0
         self._measurement: Any = None
         self._amplifier: Any = None
@@ -164,10 +168,14 @@ class Controller(LoopNode):
     # The loop
 
     def _on_measurement(self, measurement: Any) -> None:
-        self._measurement = measurement
         if self.lockstep:
+            self._measurement = measurement
             self._answer_when_complete()
             return
+        if 0 <= self._answered_ns - measurement.stamp_ns < _LATE_NS:
+            self.count("measurements_late")
+            return
+        self._measurement, self._answered_ns = measurement, measurement.stamp_ns
         for ahead in (self._references, self._excitations):
             if not ahead.take(measurement.seq) and ahead.last is not None:
                 self.count("reference_late")

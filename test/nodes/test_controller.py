@@ -47,7 +47,7 @@ class Loop:
             self.node._on_ahead(self.node._excitations, SimpleNamespace(
                 seq=self.k, voltage=self.added))
             self.node._on_measurement(SimpleNamespace(
-                seq=self.k, stamp_ns=self.k, position=sample.reading_m))
+                seq=self.k, stamp_ns=1000 * len(self.position), position=sample.reading_m))
             self.k += 1
             self.plant.advance(self.sent[-1][4], external_force_n=force)
         return np.array([each[4] for each in self.sent[first:]])
@@ -326,6 +326,20 @@ def test_feedforward_notch_and_shaper_come_from_the_model(loop):
     assert stage.node._laws.by_name["pid"].gains.notch_hz == pytest.approx(16.02, rel=1e-12)
     with pytest.raises(DfmError, match="feedforward model needs the parameter model"):
         stage.set(model="")
+
+
+def test_measurements_that_come_again_are_not_answered(loop):
+    """As from two encoders of one name, one of them a little behind."""
+    stage = loop(model="paper_stage")
+    stage.reference = (2e-4, 0.0, 0.0)
+    late = []
+    for _ in range(2000):
+        stage.run(1)
+        late.append(SimpleNamespace(seq=stage.k - 1, stamp_ns=1000 * len(stage.position),
+                                    position=stage.position[-1]))
+        stage.node._on_measurement(late[-min(len(late), 1 + stage.k % 40)])
+    assert len(stage.sent) == 2000
+    assert stage.node.counters["measurements_late"] == 2000
 
 
 def test_a_shaped_step_does_not_wake_the_mode_of_the_model(loop):
