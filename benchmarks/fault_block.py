@@ -88,12 +88,13 @@ def private_mounts() -> tuple[str, ...]:
 def _faked_clock(folder: Path) -> dict[str, str]:
     """Return the environment in which children, not this process, have a clock that a file sets.
 
-    Their monotonic clock stays, as it does where the clock of a machine is set.
+    Their monotonic clock stays, as it does where the clock of a machine is set. They look at the
+    file once a second each, so they do not agree for as long as that.
     """
     file = folder / "clock"
     file.write_text("+0\n", "ascii")
-    return {"LD_PRELOAD": str(faketime()), FAKETIME_FILE: str(file), "FAKETIME_NO_CACHE": "1",
-            "DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1"}
+    return {"LD_PRELOAD": str(faketime()), FAKETIME_FILE: str(file),
+            "FAKETIME_CACHE_DURATION": "1", "DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1"}
 
 
 def main() -> int:

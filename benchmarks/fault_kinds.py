@@ -62,7 +62,9 @@ class Kind:
         """Return why it cannot be done on this machine, or nothing."""
         if self.private and PRIVATE not in os.environ:
             return "a mount namespace of its own is not permitted"
-        return "libfaketime (apt: libfaketime) is not installed" if self.faked_clock and not faketime() else ""
+        if self.faked_clock and not faketime():
+            return "libfaketime (apt install libfaketime) is not there"
+        return ""
 
 
 # Nodes

@@ -17,7 +17,6 @@ from dfm_stage.errors import DfmError
 from dfm_stage.model import Plant, load_model
 from dfm_stage.nodes.controller import Controller
 
-
 MODELS = Path(__file__).parents[2] / "config" / "models"
 
 
@@ -284,7 +283,7 @@ def test_a_saturation_of_the_model_is_the_outputs_limit(loop, tmp_path):
 
 
 @pytest.mark.parametrize("replaced", ["raster_bench", "rubbish", "gone"])
-def test_a_model_file_that_is_replaced_changes_nothing_until_model_is_set(loop, tmp_path, replaced):
+def test_a_replaced_model_file_changes_nothing_until_model_is_set(loop, tmp_path, replaced):
     path = tmp_path / "model.yaml"
     known = (MODELS / "paper_stage.yaml").read_text()
     path.write_text(known)
