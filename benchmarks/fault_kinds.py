@@ -169,7 +169,6 @@ def _full(folder: Path) -> Iterator[None]:
 def _clock_set(scene: Scene, fault: Fault) -> None:
     """The clock of the nodes alone is set, and set back; their monotonic clock goes on."""
     step_s = CLOCK_STEP_S if fault.node == "forward" else -CLOCK_STEP_S
-    scene.undo.callback(scene.change_bag)
     _set_clock(scene, step_s)
     scene.undo.callback(_set_clock, scene, 0.0)
     scene.spin(fault.pause_s)

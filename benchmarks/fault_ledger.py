@@ -19,7 +19,8 @@ class Ledger:
     """The messages of one bag: heard, paused, killed; counted in `tally` when the bag ends.
 
     `heard` lists what the witness heard by topic, `paused` when the recorder was stopped,
-    `killed` names and times of killed nodes (ns). `ends_ns` is up to when the recorder, which has
+    `killed` names and times of killed nodes (ns), `seconds` when second nodes of a name came and
+    the newest numbers of the first ones, by topic. `ends_ns` is up to when the recorder, which has
     ended, must have what was heard; None while it works.
     """
 
@@ -28,6 +29,7 @@ class Ledger:
         self.heard: dict[str, list[Any]] = {}
         self.paused: list[tuple[int, int]] = []
         self.killed: list[tuple[str, int]] = []
+        self.seconds: list[tuple[int, dict[str, int]]] = []
         self.ends_ns: int | None = None
         self.began_ns = 0
 
@@ -37,12 +39,18 @@ class Ledger:
             messages.clear()
         self.paused.clear()
         self.killed.clear()
+        self.seconds.clear()
         self.ends_ns = None
         self.began_ns = time.time_ns()
 
     def ends(self, at_ns: int) -> None:
         """Expect nothing of the recorder that was heard after `at_ns`."""
         self.ends_ns = at_ns if self.ends_ns is None else min(at_ns, self.ends_ns)
+
+    def second_comes(self) -> None:
+        """Note that another node of a name comes: it numbers from zero."""
+        self.seconds.append((time.time_ns(), {
+            topic: messages[-1].seq for topic, messages in self.heard.items() if messages}))
 
     def newest_ns(self, node: str) -> int:
         """Return the stamp of the last message of a node that was heard; 0 without one."""
@@ -71,6 +79,9 @@ class Ledger:
                 self.tally.lost_while_paused += 1
             elif self._at_kill(topic, stamp_ns):
                 self.tally.lost_at_kill += 1
+            elif any(start <= stamp_ns and seq < newest.get(topic, 0)
+                     for start, newest in self.seconds):
+                self.tally.lost_of_seconds += 1
             else:
                 lost.append((stamp_ns, seq))
         self.tally.lost += len(lost)

@@ -45,7 +45,8 @@ class Tally:
     `deaf`: how often a fault cut off the witness itself, in whose process the operator sits. The
     bag shows that the graph went on, the fault is repeated on another. `travelled` is the furthest
     in all bags, m. `lost_at_kill` were published within 5 ms before their publisher was killed,
-    `lost_while_paused` while the recorder was stopped; neither are in `lost`.
+    `lost_while_paused` while the recorder was stopped, and `lost_of_seconds` by a second node of a
+    name, which the witness met before the recorder did; none of them are in `lost`.
     """
 
     outcomes: list[Outcome] = field(default_factory=list)
@@ -53,6 +54,7 @@ class Tally:
     lost: int = 0
     lost_at_kill: int = 0
     lost_while_paused: int = 0
+    lost_of_seconds: int = 0
     deaf: int = 0
     travelled: float = 0.0
     lost_words: list[str] = field(default_factory=list)

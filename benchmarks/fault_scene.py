@@ -161,10 +161,9 @@ class Scene:
         if bag is not None:
             self.ledger.begin()
 
-    def change_bag(self, until_ns: int | None = None) -> None:
+    def change_bag(self, until_ns: int) -> None:
         """Have the recorder begin another bag; of this one nothing is expected after a time."""
-        if until_ns is not None:
-            self.ledger.ends(until_ns)
+        self.ledger.ends(until_ns)
         if RECORDER not in self.gone():
             self.end(RECORDER, signal.SIGINT)
         self.start(RECORDER)
@@ -176,6 +175,7 @@ class Scene:
         """Run nodes of these full names beside the graph, with the parameters of its own."""
         own = {each.kind: each.parameters for each in self.graph.launched}
         started = []
+        self.ledger.second_comes()
         try:
             for name in nodes:
                 space, _, kind = name.rpartition("/")

@@ -146,6 +146,8 @@ def _messages(tally: Tally) -> list[Figure]:
                how="of the same, published within 5 ms before their publisher was killed"),
         Figure("faults.lost_while_paused", float(tally.lost_while_paused), "messages",
                how="of the same, published while the recorder itself was stopped (history: 2 s)"),
+        Figure("faults.lost_of_seconds", float(tally.lost_of_seconds), "messages",
+               how="of the same, published by a second node of a name before the recorder met it"),
     ]
 
 

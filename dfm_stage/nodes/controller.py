@@ -65,8 +65,8 @@ def settings_of(laws: Mapping[str, type[Law]]) -> tuple[Setting, ...]:
 
 _KEPT_AHEAD = 64
 _LATE_NS = 10**9
-"""A measurement older than the last by less than this comes from a second encoder_driver of the same
-name, and would be taken for a jump; by more, the clock was set back."""
+"""A measurement older than the last by less than this is that of a second encoder_driver of the
+same name, and would be taken for a jump; by more, the clock was set back."""
 
 
 class Ahead(Recent[Any]):

@@ -94,7 +94,8 @@ def test_what_is_lost_is_counted_by_its_cause():
     ledger.heard = {"command": [message(each) for each in range(1, 101)], "plant": [message(50)]}
     ledger.killed = [("/stage/x/controller", NOW_NS + 60 * 10**6 + 1)]
     ledger.paused = [(NOW_NS + 80 * 10**6, NOW_NS + 82 * 10**6)]
-    there = [each for each in range(1, 101) if each not in {40, 54, 56, 58, 62, 80, 81, 90, 95}]
+    ledger.seconds = [(NOW_NS, {"command": 3})]
+    there = [each for each in range(1, 101) if each not in {2, 40, 54, 56, 58, 62, 80, 81, 90, 95}]
     bag = {"/stage/x/command": {"header.stamp": NOW_NS + np.array(there) * 10**6,
                                 "seq": np.array(there)}}
     ledger.compare([bag], "bag", until_ns=NOW_NS + 95 * 10**6)
@@ -102,6 +103,7 @@ def test_what_is_lost_is_counted_by_its_cause():
     assert tally.witnessed == 95
     assert tally.lost_at_kill == 2  # 56 and 58: 5 ms or less before the kill of the controller
     assert tally.lost_while_paused == 2
+    assert tally.lost_of_seconds == 1  # 2, the first one of this name being at 3
     assert tally.lost == 5  # 40, 54, 62, 90, and that of the plant, which nobody killed
 
 
