@@ -9,27 +9,20 @@ import argparse
 import ctypes
 import json
 import os
-import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 
 from benchmarks.fault_campaign import Campaign
-from benchmarks.fault_kinds import FAKETIME_FILE, KINDS, PRIVATE, faketime
+from benchmarks.fault_kinds import FAKETIME_FILE, KINDS, faketime
 from benchmarks.fault_outcome import Fault, Tally
+from benchmarks.private import run_module
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
 
 PR_SET_PDEATHSIG = 1
-ROOT = Path(__file__).resolve().parents[1]
-ROOM = "256m"
-"""Of /dev/shm, and of the disk for the bags, each."""
-MOUNT = (f"mount -t tmpfs -o size={ROOM} none /dev/shm && "
-         f'mount -t tmpfs -o size={ROOM} none "$0" && exec "$@"')
 
 
 def run_block(faults: Sequence[Fault], answer: Path) -> Tally:
@@ -45,23 +38,10 @@ def run_block(faults: Sequence[Fault], answer: Path) -> Tally:
         asked.write_text(json.dumps([vars(fault) for fault in faults]), "utf-8")
         bags = Path(folder) / "bags"
         bags.mkdir()
-        environment = dict(os.environ)
-        private = private_mounts()
-        if private:
-            environment[PRIVATE] = "1"
-        command = [*private, *(["sh", "-c", MOUNT, str(bags)] if private else []),
-                   sys.executable, "-m", "benchmarks.fault_block", str(asked), str(bags),
-                   str(answer)]
-        with subprocess.Popen(command, cwd=ROOT, env=environment) as process:
-            try:
-                code = process.wait()
-            except BaseException:
-                process.send_signal(signal.SIGINT)
-                process.wait()
-                raise
-        if code != 0:
-            raise DfmError(f"a block of faults ended with code {code}: its message is above")
-    return kept(faults, answer) or Tally()
+        run_module("benchmarks.fault_block", [str(asked), str(bags), str(answer)], bags)
+    if (tally := kept(faults, answer)) is None:
+        raise DfmError(f"{answer} is not the outcome of the faults that were asked for")
+    return tally
 
 
 def kept(faults: Sequence[Fault], answer: Path) -> Tally | None:
@@ -71,18 +51,6 @@ def kept(faults: Sequence[Fault], answer: Path) -> Tally | None:
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return tally if [each.fault for each in tally.outcomes] == [*faults] else None
-
-
-@cache
-def private_mounts() -> tuple[str, ...]:
-    """Return the command that gives a program mounts of its own; empty where not permitted."""
-    for flags in ("-m", "-Urm"):
-        command = ("unshare", flags)
-        if shutil.which("unshare") and subprocess.run(
-                [*command, "mount", "-t", "tmpfs", "none", "/dev/shm"],  # noqa: S108
-                check=False, capture_output=True).returncode == 0:
-            return command
-    return ()
 
 
 def _faked_clock(folder: Path) -> dict[str, str]:

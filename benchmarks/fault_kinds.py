@@ -24,11 +24,10 @@ from benchmarks.fault_scene import (
     Scene,
     packaged_model,
 )
+from benchmarks.private import PRIVATE
 from dfm_stage.harness import HarnessError
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 where Fast DDS has its ports
-PRIVATE = "DFM_FAULTS_PRIVATE"
-"""In the environment where /dev/shm and the folder of the bags are this bench's alone."""
 CLOCK_STEP_S = 60.0
 """Longer than a graph may take to recover: a wait by the clock that was set back shows."""
 FAKETIME_FILE = "FAKETIME_TIMESTAMP_FILE"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import tempfile
@@ -11,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fault_block import kept, private_mounts, run_block
-from benchmarks.fault_kinds import KINDS, PRIVATE, draw
+from benchmarks.fault_block import kept, run_block
+from benchmarks.fault_kinds import KINDS, draw
 from benchmarks.fault_outcome import Fault, Outcome, Tally
 from benchmarks.fault_sight import TRAVEL_M
 from benchmarks.figure import Figure
+from benchmarks.private import PRIVATE, private_mounts
 from dfm_stage.errors import DfmError
 
 FULL, QUICK, SEED, BLOCK = 200, 20, 1, 25
@@ -159,6 +161,9 @@ def _processes_left() -> int:
 
 
 def _children() -> list[str]:
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass  # orphans that have ended
     text = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text("utf-8")
     return [pid for pid in text.split() if "resource_tracker" not in _command(pid)]
 
