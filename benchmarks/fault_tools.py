@@ -79,7 +79,8 @@ def crowd() -> None:
 
 def _be_tool(name: str) -> None:
     """As `ros2 topic echo` and `ros2 service call` do: listen, and look for a service."""
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+    # RuntimeError: of rclpy, which a signal shuts down while the node is made
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException, RuntimeError):
         rclpy.init(args=[])
         node = rclpy.create_node(name)
         heard = LINKS["measurement"]

@@ -27,9 +27,9 @@ class RealTime:
     Work at the same or a higher priority is all that such a process waits for. Where it waits for
     more than 5 % of the time (`look`, five times in a row, or 0.9 s in all), the real-time nodes
     together are too much for this machine and everything else on it, the recorder first, gets
-    nothing: then the process returns to the normal policy, for 20 s the first time and twice as long each further
-    time. On two idle cores, at SCHED_FIFO, one axis waited for 0 to 2 % and two axes in processes
-    for 4 to 13 %, which left a recorder at normal priority 4 % of a core.
+    nothing: then the process returns to the normal policy, for 20 s the first time and twice as
+    long each further time. On two idle cores, at SCHED_FIFO, one axis waited for 0 to 2 % and two
+    axes in processes for 4 to 13 %, which left a recorder at normal priority 4 % of a core.
 
     For as long as a killed neighbour is still written to, at a price (`shared_memory`), or a topic
     of the loop is silent, the process returns to the normal policy as well: in a fault campaign
