@@ -17,6 +17,7 @@ from pathlib import Path
 
 from benchmarks.fault_campaign import Campaign
 from benchmarks.fault_kinds import FAKETIME_FILE, KINDS, faketime
+from benchmarks.fault_ledger import CLOCK_AHEAD_S
 from benchmarks.fault_outcome import Fault, Tally
 from benchmarks.private import run_module
 from dfm_stage.errors import DfmError
@@ -60,7 +61,7 @@ def _faked_clock(folder: Path) -> dict[str, str]:
     file once a second each, so they do not agree for as long as that.
     """
     file = folder / "clock"
-    file.write_text("+0\n", "ascii")
+    file.write_text(f"{CLOCK_AHEAD_S:+g}\n", "ascii")
     return {"LD_PRELOAD": str(faketime()), FAKETIME_FILE: str(file),
             "FAKETIME_CACHE_DURATION": "1", "DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1"}
 
@@ -73,10 +74,11 @@ def main() -> int:
     given = parser.parse_args()
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT, 0, 0, 0)  # end with who asked
     faults = [Fault(**each) for each in json.loads(given.faults.read_text("utf-8"))]
-    if any(KINDS[fault.kind].faked_clock for fault in faults):
+    faked = any(KINDS[fault.kind].faked_clock for fault in faults)
+    if faked:
         os.environ.update(_faked_clock(given.bags))
     try:
-        tally = Campaign(given.bags).run(faults)
+        tally = Campaign(given.bags, CLOCK_AHEAD_S if faked else 0.0).run(faults)
     except KeyboardInterrupt:
         return 130
     write_whole(given.answer, json.dumps(tally.to_dict(), indent=1) + "\n")

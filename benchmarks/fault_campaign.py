@@ -45,12 +45,15 @@ class _Struck:
 
 
 class Campaign:
-    """A graph that suffers faults; bags go into `folder`, one for every start of the recorder."""
+    """A graph that suffers faults; bags go into `folder`, one for every start of the recorder.
 
-    def __init__(self, folder: Path) -> None:
+    The clock of the nodes is `ahead_s` before that of this process.
+    """
+
+    def __init__(self, folder: Path, ahead_s: float = 0.0) -> None:
         self.tally = Tally()
         self._folder = folder
-        self._ledger = Ledger(self.tally)
+        self._ledger = Ledger(self.tally, int(ahead_s * 1e9))
         self._scene: Scene
         self._struck: list[_Struck] = []
         self._plant_ended_ns = 0
@@ -113,8 +116,10 @@ class Campaign:
         """
         for struck in self._struck:
             outcome, node = struck.outcome, struck.outcome.fault.node
-            at_last = recorded(bag, struck.begin_ns, struck.end_ns)
-            doubts = [recorded(bag, struck.begin_ns, at) for at in struck.doubts_ns]
+            ahead_ns = self._ledger.ahead_ns
+            begin_ns = struck.begin_ns + ahead_ns
+            at_last = recorded(bag, begin_ns, struck.end_ns + ahead_ns)
+            doubts = [recorded(bag, begin_ns, at + ahead_ns) for at in struck.doubts_ns]
             if at_last.travelled > TRAVEL_M:
                 outcome.safe = False
                 outcome.words = f"in the bag {at_last}; {outcome.words}"
@@ -125,7 +130,7 @@ class Campaign:
                 outcome.recovered = outcome.recovered_by_bag = True
             if outcome.explained is False and outcome.fault.kind != "kill" and not (
                     KINDS[outcome.fault.kind].words) and (
-                    recorded(bag, struck.begin_ns, struck.looked_ns).works):
+                    recorded(bag, begin_ns, struck.looked_ns + ahead_ns).works):
                 outcome.explained, outcome.cut, outcome.by_bag = None, False, True
 
     # One fault

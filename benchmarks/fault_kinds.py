@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.fault_ledger import CLOCK_AHEAD_S
 from benchmarks.fault_outcome import Fault
 from benchmarks.fault_scene import (
     NODES,
@@ -169,8 +170,8 @@ def _full(folder: Path) -> Iterator[None]:
 def _clock_set(scene: Scene, fault: Fault) -> None:
     """The clock of the nodes alone is set, and set back; their monotonic clock goes on."""
     step_s = CLOCK_STEP_S if fault.node == "forward" else -CLOCK_STEP_S
-    _set_clock(scene, step_s)
-    scene.undo.callback(_set_clock, scene, 0.0)
+    _set_clock(scene, CLOCK_AHEAD_S + step_s)
+    scene.undo.callback(_set_clock, scene, CLOCK_AHEAD_S)
     scene.spin(fault.pause_s)
 
 

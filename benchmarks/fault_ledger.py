@@ -11,6 +11,10 @@ import numpy as np
 from benchmarks.fault_outcome import Tally
 from dfm_stage.nodes.wiring import LINKS
 
+CLOCK_AHEAD_S = 120.0
+"""Of nodes whose clock is not the witness's, before and after it is set. Never behind: Fast DDS
+waits until times of this clock (pthread_mutex_timedlock, sem_timedwait), which libfaketime leaves
+as they are, and would take every neighbour for dead."""
 AT_KILL_S = 5e-3
 """What a node published this shortly before it was killed may have reached one reader alone."""
 
@@ -21,11 +25,13 @@ class Ledger:
     `heard` lists what the witness heard by topic, `paused` when the recorder was stopped,
     `killed` names and times of killed nodes (ns), `seconds` when second nodes of a name came and
     the newest numbers of the first ones, by topic. `ends_ns` is up to when the recorder, which has
-    ended, must have what was heard; None while it works.
+    ended, must have what was heard; None while it works. All of these are times of the witness,
+    `ahead_ns` behind the clock of the nodes.
     """
 
-    def __init__(self, tally: Tally) -> None:
+    def __init__(self, tally: Tally, ahead_ns: int = 0) -> None:
         self.tally = tally
+        self.ahead_ns = ahead_ns
         self.heard: dict[str, list[Any]] = {}
         self.paused: list[tuple[int, int]] = []
         self.killed: list[tuple[str, int]] = []
@@ -54,7 +60,7 @@ class Ledger:
 
     def newest_ns(self, node: str) -> int:
         """Return the stamp of the last message of a node that was heard; 0 without one."""
-        return max((messages[-1].stamp_ns for topic, messages in self.heard.items()
+        return max((messages[-1].stamp_ns - self.ahead_ns for topic, messages in self.heard.items()
                     if messages and LINKS[topic].publisher == node.rpartition("/")[2]), default=0)
 
     def compare(self, bags: Sequence[Mapping[str, Any]], name: str, until_ns: int) -> None:
@@ -63,10 +69,10 @@ class Ledger:
             there: set[tuple[int, int]] = set()
             for bag in bags:
                 if (full := f"/stage/x/{topic}") in bag:
-                    there |= set(zip(bag[full]["header.stamp"].tolist(),
+                    there |= set(zip((bag[full]["header.stamp"] - self.ahead_ns).tolist(),
                                      bag[full]["seq"].tolist(), strict=True))
-            mine = {(each.stamp_ns, each.seq) for each in messages
-                    if self.began_ns < each.stamp_ns < until_ns}
+            mine = {(stamp_ns, each.seq) for each in messages
+                    if self.began_ns < (stamp_ns := each.stamp_ns - self.ahead_ns) < until_ns}
             self.tally.witnessed += len(mine)
             self._count(topic, sorted(mine - there), len(mine), until_ns,
                         f"{name}, begun anew {len(bags) - 1} times")

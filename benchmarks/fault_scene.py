@@ -55,7 +55,7 @@ class Scene:
         self.undo = contextlib.ExitStack()
         self.said: list[tuple[float, str]] = []
         self.answers_s: list[float] = []
-        self.clock_ahead_ns = 0
+        self.clock_ahead_ns = ledger.ahead_ns
         self.model = folder / "model.yaml"
         self.model.write_bytes(packaged_model("paper_stage"))
         self.parameters: dict[str, dict[str, Any]] = {
