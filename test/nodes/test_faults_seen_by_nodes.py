@@ -55,11 +55,18 @@ def test_an_encoder_that_starts_anew_has_lost_no_four_billion_samples(make):
 def test_counts_of_two_plants_take_the_output_to_zero(make):
     """Each of their positions in turn would be a stage that jumps."""
     node = make(EncoderDriver)
+    sent = []
+    node._out.send = lambda *values: sent.append(values[1])
     for seq in (700, 0, 701):
         node._on_counts(SimpleNamespace(seq=seq, stamp_ns=10**12 + seq, counts=0, resolution=1e-9))
     assert not node._alarms
     node._on_counts(SimpleNamespace(seq=1, stamp_ns=10**12 + 1, counts=0, resolution=1e-9))
     assert "two sources" in node._alarms["sources"]
+    assert sent == [700, 0, 701]
+    node._every_second()
+    node._every_second()
+    node._on_counts(SimpleNamespace(seq=2, stamp_ns=10**12 + 2, counts=0, resolution=1e-9))
+    assert sent[3:] == [2]
 
 
 def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
