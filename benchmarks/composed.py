@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.fault_campaign import CONTROLLER
+from benchmarks.fault_scene import CONTROLLER
 from benchmarks.figure import BarKind, Figure
 from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.middleware.scheduling import RealTime

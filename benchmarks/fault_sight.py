@@ -64,11 +64,16 @@ def heard(messages: Mapping[str, Sequence[Any]], since: int, now_ns: int) -> Sig
 
 
 def recorded(bag: Mapping[str, Any], since_ns: int, now_ns: int) -> Sight:
-    """Return what a bag shows at `now_ns`, with the travel since `since_ns`."""
+    """Return what a bag shows at `now_ns`, with the travel since `since_ns`.
+
+    Its stamps need not rise: a clock may have been set.
+    """
     ages, last = {}, {}
     for topic in WITNESSED:
-        stamps = bag[f"/stage/x/{topic}"]["header.stamp"] if f"/stage/x/{topic}" in bag else []
-        last[topic] = int(np.searchsorted(stamps, now_ns, side="right")) - 1
+        stamps = (np.asarray(bag[f"/stage/x/{topic}"]["header.stamp"])
+                  if f"/stage/x/{topic}" in bag else np.empty(0, np.int64))
+        there = stamps <= now_ns
+        last[topic] = int(np.argmax(np.where(there, stamps, 0))) if there.any() else -1
         ages[topic] = ((now_ns - int(stamps[last[topic]])) * 1e-9 if last[topic] >= 0
                        else float("inf"))
 

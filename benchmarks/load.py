@@ -12,7 +12,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from benchmarks.fault_campaign import CONTROLLER
+from benchmarks.fault_scene import CONTROLLER
 from benchmarks.fault_sight import TRAVEL_M
 from benchmarks.figure import Figure
 from dfm_stage.harness import HarnessError, StageGraph

@@ -10,7 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 
-from benchmarks.fault_campaign import CONTROLLER, GENERATOR
+from benchmarks.fault_scene import CONTROLLER, GENERATOR
 from benchmarks.fault_sight import WITNESSED
 from benchmarks.figure import Figure
 from benchmarks.load import PLANT

@@ -19,7 +19,8 @@ TITLES = {
     "identify": "Identification", "motor_bench": "Data recorded by others",
     "control": "Controllers on one scan", "drivers": "Serial drivers", "diagnose": "Diagnosis",
     "long": "Long records",
-    "faults": "Faults", "executors": "Executors", "zero_current": "Time to zero current",
+    "faults": "Faults", "joins": "Tools that come and go",
+    "executors": "Executors", "zero_current": "Time to zero current",
     "real": "Diagnoses of records measured by others",
 }
 COLUMNS = ("figure", "value", "unit", "bar", "", "peer", "its value", "ratio", "how")

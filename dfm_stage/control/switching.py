@@ -54,8 +54,12 @@ class Point(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a set of parameter values comes to: checked and designed, ready to be taken over."""
+    """What a set of parameter values comes to: checked and designed, ready to be taken over.
 
+    `model` is what it was designed with.
+    """
+
+    model: Model | None
     mode: str
     limit_v: float
     effects: EffectInput | None
@@ -82,7 +86,7 @@ def plan_laws(values: Mapping[str, Any], model: Model | None, laws: Laws = LAWS)
     effects = EffectInput(setup.need_model("feedforward model")) if by_model else None
     plans = {name: law.plan(setup) for name, law in laws.items()
              if model is not None or not law.needs_model}
-    return Plan(mode, setup.output_limit_v, effects if effects and effects.any else None,
+    return Plan(model, mode, setup.output_limit_v, effects if effects and effects.any else None,
                 _shaping(setup), plans)
 
 

@@ -47,7 +47,8 @@ class Interlock:
     stale_s : float
         Longest time between commands once the first has come; 0 in lockstep, where time waits.
     measurement_age_s : float
-        Longest age of the measurement that a command answers; 0 = any.
+        Longest age of the measurement that a command answers; 0 = any. One that is stamped as far
+        ahead of the clock, which was set back, may be of any age, and is no better.
     age_lasts_s : float
         How long commands may answer older ones, with 0 in their place, before that latches; one
         that does not say which (stamp 0, sent by hand) is obeyed then. 0 = not at all.
@@ -148,7 +149,7 @@ class Interlock:
         self.last_command_s = now_s
         if self._age_ns and (command.measurement_stamp_ns or not self._age_lasts_s):
             age_ns = now_ns - command.measurement_stamp_ns
-            if age_ns > self._age_ns:
+            if abs(age_ns) > self._age_ns:
                 self._on_old_measurement(age_ns * 1e-6, now_s)
                 return 0.0
             self._old_since_s = None
@@ -160,7 +161,9 @@ class Interlock:
         if self._old_since_s is None:
             self._old_since_s = now_s
         if now_s - self._old_since_s >= self._age_lasts_s:
-            self.trip(Cause.ENCODER, f"a command answers a measurement {age_ms:.1f} ms old")
+            self.trip(Cause.ENCODER, f"a command answers a measurement {age_ms:.1f} ms old"
+                      if age_ms > 0.0 else "a command answers a measurement stamped "
+                      f"{-age_ms:.1f} ms ahead of the clock: was it set back?")
 
     def _out_of_turn(self, seq: int) -> bool:
         """Trip if a command's number does not come after the last; 0 is no number."""

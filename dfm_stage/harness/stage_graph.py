@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control.parameter_file import FIXED, read_parameters
 from dfm_stage.harness.node_set import HarnessError, NodeSet, RunFailedError
+from dfm_stage.harness.taps import Taps
 from dfm_stage.middleware.hand_over import Receiver
 from dfm_stage.middleware.wire import codec
 from dfm_stage.model import load_model
@@ -105,6 +106,7 @@ class StageGraph(NodeSet):
         self._sample_period_s = sample_period_s
         self._parameters = self._node_parameters(model, seed, parameters or {})
         self._goals: dict[str, Any] = {}
+        self._taps: Taps | None = None
 
     def _node_parameters(self, model: str, seed: int,
                          extra: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -235,6 +237,9 @@ class StageGraph(NodeSet):
         for client in self._goals.values():
             client.destroy()
         self._goals = {}
+        if self._taps is not None:
+            self._taps.close()
+            self._taps = None
 
     def _on_hardware(self, kind: str) -> bool:
         return bool(self._parameters.get(kind, {}).get("device", "sim") != "sim")
@@ -331,17 +336,26 @@ class StageGraph(NodeSet):
         """Return a list that every message of a loop topic is put into from now on, decoded.
 
         `topic` is a name in `dfm_stage.nodes.wiring.LINKS`, such as `measurement`. With `lossy`
-        it listens best effort: where this process is too slow it misses messages, instead of
-        having the node send them again; not in lockstep, where every sample counts.
+        it listens best effort, and fetches what came every few milliseconds: where this process
+        is too slow it misses messages, instead of having the node send them again; not in
+        lockstep, where every sample counts.
         """
         link, heard = LINKS[topic], []
         qos = LOCKSTEP_QOS if self.lockstep else LOSSY_QOS if lossy else PUBLISHER_QOS
         decode = codec(link.type).decode
-        ears = Receiver(self._client_node, link.type, f"/stage/{axis}/{topic}",
-                        lambda data: heard.append(decode(data)), qos)
+        name = f"/stage/{axis}/{topic}"
+        ears = (self._lossy().add(link.type, name, lambda data: heard.append(decode(data)), qos)
+                if lossy and not self.lockstep else
+                Receiver(self._client_node, link.type, name,
+                         lambda data: heard.append(decode(data)), qos))
         self.spin_until(lambda: ears.ros.get_publisher_count() > 0,
                         self._start_timeout_s, f"a publisher of {topic}")
         return heard
+
+    def _lossy(self) -> Taps:
+        if self._taps is None:
+            self._taps = Taps(self._client_node)
+        return self._taps
 
     def _experiment(self, given: Any) -> tuple[Path, Experiment]:
         if isinstance(given, Experiment):

@@ -12,6 +12,9 @@ _SENDER = "dds.asyn"
 without a pause, and at real-time priority kept the processor from whoever held it."""
 _CROWDED = 0.05
 _CROWDED_LOOKS = 5
+_CROWDED_S = 0.9
+"""So much waiting in fewer looks is enough: with two graphs on two cores nodes waited for a third
+of the time, and an operator for 16 s."""
 _PAUSE_S = 20.0
 
 
@@ -22,11 +25,11 @@ class RealTime:
     whose holder has no processor.
 
     Work at the same or a higher priority is all that such a process waits for. Where it waits for
-    more than 5 % of the time (`look`, five times in a row), the real-time nodes together are too
-    much for this machine and everything else on it, the recorder first, gets nothing: then the
-    process returns to the normal policy, for 20 s the first time and twice as long each further
-    time. On two idle cores, at SCHED_FIFO, one axis waited for 0 to 2 % and two axes in processes
-    for 4 to 13 %, which left a recorder at normal priority 4 % of a core.
+    more than 5 % of the time (`look`, five times in a row, or 0.9 s in all), the real-time nodes
+    together are too much for this machine and everything else on it, the recorder first, gets
+    nothing: then the process returns to the normal policy, for 20 s the first time and twice as
+    long each further time. On two idle cores, at SCHED_FIFO, one axis waited for 0 to 2 % and two
+    axes in processes for 4 to 13 %, which left a recorder at normal priority 4 % of a core.
 
     For as long as a killed neighbour is still written to, at a price (`shared_memory`), or a topic
     of the loop is silent, the process returns to the normal policy as well: in a fault campaign
@@ -40,7 +43,7 @@ class RealTime:
         self.held = False
         self._priority = 0
         self._waited_s, self._looked_s = 0.0, 0.0
-        self._crowded = 0
+        self._crowded, self._crowded_s = 0, 0.0
         self._pause_s, self._again_s = _PAUSE_S, 0.0
 
     @property
@@ -69,7 +72,7 @@ class RealTime:
                               "limits.conf)")
             else:
                 self.words, self.held = f"SCHED_RR {priority}", True
-                self._priority, self._crowded = priority, 0
+                self._priority, self._crowded, self._crowded_s = priority, 0, 0.0
                 self._waited_s, self._looked_s = _waited_s(), now_s
 
     def look(self, now_s: float, broken: str = "") -> bool:
@@ -87,10 +90,12 @@ class RealTime:
         if now_s <= self._looked_s:
             return False
         waited_s = _waited_s()
-        share = (waited_s - self._waited_s) / (now_s - self._looked_s)
+        more_s = waited_s - self._waited_s
+        share = more_s / (now_s - self._looked_s)
         self._waited_s, self._looked_s = waited_s, now_s
         self._crowded = self._crowded + 1 if share > _CROWDED else 0
-        if self._crowded < _CROWDED_LOOKS:
+        self._crowded_s = self._crowded_s + more_s if share > _CROWDED else 0.0
+        if self._crowded < _CROWDED_LOOKS and self._crowded_s < _CROWDED_S:
             return False
         self.give_back()
         self.words = (f"normal (SCHED_RR given back for {self._pause_s:g} s: it waited "

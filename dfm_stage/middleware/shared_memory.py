@@ -43,7 +43,7 @@ from pathlib import Path
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 where Fast DDS puts it
 PORT_BASE, DOMAIN_GAIN = 7400, 250
 """First port of domain 0, and ports of each domain (DDSI-RTPS 2.5, 9.6.2.4)."""
-LEASE_S = 11.0
+LEASE_S = 14.0
 PORT_LOOK_S = 1.0
 _NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
 _PARTICIPANT = 12

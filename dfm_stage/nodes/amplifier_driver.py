@@ -293,6 +293,11 @@ class AmplifierDriver(ManagedNode):
             return f"the encoder is {self._encoder.message}"
         return ""
 
+    def has_namesakes(self, words: str) -> None:
+        """Both drive the coil."""
+        if not self.lockstep:
+            self._trip(Cause.OTHER_PUBLISHER, words)
+
     def _check_publishers(self) -> None:
         """One node is to send commands; two of one name are told apart by their numbers."""
         if not self._interlock.armed or self._commands.ros.get_publisher_count() < 2:

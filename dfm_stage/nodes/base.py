@@ -164,6 +164,7 @@ class LoopNode(Node):
         self.publishers_of_links: list[Publisher] = []
         self._receivers: list[Receiver] = []
         self._begun = False
+        self._tell_health: Callable[[], None] = lambda: None
         self._waiting_since: tuple[tuple[str, int] | None, float] = None, 0.0
         self._config = self.side_publisher("~/config")
         self._diagnostics = self.side_publisher("/diagnostics")
@@ -228,6 +229,9 @@ class LoopNode(Node):
     def not_ready(self) -> str | None:
         """Return why the node cannot work yet, apart from its links, or None."""
         return None
+
+    def has_namesakes(self, words: str) -> None:
+        """React to other nodes of this one's name; `words` say so. Called each second."""
 
     # Tools for the nodes
 
@@ -295,9 +299,10 @@ class LoopNode(Node):
 
         def say() -> None:
             self.errors_active.put(SAMPLE_PERIOD.name, check.complaint)
+            complaint = check.complaint or self.errors_active.get("name")
             health.publish(
-                self.status(DiagnosticStatus.ERROR, f"{self.kind}: {check.complaint}")
-                if check.complaint else self.status(
+                self.status(DiagnosticStatus.ERROR, f"{self.kind}: {complaint}")
+                if complaint else self.status(
                     DiagnosticStatus.WARN,
                     f"{self.kind} still compares its sampling period with the measurements")
                 if check.measured_s is None else self.status(DiagnosticStatus.OK))
@@ -310,6 +315,7 @@ class LoopNode(Node):
             callback(measurement)
 
         say()
+        self._tell_health = say
         return compared
 
     def destroy_node(self) -> None:
@@ -377,6 +383,26 @@ class LoopNode(Node):
                    if (name if "/" in name else f"{self.get_namespace()}/{name}") not in here]
         return f"there is no {', '.join(missing)}" if missing else ""
 
+    def _look_for_namesakes(self) -> None:
+        before, words = self.errors_active.get("name", ""), self._namesakes()
+        if self.errors_active.put("name", words):
+            self.get_logger().error(words)
+        if words:
+            self.has_namesakes(words)
+        if words != before:
+            self._tell_health()
+
+    def _namesakes(self) -> str:
+        """Say that other nodes have this one's name: both obey, and both publish."""
+        topic = self._config.topic_name
+        if self.count_publishers(topic) < 2:  # who they are takes longer to find out
+            return ""
+        killed = killed_endpoints()
+        alive = sum(not bytes(info.endpoint_gid).startswith(killed)
+                    for info in self.get_publishers_info_by_topic(topic))
+        return (f"{alive} nodes are called {self.get_fully_qualified_name()}: end all but one"
+                if alive > 1 else "")
+
     def _broken(self) -> str:
         if self._watch.silent:
             return "a topic of the loop is silent"
@@ -386,6 +412,7 @@ class LoopNode(Node):
         now = time.monotonic()
         if not self.lockstep:
             self._watch.look(now)
+        self._look_for_namesakes()
         if (self.realtime.wanted and self.priority >= PRIORITY.default
                 and self.realtime.look(now, self._broken())):
             self.get_logger().info(f"scheduling: {self.realtime.words}")

@@ -38,6 +38,7 @@ from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
 
 _AT_ZERO = Point()
 _LAW_FILES = "law_files"
+_MODEL = "model"
 
 
 @lru_cache(maxsize=8)
@@ -63,6 +64,9 @@ def settings_of(laws: Mapping[str, type[Law]]) -> tuple[Setting, ...]:
 
 
 _KEPT_AHEAD = 64
+_LATE_NS = 10**9
+"""A measurement older than the last by less than this is that of a second encoder_driver of the
+same name, and would be taken for a jump; by more, the clock was set back."""
 
 
 class Ahead(Recent[Any]):
@@ -93,9 +97,11 @@ class Controller(LoopNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
+        self._known = laws_with(self.settings[_LAW_FILES])
         self._guard = self._new_guard()
         self._seq = 0
         self._last_seq: int | None = None
+        self._answered_ns = -_LATE_NS
         self._sent_v = self._added_v = 0.0
         self._measurement: Any = None
         self._amplifier: Any = None
@@ -111,7 +117,7 @@ class Controller(LoopNode):
     def start_work(self) -> None:
         """Make the laws that were planned from the parameters."""
         values = self.settings.values
-        self._laws = LawSet(values, self.settings.plan, laws_with(values[_LAW_FILES]))
+        self._laws = LawSet(values, self.settings.plan, self._known)
 
     # Parameters
 
@@ -127,12 +133,18 @@ class Controller(LoopNode):
             cls.settings_table)
 
     def check_settings(self, values: dict[str, Any]) -> Plan:
-        """Return the plan of the laws; refuse gains and models that they cannot work with."""
-        name, model = values["model"], None
-        if name:
+        """Return the plan of the laws; refuse gains and models that they cannot work with.
+
+        The file of the model is read where `model` is set, and only there: one that was replaced
+        meanwhile must neither change the law unasked nor keep an operator from setting the mode.
+        """
+        name, model = values[_MODEL], None
+        if self.settings.plan is not None and _MODEL not in self.settings.asked:
+            model = self.settings.plan.model
+        elif name:
             changed_ns = Path(name).stat().st_mtime_ns if Path(name).is_file() else 0
             model = _axis_model(name, changed_ns, self.axis)
-        return plan_laws(values, model, laws_with(values[_LAW_FILES]))
+        return plan_laws(values, model, self._known)
 
     def settings_applied(self, names: set[str]) -> None:
         """Take over new gains and modes without a bump."""
@@ -156,10 +168,14 @@ class Controller(LoopNode):
     # The loop
 
     def _on_measurement(self, measurement: Any) -> None:
-        self._measurement = measurement
         if self.lockstep:
+            self._measurement = measurement
             self._answer_when_complete()
             return
+        if 0 <= self._answered_ns - measurement.stamp_ns < _LATE_NS:
+            self.count("measurements_late")
+            return
+        self._measurement, self._answered_ns = measurement, measurement.stamp_ns
         for ahead in (self._references, self._excitations):
             if not ahead.take(measurement.seq) and ahead.last is not None:
                 self.count("reference_late")

@@ -24,6 +24,7 @@ from dfm_stage.nodes.process import run_node
 _JOINT_STATE_PERIOD_S = 0.05
 _SHORTEST_STEP_S = 1e-3
 _BACKWARDS = 0x80000000
+_TWO_SOURCES_NS = 10**9
 _REFERENCED = Measurement.FLAG_REFERENCED
 
 
@@ -59,6 +60,7 @@ class EncoderDriver(ManagedNode):
         self._last_seq: int | None = None
         self._seq_base = self._next_seq = 0
         self._last_stamp_ns = 0
+        self._restarted_ns = -_TWO_SOURCES_NS
         self._last_counts = 0
         self._last_position = 0.0
         self._flags = _REFERENCED if self.simulated else 0
@@ -140,7 +142,7 @@ class EncoderDriver(ManagedNode):
         if self._last_seq is not None:
             lost = (seq - self._last_seq - 1) & 0xFFFFFFFF
             if lost >= _BACKWARDS:
-                self.count("source_restarts")
+                self._on_restart(stamp_ns)
             elif lost:
                 flags |= Measurement.FLAG_SAMPLES_LOST
                 self.count("samples_lost", lost)
@@ -156,7 +158,8 @@ class EncoderDriver(ManagedNode):
         self._last_stamp_ns = stamp_ns
         self._last_counts = raw
         self._last_position = position
-        self._out.send(stamp_ns, seq, position, counts, flags)
+        if "sources" not in self._alarms:  # the positions of two stages in turn are of no use
+            self._out.send(stamp_ns, seq, position, counts, flags)
         self.counters["samples"] += 1
 
     # Loss and return, in the reader's thread
@@ -180,6 +183,17 @@ class EncoderDriver(ManagedNode):
         self.warnings_active["reference"] = ("not referenced: bring the stage to its zero and "
                                              "call home")
         self._publish_health()
+
+    def has_namesakes(self, words: str) -> None:
+        """Each measurement comes twice, or two stages take turns."""
+        self._alarm("name", words)
+
+    def _on_restart(self, stamp_ns: int) -> None:
+        """Count a source that numbers anew; one that does so twice in a second is two sources."""
+        self.count("source_restarts")
+        before, self._restarted_ns = self._restarted_ns, stamp_ns
+        if 0 <= stamp_ns - before < _TWO_SOURCES_NS:
+            self._alarm("sources", "the samples come from two sources: end one")
 
     def _alarm(self, kind: str, text: str) -> None:
         """Publish a trouble the moment it comes up; it stays up for a second at least."""
@@ -233,7 +247,7 @@ class EncoderDriver(ManagedNode):
         self._raised.clear()
         for kind in over:
             self._alarms.pop(kind, None)
-        for kind in ("travel", "implausible", "lost"):
+        for kind in ("travel", "implausible", "lost", "sources"):
             if kind not in self._alarms:
                 self.errors_active.pop(kind, None)
         if over:

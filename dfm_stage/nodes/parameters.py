@@ -99,8 +99,8 @@ class Setting:
 class Settings:
     """The declared parameters of one node, by name; `values` holds those in force.
 
-    `given` are the names that somebody set, `plan` is what the check of the values in force
-    returned. Before `follow` nothing can change.
+    `given` are the names that somebody set, `asked` those of the change that is checked, `plan` is
+    what the check of the values in force returned. Before `follow` nothing can change.
     """
 
     def __init__(self, node: Node, settings: Sequence[Setting]) -> None:
@@ -108,6 +108,7 @@ class Settings:
         self._table = {setting.name: setting for setting in settings}
         self.values = {setting.name: self._declare(node, setting) for setting in settings}
         self.given = set(node._parameter_overrides)
+        self.asked: set[str] = set()
         self.plan: Any = None
 
     def follow(self, check: Callable[[dict[str, Any]], object],
@@ -153,6 +154,7 @@ class Settings:
             if reason := setting.complaint(change.value):
                 return SetParametersResult(successful=False, reason=reason)
             proposed[change.name] = change.value
+        self.asked = {change.name for change in changes}
         try:
             self._next_plan = self._check(proposed)
         except DfmError as error:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks.fault_campaign import Campaign, Fault, Outcome, _Struck
+from benchmarks import faults
+from benchmarks.fault_campaign import Campaign, _Struck
+from benchmarks.fault_ledger import Ledger
+from benchmarks.fault_outcome import Fault, Outcome, Tally
 from benchmarks.fault_sight import WITNESSED, heard, recorded
 
 NOW_NS = 10_000_000_000
@@ -48,6 +52,16 @@ def test_a_bag_and_a_witness_judge_alike(last, age_s, node, safe):
         assert max(sight.ages.values()) == pytest.approx(age_s)
 
 
+def test_the_stamps_of_a_bag_need_not_rise():
+    """After the clock was set by a minute, and back."""
+    _, bag = seen(0.01)
+    for topic in bag.values():
+        order = np.array([0, 4, 1, 2, 3])
+        topic["header.stamp"] = topic["header.stamp"][order] + np.array([0, 0, 60, 0, -60]) * 10**9
+        topic["enabled"] = np.array([False, True, False, False, False])
+    assert recorded(bag, 0, NOW_NS).enabled
+
+
 def test_a_bag_is_looked_at_at_a_time_and_may_lack_topics():
     sight = recorded({}, 0, NOW_NS)
     assert not sight.works
@@ -69,3 +83,56 @@ def test_where_the_operator_was_starved_the_bag_decides(tmp_path, age_s, last, r
     campaign._judge_again(seen(age_s, **last)[1])
     assert (outcome.recovered, outcome.recovered_by_bag) == (recovered, recovered)
     assert outcome.safe is safe
+
+
+def message(stamp_ms: int) -> SimpleNamespace:
+    return SimpleNamespace(stamp_ns=NOW_NS + stamp_ms * 10**6, seq=stamp_ms)
+
+
+def test_what_is_lost_is_counted_by_its_cause():
+    ledger = Ledger(Tally())
+    ledger.heard = {"command": [message(each) for each in range(1, 101)], "plant": [message(50)]}
+    ledger.killed = [("/stage/x/controller", NOW_NS + 60 * 10**6 + 1)]
+    ledger.paused = [(NOW_NS + 80 * 10**6, NOW_NS + 82 * 10**6)]
+    ledger.seconds = [(NOW_NS, {"command": 3})]
+    there = [each for each in range(1, 101) if each not in {2, 40, 54, 56, 58, 62, 80, 81, 90, 95}]
+    bag = {"/stage/x/command": {"header.stamp": NOW_NS + np.array(there) * 10**6,
+                                "seq": np.array(there)}}
+    ledger.compare([bag], "bag", until_ns=NOW_NS + 95 * 10**6)
+    tally = ledger.tally
+    assert tally.witnessed == 95
+    assert tally.lost_at_kill == 2  # 56 and 58: 5 ms or less before the kill of the controller
+    assert tally.lost_while_paused == 2
+    assert tally.lost_of_seconds == 1  # 2, the first one of this name being at 3
+    assert tally.lost == 5  # 40, 54, 62, 90, and that of the plant, which nobody killed
+
+
+def test_blocks_of_faults_are_kept_and_taken_up_again(tmp_path, monkeypatch):
+    run = []
+
+    def run_block(block, answer):
+        run.append(answer.name)
+        tally = Tally([Outcome(each, safe=True, recovered=True, answered_s=0.1, took_s=0.2)
+                       for each in block], witnessed=10)
+        answer.write_text(json.dumps(tally.to_dict()))
+        return tally
+
+    monkeypatch.setattr(faults, "run_block", run_block)
+    monkeypatch.setattr(faults, "BLOCK", 4)
+    monkeypatch.setattr(faults, "private_mounts", lambda: ("unshare",))
+    monkeypatch.setenv(faults.PRIVATE, "1")
+
+    def values(cases, **options):
+        run.clear()
+        return {each.key: each.value for each in faults.figures(
+            cases=cases, keep=tmp_path, only="pause", **options)}
+
+    first = values(6)
+    assert run == ["block_pause_000.json", "block_pause_001.json"]
+    assert (first["faults.count"], first["faults.unsafe"]) == (6, 0)
+    assert values(6, resume=True) == first
+    assert run == []
+    assert values(9, resume=True)["faults.count"] == 9  # a block that was cut short is run again
+    assert run == ["block_pause_001.json", "block_pause_002.json"]
+    values(6, resume=True, seed=2)
+    assert len(run) == 2

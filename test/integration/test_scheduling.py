@@ -124,6 +124,18 @@ def test_it_is_given_back_where_the_processors_are_too_few(scheduler, waits, giv
         assert "waited 10% of the time" in realtime.words
 
 
+def test_where_it_waits_much_it_is_given_back_sooner(scheduler):
+    _, waited = scheduler
+    realtime = RealTime()
+    realtime.take(20, 0.0)
+    looks = []
+    for second in range(1, 4):
+        waited[0] += 0.35
+        looks.append(realtime.look(float(second)))
+    assert looks == [False, False, True]
+    assert "waited 35% of the time" in realtime.words
+
+
 def test_it_is_taken_again_after_a_while_which_doubles(scheduler):
     _, waited = scheduler
     realtime = RealTime()

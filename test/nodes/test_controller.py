@@ -17,6 +17,8 @@ from dfm_stage.errors import DfmError
 from dfm_stage.model import Plant, load_model
 from dfm_stage.nodes.controller import Controller
 
+MODELS = Path(__file__).parents[2] / "config" / "models"
+
 
 class Loop:
     """A controller whose links are cut and whose measurements come from a plant."""
@@ -44,7 +46,7 @@ class Loop:
             self.node._on_ahead(self.node._excitations, SimpleNamespace(
                 seq=self.k, voltage=self.added))
             self.node._on_measurement(SimpleNamespace(
-                seq=self.k, stamp_ns=self.k, position=sample.reading_m))
+                seq=self.k, stamp_ns=1000 * len(self.position), position=sample.reading_m))
             self.k += 1
             self.plant.advance(self.sent[-1][4], external_force_n=force)
         return np.array([each[4] for each in self.sent[first:]])
@@ -280,6 +282,29 @@ def test_a_saturation_of_the_model_is_the_outputs_limit(loop, tmp_path):
     assert stage.position[-1] == pytest.approx(0.5e-3, abs=2e-6)
 
 
+@pytest.mark.parametrize("replaced", ["raster_bench", "rubbish", "gone"])
+def test_a_replaced_model_file_changes_nothing_until_model_is_set(loop, tmp_path, replaced):
+    path = tmp_path / "model.yaml"
+    known = (MODELS / "paper_stage.yaml").read_text()
+    path.write_text(known)
+    stage = loop(mode="lqr", model=str(path))
+    gain = stage.node.settings.plan.laws["lqr"].design
+    if replaced == "gone":
+        path.unlink()
+    else:
+        path.write_text("- [" if replaced == "rubbish" else
+                        (MODELS / f"{replaced}.yaml").read_text())
+    stage.set(mode="pid", kp=1234.0)
+    stage.set(mode="lqr")
+    assert stage.node.settings.plan.laws["lqr"].design is gain
+    if replaced == "raster_bench":
+        stage.set(model=str(path))
+        assert stage.node.settings.plan.laws["lqr"].design is not gain
+    else:
+        with pytest.raises(DfmError, match=re.escape(str(path))):
+            stage.set(model=str(path))
+
+
 def test_the_guard_watches_in_open_loop_too(loop):
     stage = loop(mode="open_loop")
     for _ in range(8000):                              # 0.5 V at resonance: 12 mm unguarded
@@ -300,6 +325,20 @@ def test_feedforward_notch_and_shaper_come_from_the_model(loop):
     assert stage.node._laws.by_name["pid"].gains.notch_hz == pytest.approx(16.02, rel=1e-12)
     with pytest.raises(DfmError, match="feedforward model needs the parameter model"):
         stage.set(model="")
+
+
+def test_measurements_that_come_again_are_not_answered(loop):
+    """As from two encoders of one name, one of them a little behind."""
+    stage = loop(model="paper_stage")
+    stage.reference = (2e-4, 0.0, 0.0)
+    late = []
+    for _ in range(2000):
+        stage.run(1)
+        late.append(SimpleNamespace(seq=stage.k - 1, stamp_ns=1000 * len(stage.position),
+                                    position=stage.position[-1]))
+        stage.node._on_measurement(late[-min(len(late), 1 + stage.k % 40)])
+    assert len(stage.sent) == 2000
+    assert stage.node.counters["measurements_late"] == 2000
 
 
 def test_a_shaped_step_does_not_wake_the_mode_of_the_model(loop):

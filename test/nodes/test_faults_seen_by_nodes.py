@@ -9,6 +9,7 @@ import pytest
 
 from dfm_stage.nodes import base
 from dfm_stage.nodes.amplifier_driver import AmplifierDriver
+from dfm_stage.nodes.controller import Controller
 from dfm_stage.nodes.encoder_driver import EncoderDriver
 from dfm_stage.nodes.sim_plant import SimPlant
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
@@ -51,6 +52,23 @@ def test_an_encoder_that_starts_anew_has_lost_no_four_billion_samples(make):
     assert node.counters["source_restarts"] == 1
 
 
+def test_counts_of_two_plants_take_the_output_to_zero(make):
+    """Each of their positions in turn would be a stage that jumps."""
+    node = make(EncoderDriver)
+    sent = []
+    node._out.send = lambda *values: sent.append(values[1])
+    for seq in (700, 0, 701):
+        node._on_counts(SimpleNamespace(seq=seq, stamp_ns=10**12 + seq, counts=0, resolution=1e-9))
+    assert not node._alarms
+    node._on_counts(SimpleNamespace(seq=1, stamp_ns=10**12 + 1, counts=0, resolution=1e-9))
+    assert "two sources" in node._alarms["sources"]
+    assert sent == [700, 0, 701]
+    node._every_second()
+    node._every_second()
+    node._on_counts(SimpleNamespace(seq=2, stamp_ns=10**12 + 2, counts=0, resolution=1e-9))
+    assert sent[3:] == [2]
+
+
 def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(base.time, "monotonic", lambda: now[0])
@@ -65,6 +83,41 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
                    for text in words) == silent, second
         assert node._watch.silent == silent
     assert node.counters["inputs_lost"] == 1
+
+
+def test_nodes_of_one_name_say_so_and_one_that_was_killed_does_not_count(make, monkeypatch):
+    first, second = make(EncoderDriver), make(EncoderDriver)
+    deadline = time.monotonic() + 10.0
+    while first.count_publishers("encoder_driver/config") < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    first._every_second()
+    words = "2 nodes are called /stage/x/encoder_driver: end all but one"
+    assert first.errors_active["name"] == first._alarms["name"] == words
+    with monkeypatch.context() as patched:
+        gone = first.get_publishers_info_by_topic("encoder_driver/config")[1].endpoint_gid
+        patched.setattr(base, "killed_endpoints", lambda: (bytes(gone),))
+        first._every_second()
+        assert "name" not in first.errors_active
+        first._every_second()
+        assert "name" not in first._alarms
+    second.destroy_publisher(second._config)
+    while first.count_publishers("encoder_driver/config") > 1 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    first._every_second()
+    assert "name" not in first.errors_active
+
+
+@pytest.mark.parametrize("kind", [AmplifierDriver, Controller])
+def test_the_output_is_not_on_while_there_are_two_of_a_name(make, monkeypatch, kind):
+    node = make(kind)
+    told = []
+    node._trip = lambda cause, why: told.append(why)
+    for topic in [each for each in node.publishers if each.topic_name.endswith("loop_health")]:
+        topic.publish = lambda status: told.append(status.message)
+    monkeypatch.setattr(node, "_namesakes", lambda: "2 nodes are called so")
+    node._every_second()
+    assert len(told) == 1
+    assert "2 nodes are called so" in told[0]
 
 
 def test_an_amplifier_that_stood_still_does_not_go_on_by_itself(make):

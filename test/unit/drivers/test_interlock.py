@@ -117,6 +117,14 @@ def test_a_command_for_an_old_measurement():
     assert interlock.causes == Cause.ENCODER
 
 
+def test_a_measurement_from_before_the_clock_was_set_back_may_be_of_any_age():
+    interlock = armed(measurement_age_s=0.02)
+    assert interlock.accept(command(seq=1, measured_ns=10**9), 0.0, 10**9 - 19_000_000) == 1.0
+    assert interlock.accept(command(seq=2, measured_ns=10**9), 0.0, 10**9 - 60_000_000) == 0.0
+    assert interlock.words() == ("encoder: a command answers a measurement stamped 60.0 ms ahead "
+                                 "of the clock: was it set back?")
+
+
 def test_commands_for_old_measurements_are_zero_and_latch_where_they_last():
     interlock = armed(measurement_age_s=0.02, age_lasts_s=0.02)
 
