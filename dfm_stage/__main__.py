@@ -17,7 +17,7 @@ import sys
 from collections.abc import Sequence
 
 from dfm_stage import __version__
-from dfm_stage.commands import NODES, TOOLS, listing, module_of, unknown
+from dfm_stage.commands import NODES, ON_NODES, TOOLS, listing, module_of, unknown
 from dfm_stage.errors import DfmError
 from dfm_stage.share import needs_ros
 
@@ -81,8 +81,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one node or tool; its exit code, or 2 with one line on stderr when it cannot start."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
+        alone = {name: text for name, text in TOOLS.items() if name not in ON_NODES}
         print("\n".join(listing("usage: dfm-stage NAME [arguments]     (NAME --help says more)",
-                                ("tools", TOOLS), ("nodes, with ROS 2", NODES))))
+                                ("tools", alone),
+                                ("tools that run nodes, with ROS 2",
+                                 {name: TOOLS[name] for name in ON_NODES}),
+                                ("nodes, with ROS 2", NODES))))
         return 0
     if arguments[0] == "--version":
         print(f"dfm-stage {__version__}")

@@ -40,6 +40,9 @@ TOOLS: dict[str, str] = {
     "bench": "run the benchmarks and print each figure beside its bar and its peer",
 }
 
+ON_NODES = ("demo", "view", "compose", "emulate", "learn", "bench")
+"""Tools that run nodes or devices whatever their options say: they need ROS 2, or a checkout."""
+
 
 def listing(head: str, *groups: tuple[str, Mapping[str, str]]) -> list[str]:
     """Lines that give names with one line each, in groups with a title."""

@@ -9,13 +9,13 @@ is built from: copies share it, and a change anywhere can never run stale code.
 from __future__ import annotations
 
 import hashlib
-import importlib
 import inspect
 import logging
 import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -26,6 +26,7 @@ import numba.core.caching
 import numba.core.ccallback
 import numba.core.codegen
 import numba.core.compiler
+import numba.core.runtime
 import numba.np.linalg
 import numpy as np
 
@@ -34,10 +35,12 @@ _log = logging.getLogger(__package__)
 _caching: Any = numba.core.caching
 _codegen: Any = numba.core.codegen
 _compiler: Any = numba.core.compiler
+_runtime: Any = numba.core.runtime
 
 
-def _load_array_functions() -> None:
-    """Load what numba knows of NumPy without SciPy's BLAS.
+@contextmanager
+def _without_blas() -> Iterator[None]:
+    """Let numba load what it knows of NumPy without SciPy's BLAS.
 
     numba looks for that BLAS to choose how np.convolve multiplies. To import it takes longer than
     all else numba loads, and no code of ours needs it.
@@ -48,12 +51,9 @@ def _load_array_functions() -> None:
     linalg: Any = numba.np.linalg
     usual, linalg.ensure_blas = linalg.ensure_blas, unavailable
     try:
-        importlib.import_module("numba.np.arraymath")
+        yield
     finally:
         linalg.ensure_blas = usual
-
-
-_load_array_functions()
 
 
 class _Part(_codegen.JITCodeLibrary):  # type: ignore[misc]
@@ -207,10 +207,16 @@ def _cache_in(folder: Path, missed: Callable[[], None] = lambda: None) -> type:
             return sig, codegen.magic_tuple()       # the folder stands for the content
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
-            try:
-                found = super().load_overload(sig, target_context)
-            except ImportError:     # another version kept it, with a module that is no more
-                found = None
+            """Load kept code without what only compiling needs: numba would first load all that
+            it knows of Python and NumPy, which takes longer than the code itself."""
+            _runtime.rtsys.initialize(target_context)
+            found = None
+            with _without_blas():
+                # another version may have kept it, with a module that is no more
+                with suppress(ImportError), self._guard_against_spurious_io_errors():
+                    found = self._load_overload(sig, target_context)
+                if found is None:
+                    target_context.refresh()
             if found is None:
                 missed()
             return found

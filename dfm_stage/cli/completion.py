@@ -44,10 +44,13 @@ def main(options: argparse.Namespace) -> int:
 
 
 def flags_of_commands() -> dict[str, list[str]]:
-    """Return the long options of every command, by its name."""
+    """Return the long options of every command that this Python can start, by its name."""
     found = {}
     for module in pkgutil.iter_modules(cli.__path__):
-        own = getattr(importlib.import_module(f"{cli.__name__}.{module.name}"), "main", None)
+        try:
+            own = getattr(importlib.import_module(f"{cli.__name__}.{module.name}"), "main", None)
+        except ModuleNotFoundError:     # the wheel does not bring what devices need
+            continue
         if own is not None:
             parser = getattr(own, "parser", argparse.ArgumentParser())
             found[module.name] = sorted(flag for action in parser._actions

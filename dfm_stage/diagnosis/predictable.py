@@ -7,6 +7,7 @@ on the input and on functions of the simulated motion, and predicted on stretche
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -36,16 +37,16 @@ SEEN = 1e-3
 """Share of a column in an octave below which it is leakage there."""
 
 
-def foretold(run: Observation, residual: Array, model: Model) -> float:
-    """Share of the power of one run's residual (N - skip,) that input and motion foretell on
-    stretches left out, in the octave where it is largest; at most 1, below zero where nothing is.
+def foretold(run: Observation, residual: Array, model: Model) -> Iterator[float]:
+    """Yield, for each octave, the share of the power of one run's residual (N - skip,) that input
+    and motion foretell on stretches left out; at most 1, below zero where nothing is.
 
     By octaves, because noise that grows towards low frequencies would hide a gap above them. The
     motion is simulated: a measured one would foretell its own noise.
     """
     whole = cosine_transform(np.vstack((_columns(run, residual, model), residual)))
     total = np.linalg.norm(whole, axis=1)
-    shares, low = [0.0], SLOWEST
+    low = SLOWEST
     while low < residual.size // 2:
         lines = whole[:, low:2 * low]
         used = np.linalg.norm(lines, axis=1) > SEEN * total
@@ -58,9 +59,8 @@ def foretold(run: Observation, residual: Array, model: Model) -> float:
         blocks = Blocks(signals, edges, np.ones(FOLDS))
         left = blocks.ridge_fit((), range(count), count, RIDGES).errors
         power = max(float(signals[:, -1] @ signals[:, -1]), 1e-300)
-        shares.append(1.0 - float(left @ blocks.sizes) / power)
+        yield 1.0 - float(left @ blocks.sizes) / power
         low *= 2
-    return max(shares)
 
 
 def _columns(run: Observation, residual: Array, model: Model) -> Array:
@@ -70,19 +70,21 @@ def _columns(run: Observation, residual: Array, model: Model) -> Array:
     length = longer_length(2 * size)
     turns: Array = np.fft.rfftfreq(length).astype(np.float64)
 
-    def through(signal: Array, response: Complex) -> Array:
+    def spectrum(signal: Array) -> Complex:
         back = np.linspace(signal[-1], signal[0], length - size + 2)[1:-1]
-        spectrum = np.fft.rfft(np.concatenate((signal, back)))
-        return np.asarray(np.fft.irfft(spectrum * response, length)[:size])
+        return np.asarray(np.fft.rfft(np.concatenate((signal, back))))
 
-    drive = run.input[run.skip:] - np.mean(run.input[run.skip:])
+    def signal_of(lines: Complex) -> Array:
+        return np.asarray(np.fft.irfft(lines, length)[:size])
+
+    drive = spectrum(run.input[run.skip:] - np.mean(run.input[run.skip:]))
     found: list[Array] = []
-    for low, high in _bands(drive.size):
+    for low, high in _bands(size):
         band: Complex = ((turns >= low) & (turns < high)).astype(np.complex128)
-        found += [through(drive, band), through(drive, np.asarray(1j * band))]
+        found += [signal_of(drive * band), signal_of(drive * (1j * band))]
     response = _response(model, 2.0 * math.pi * turns / run.sample_period)
     for each in _functions(run.output[run.skip:] - residual):
-        found += [each, through(each - each.mean(), response)]
+        found += [each, signal_of(spectrum(each - each.mean()) * response)]
     return np.array(found)
 
 

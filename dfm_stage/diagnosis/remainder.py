@@ -74,7 +74,7 @@ def findings(run: Observation, residual: Array, known_noise: float | None,
         found.append(Finding("known_noise", spread / known_noise, EXCESS,
                              "RMS over the noise that the model gives"))
     if model is not None and any(f.real for f in found) \
-            and foretold(run, residual, model) < FORETOLD_SHARE:
+            and all(share < FORETOLD_SHARE for share in foretold(run, residual, model)):
         found = [replace(f, coloured=f.real) for f in found]
     white = _white(residual)
     found += [*_repeating(run, residual), _drift(residual), _line(residual),

@@ -128,12 +128,18 @@ def _delayed(u: Waves, width: float, sincs: int) -> Array:
     spectrum = u.spectrum * np.exp(-0.5 * (u.omega * width) ** 2)
     spectrum *= np.sinc(u.omega / (2.0 * np.pi)) ** sincs
     whole = np.floor(LAGS)
-    moved = {part: u.signal_of(spectrum * np.exp(-1j * u.omega * part))
+    most = int(np.abs(whole).max())
+    moved = {part: _periodic(u.signal_of(spectrum * np.exp(-1j * u.omega * part)), most, u.size)
              for part in set((LAGS - whole).tolist())}
     time = np.arange(u.size)
-    return np.array([np.roll(moved[lag - samples], int(samples))[:u.size]
+    return np.array([moved[lag - samples][most - int(samples):][:u.size]
                      + u.line[0] + u.line[1] * (time - lag)
                      for lag, samples in zip(LAGS, whole, strict=True)])
+
+
+def _periodic(wave: Array, margin: int, size: int) -> Array:
+    """The first `size` samples of a periodic signal, with some before and behind."""
+    return np.concatenate((wave[-margin:], wave[:size + margin]))
 
 
 @dataclass(frozen=True)

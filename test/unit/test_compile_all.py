@@ -16,7 +16,7 @@ import numpy as np
 from dfm_stage.model import EFFECTS, CoupledPlant, EffectUse, Model, Simulator, load_model
 from dfm_stage.model.kernel import hooks, record, setup
 from dfm_stage.recording import BagWriter, read_bag, record_kernels, decode_kernels
-import pathlib, tempfile
+import pathlib, sys, tempfile
 
 made, code = [], hooks.callback
 hooks.callback = lambda *given: made.append(code(*given)) or made[-1]
@@ -44,6 +44,7 @@ for chosen in ((), tuple(effects)):
                             **({"other": frozen[::2]} if chosen else {}))
     if not chosen:
         simulator.output(frozen, steady_state=True)
+assert "numba.np.arraymath" not in sys.modules      # what only compiling needs
 with tempfile.TemporaryDirectory() as folder:
     for compression in ("zstd", "none"):
         writer = BagWriter(pathlib.Path(folder) / compression, compression=compression)
@@ -58,6 +59,7 @@ for function in (record.run, record.peek, setup.prepare, setup.reset, setup.rest
     stats = function.stats
     assert not sum(stats.cache_misses.values()), (function, stats)
     assert len(function.signatures) == 1, (function, function.signatures)
+assert "scipy.linalg" not in sys.modules
 """
 
 

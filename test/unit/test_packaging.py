@@ -141,6 +141,7 @@ def test_a_bare_environment_names_the_effect_of_the_example(wheel: Path, tmp_pat
     assert (answer["verdict"], [each["name"] for each in answer["effects"]]) == (
         "named", ["cubic_stiffness"])
     assert "compil" not in run("example", "again").stderr
+    assert "complete -o default" in run("completion", "bash").stdout
     for words in (["demo"], ["sim_plant"], ["paper"]):
         refused = run(*words)
         assert refused.returncode == 2

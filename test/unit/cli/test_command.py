@@ -13,6 +13,7 @@ import pytest
 from dfm_stage import __main__
 from dfm_stage.cli.command import finite, names_in, new_folder, paint, run_command, write_output
 from dfm_stage.cli.progress import Progress, steps
+from dfm_stage.commands import NODES, TOOLS
 from dfm_stage.errors import DfmError
 
 
@@ -142,3 +143,10 @@ def test_a_terminal_gets_one_line_that_is_wiped_at_the_end() -> None:
     with steps("identify", quiet=True, stream=quiet) as step:
         step("model")
     assert quiet.getvalue() == ""
+
+
+def test_the_list_of_all_names_has_each_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert __main__.main(["--help"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()
+              if line.startswith("  ")]
+    assert sorted(listed) == sorted([*NODES, *TOOLS])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 
 import pytest
 
@@ -33,3 +34,11 @@ def test_every_command_is_known_to_all_shells() -> None:
     flags = flags_of_commands()
     assert flags.keys() == TOOLS.keys()
     assert "-l holdout" in fish(flags)
+
+
+def test_a_command_that_cannot_start_here_is_left_out() -> None:
+    code = ("import sys; sys.modules['serial'] = None; "    # as in the wheel
+            "from dfm_stage.cli.completion import main; main(['bash'])")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert completed(done.stdout, "dfm-stage", "diag") == ["diagnose", "diagnose_batch"]
+    assert completed(done.stdout, "dfm-stage", "emul") == []

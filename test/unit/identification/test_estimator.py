@@ -184,3 +184,17 @@ def test_a_small_parameter_beside_a_large_one_of_another_unit_is_not_at_its_limi
         "damping", *(f"hysteresis.{n}" for n in values)])
     for n, value in values.items():
         assert found.model.parameters()[f"hysteresis.{n}"] == pytest.approx(value, rel=0.02)
+
+
+def test_a_row_that_is_asked_for_again_is_counted_and_not_simulated(monkeypatch):
+    model = STAGE.with_effect("cubic_stiffness", {"k3": 1e6})
+    system = System(model, [run_of(model)], FREE)
+    x = system.start[None, :]
+    first, work = system.simulated(0, x), system.work
+    assert work > 0.0
+    monkeypatch.setattr(Simulator, "run_many", None)
+    again = system.simulated(0, x.copy())
+    assert np.array_equal(again[0], first[0])
+    assert system.work == 2.0 * work
+    with pytest.raises(TypeError):
+        system.simulated(0, 1.01 * x)
