@@ -88,6 +88,9 @@ class Values:
     def samples(self, seconds: float, name: str, timing: Timing) -> int:
         """Return how many samples `seconds` are; anything but a whole number is refused."""
         exact = seconds / timing.sample_period_s
+        if not abs(exact) <= MOST_SAMPLES:
+            raise self.error(name, f"{name} = {seconds:g} s has more than {MOST_SAMPLES} samples "
+                                   f"of {timing.sample_period_s:g} s; shorten it")
         count = round(exact)
         if abs(exact - count) > _WHOLE * max(1.0, exact):
             near = max(1, count) * timing.sample_period_s
