@@ -88,11 +88,12 @@ class Block:
 
 
 def blocks(total: int, seed: int, folder: Path) -> Iterator[Block]:
-    """The blocks of a run, a target after the other."""
-    for target in TARGETS.values():
-        count = max(1, total * target.share // 1000)
-        for first in range(0, count, BLOCK):
-            yield Block(target.name, seed, first, min(first + BLOCK, count), folder)
+    """The blocks of a run; what stops early has seen every target."""
+    counts = {target.name: max(1, total * target.share // 1000) for target in TARGETS.values()}
+    for first in range(0, max(counts.values()), BLOCK):
+        for name, count in counts.items():
+            if first < count:
+                yield Block(name, seed, first, min(first + BLOCK, count), folder)
 
 
 def run(total: int, seed: int, folder: Path, jobs: int) -> None:

@@ -5,6 +5,7 @@ Everything is drawn from one `random.Random`, so that its seed repeats the input
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 import math
@@ -170,9 +171,8 @@ def spoilt_tree(rng: Random, tree: Any) -> Any:
             del container[key]
         elif kind == 4:
             other, place = rng.choice(every)
-            with_it = copy.deepcopy(other[place]) if place in other or isinstance(
-                other, list) and place < len(other) else None
-            container[key] = with_it
+            with contextlib.suppress(IndexError, KeyError):      # removed a moment ago
+                container[key] = copy.deepcopy(other[place])
         elif isinstance(container, list):
             container.append(junk(rng))
         elif kind == 5:

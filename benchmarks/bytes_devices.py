@@ -25,12 +25,13 @@ from dfm_stage.drivers.errors import DeviceLostError, DriverError
 from dfm_stage.drivers.interlock import Interlock
 
 SEPARATOR, GONE = b"\xa7", b"\xa9"
-PIECES = 400
+PIECES = 60
 """Answers of a session in a seed."""
 COMMAND_A, LIMIT_A = 0.5, 2.0
 SETS_CURRENT, SETS_STATE = b"s r0x02 ", b"s r0x24 "
-COPLEY_WORDS = (*TEXTS, b"ok\r", b"v 0\r", b"v 1\r", b"v -1\r", b"v 4294967295\r", b"v 9999999999\r",
-                b"v 4194304\r", b"v 1 2\r", b"v\r", b"e 3\r", b"e 33\r", b"e -1\r", b"e 9999\r",
+COPLEY_WORDS = (*TEXTS, b"ok\r", b"v 0\r", b"v 1\r", b"v -1\r", b"v 4294967295\r",
+                b"v 9999999999\r", b"v 4194304\r",
+                b"v 1 2\r", b"v\r", b"e 3\r", b"e 33\r", b"e -1\r", b"e 9999\r",
                 b"v " + b"9" * 300 + b"\r", b"ok\r" * 100, b"v 21\r", b"v 400000\r", b"v 115200\r",
                 SEPARATOR, SEPARATOR * 3, SEPARATOR + GONE + SEPARATOR)
 QSB_WORDS = (*TEXTS, b"QSB-D  0E!\r\n", b"s0E00000000FFFFFFFF!\r\n", b"s0E8000000000000001!\r\n",
@@ -116,10 +117,11 @@ def wire_time() -> Iterator[WireTime]:
 
 
 class Watched:
-    """A device as its thread sees it; keeps what it raises that is no DriverError."""
+    """A device as its thread sees it; keeps what it raises that is no DriverError, and tells of
+    every error."""
 
-    def __init__(self, device: Any) -> None:
-        self._device = device
+    def __init__(self, device: Any, on_error: Callable[[], None]) -> None:
+        self._device, self._on_error = device, on_error
         self.raised: Exception | None = None
 
     def __getattr__(self, name: str) -> Any:
@@ -130,28 +132,33 @@ class Watched:
         def call(*given: Any) -> Any:
             try:
                 return found(*given)
-            except DriverError:
-                raise
             except Exception as error:
-                self.raised = self.raised or error
+                self._on_error()
+                if not isinstance(error, DriverError):
+                    self.raised = self.raised or error
                 raise
 
         return call
 
 
 class AmplifierSession:
-    """An amplifier in its worker: armed, commanded and asked until the device says no more."""
+    """An amplifier in its worker: armed, commanded and asked until the device says no more.
+
+    Whether a current may go out is judged here, without the interlock: only after an order to arm
+    that was carried out, and no longer after any error or anything wrong that the drive has told.
+    """
 
     def __init__(self, answer: Callable[[bytes], bytes | None], time: WireTime) -> None:
         self.sent: list[bytes] = []
         self._answer, self._time = answer, time
         self.interlock = Interlock(10.0, stale_s=0.0)
         self.device = Watched(copley_ascii.CopleyAscii(
-            "port", peak_limit_a=20.0, continuous_limit_a=10.0, open_port=self._open))
+            "port", peak_limit_a=20.0, continuous_limit_a=10.0, open_port=self._open),
+            self._forbid)
         self.worker = threads.AmplifierWorker(
             self.device, self.interlock, self, current_limit_a=LIMIT_A, question_period_s=0.0,
             retry_s=0.0, clock=time.monotonic)
-        self._ended = self._arming = False
+        self._ended = self._arming = self._allowed = False
         self._orders = 0
 
     def run(self) -> None:
@@ -159,7 +166,7 @@ class AmplifierSession:
         try:
             self.device.open()
             self._order(self._arm)
-            self.worker._run()  # noqa: SLF001 in this thread
+            self.worker._run()
         except DriverError:
             pass
         if self.device.raised is not None:
@@ -168,13 +175,18 @@ class AmplifierSession:
     def _arm(self) -> str:
         self._arming = True
         try:
-            return self.worker._arm()  # noqa: SLF001
+            said = self.worker._arm()
+            self._allowed = True
+            return said
         finally:
             self._arming = False
 
+    def _forbid(self) -> None:
+        self._allowed = False
+
     def _order(self, action: Callable[[], str]) -> None:
         if not self._ended:
-            self.worker._orders.append((action, Future()))  # noqa: SLF001
+            self.worker._orders.append((action, Future()))
 
     def _open(self, _path: str, baud: int) -> Any:
         if self._ended:
@@ -186,14 +198,14 @@ class AmplifierSession:
         if found is None:
             self._ended = True
             self.interlock.disarm()
-            self.worker._stopping = True  # noqa: SLF001
+            self.worker._stopping = True
         return found
 
     def _watch(self, data: bytes) -> None:
         self.sent.append(data)
         if data.startswith(SETS_CURRENT):
             amps = int(data[len(SETS_CURRENT):]) * copley_ascii.CopleyAscii.count_a
-            if amps and not self.interlock.armed:
+            if amps and not self._allowed:
                 raise UnsafeError(f"{data!r} while the output must be zero")
             if abs(amps) > COMMAND_A + copley_ascii.CopleyAscii.count_a:
                 raise UnsafeError(f"{data!r} for a command of {COMMAND_A} A")
@@ -204,15 +216,17 @@ class AmplifierSession:
         """Command the next current."""
         if counts == 0 and not self.interlock.armed:
             return
-        self.worker._target = (COMMAND_A if counts <= 0 else -COMMAND_A, None)  # noqa: SLF001
+        self.worker._target = (COMMAND_A if counts <= 0 else -COMMAND_A, None)
 
-    def on_status(self, _status: AmplifierStatus) -> None:
+    def on_status(self, status: AmplifierStatus) -> None:
         """Command while armed; else clear and arm again."""
+        if status.trouble or status.travel_limit or abs(status.current_a or 0.0) > LIMIT_A:
+            self._forbid()
         if self.interlock.armed:
             self.on_output(1, None)
             return
         self._orders += 1
-        self._order(self.worker._clear if self._orders % 2 else self._arm)  # noqa: SLF001
+        self._order(self.worker._clear if self._orders % 2 else self._arm)
 
 
 class EncoderSession:
@@ -220,7 +234,8 @@ class EncoderSession:
 
     def __init__(self, answer: Callable[[bytes], bytes | None], time: WireTime) -> None:
         self._answer, self._time = answer, time
-        self.device = Watched(qsb_d.QsbD("port", settling_s=0.0, open_port=self._open))
+        self.device = Watched(qsb_d.QsbD("port", settling_s=0.0, open_port=self._open),
+                              lambda: None)
         self.reader = threads.EncoderReader(self.device, self, timeout_s=0.02, retry_s=0.0,
                                             clock=time.monotonic)
         self.samples = 0
@@ -230,21 +245,21 @@ class EncoderSession:
         try:
             self.device.open()
             self.reader.seek_index()
-            self.reader._run()  # noqa: SLF001 in this thread
+            self.reader._run()
         except DriverError:
             pass
         if self.device.raised is not None:
             raise self.device.raised
 
     def _open(self, _path: str, baud: int) -> Any:
-        if self.reader._stopping.is_set():  # noqa: SLF001
+        if self.reader._stopping.is_set():
             raise DeviceLostError("the port is gone")
         return ScriptedPort(baud, self._time, self._next, lambda _data: None)
 
     def _next(self, command: bytes) -> bytes | None:
         found = self._answer(command)
         if found is None:
-            self.reader._stopping.set()  # noqa: SLF001
+            self.reader._stopping.set()
         return found
 
     def on_sample(self, sample: EncoderSample) -> None:

@@ -240,31 +240,31 @@ def _yaml(pattern: str) -> Callable[[Random], bytes]:
 
 
 TARGETS = {each.name: each for each in (
-    Target("copley", 180, lambda rng: devices.spoilt_session(
+    Target("copley", 200, lambda rng: devices.spoilt_session(
         rng, kept("copley.bin"), devices.COPLEY_WORDS),
         lambda data, _: devices.drive(devices.AmplifierSession, data)),
-    Target("qsb", 180, lambda rng: devices.spoilt_session(
+    Target("qsb", 200, lambda rng: devices.spoilt_session(
         rng, kept("qsb.bin"), devices.QSB_WORDS),
         lambda data, _: devices.drive(devices.EncoderSession, data)),
-    Target("csv", 150, _table, _record, "given.csv"),
-    Target("npz", 100, lambda rng: containers.spoilt_npz(rng, kept("*.npz")), _record,
+    Target("csv", 120, _table, _record, "given.csv"),
+    Target("npz", 80, lambda rng: containers.spoilt_npz(rng, kept("*.npz")), _record,
            "given.npz"),
-    Target("mat", 100, lambda rng: containers.spoilt_mat(rng, kept("*.mat")), _record,
+    Target("mat", 120, lambda rng: containers.spoilt_mat(rng, kept("*.mat")), _record,
            "given.mat"),
-    Target("mcap", 40, lambda rng: containers.spoilt_mcap(rng, kept("*.mcap")), _bag,
+    Target("mcap", 20, lambda rng: containers.spoilt_mcap(rng, kept("*.mcap")), _bag,
            "given.mcap"),
-    Target("mcap_record", 20, lambda rng: containers.spoilt_mcap(rng, kept("*.mcap")), _record,
+    Target("mcap_record", 10, lambda rng: containers.spoilt_mcap(rng, kept("*.mcap")), _record,
            "given.mcap"),
-    Target("db3", 20, lambda rng: containers.spoilt_sqlite(rng, kept("*.db3")), _bag,
+    Target("db3", 15, lambda rng: containers.spoilt_sqlite(rng, kept("*.db3")), _bag,
            "given.db3"),
-    Target("metadata", 5, lambda rng: spoilt_yaml(rng, *_metadata()), _bag_folder,
+    Target("metadata", 3, lambda rng: spoilt_yaml(rng, *_metadata()), _bag_folder,
            "given.yaml"),
-    Target("model", 15, _yaml("models/*.yaml"), _model, "given.yaml"),
-    Target("experiment", 15, _yaml("experiments/*.yaml"), _experiment, "given.yaml"),
-    Target("parameters", 15, _yaml("*_ax*s.yaml"), _parameters, "given.yaml"),
-    Target("formula", 100, spoilt_formula, _formula),
-    Target("formula_file", 10, _formula_yaml, _formula_file, "given.yaml"),
-    Target("goal", 50, _goal, _run_goal),
+    Target("model", 6, _yaml("models/*.yaml"), _model, "given.yaml"),
+    Target("experiment", 6, _yaml("experiments/*.yaml"), _experiment, "given.yaml"),
+    Target("parameters", 6, _yaml("*_ax*s.yaml"), _parameters, "given.yaml"),
+    Target("formula", 120, spoilt_formula, _formula),
+    Target("formula_file", 4, _formula_yaml, _formula_file, "given.yaml"),
+    Target("goal", 90, _goal, _run_goal),
 )}
 
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 _RECORD = struct.Struct("<BQHIQQ")      # opcode, length, channel, sequence, log and publish time
 _MESSAGE, _HEAD_BYTES = 5, 22
 _BATCH = 4096                           # messages that are decoded at a time
-_SOUND = "typeof(timestamp) = 'integer' AND timestamp >= 0 AND typeof(data) = 'blob'"
+_SOUND = ("FROM messages WHERE typeof(timestamp) = 'integer' AND timestamp >= 0 "
+          "AND typeof(data) = 'blob'")      # a table of SQLite takes values of any type
 
 
 @dataclass
@@ -94,8 +95,8 @@ def _survey(connection: sqlite3.Connection, file: Path, found: dict[str, _Topic]
             "SELECT id, name, type, serialization_format FROM topics "
             "WHERE typeof(id) = 'integer'").fetchall()
         counts = dict(connection.execute(
-            f"SELECT topic_id, COUNT(*) FROM messages WHERE {_SOUND} GROUP BY topic_id"
-            ).fetchall())
+            f"SELECT topic_id, COUNT(*) {_SOUND} GROUP BY topic_id"
+        ).fetchall())
         has = connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
                                  ).fetchone()
         texts = dict(connection.execute(
@@ -142,8 +143,8 @@ def _fill(arrays: TopicArrays, topic: _Topic) -> list[Loss]:
 
 def _batches(connection: sqlite3.Connection, topic: int, row: int) -> Iterator[tuple[Any, Any]]:
     """Yield messages in the order of their times, as (records of MCAP, where each begins)."""
-    cursor = connection.execute("SELECT timestamp, data FROM messages WHERE topic_id = ? "
-                                f"AND {_SOUND} ORDER BY timestamp, id", (topic,))
+    cursor = connection.execute(f"SELECT timestamp, data {_SOUND} "
+                                "AND topic_id = ? ORDER BY timestamp, id", (topic,))
     while messages := cursor.fetchmany(_BATCH):
         sizes = [_RECORD.size + len(data) for _, data in messages]
         records = b"".join(part for k, (stamp, data) in enumerate(messages, row) for part in (
