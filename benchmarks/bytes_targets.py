@@ -5,6 +5,7 @@ A call ends rightly with a value or with a DfmError whose message is one short l
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 from collections.abc import Callable, Sequence
@@ -42,6 +43,8 @@ from dfm_stage.trajectory import (
     Experiment,
     Limits,
     load_experiment,
+    make_excitation,
+    make_reference,
     require_run_within,
 )
 from dfm_stage.trajectory.kind import Kind
@@ -209,6 +212,21 @@ def _run_goal(data: bytes, _path: Path) -> None:
     _made(load_experiment(given if isinstance(given, dict) else Path(str(given))))
 
 
+def _signal_table(rng: Random) -> bytes:
+    """A path or a voltage in a table, beside the experiments that are shipped."""
+    found = texts("experiments/*.csv")
+    return spoilt_table(rng, b"\n".join(found[0].split(b"\n")[:rng.choice((8, 30))]) + b"\n", found)
+
+
+def _signals_of_table(_data: bytes, path: Path) -> None:
+    """As a reference and as an excitation; the first that is refused hides nothing of the other."""
+    common = {"sample_period_s": PERIOD_S, "duration_s": 1.0}
+    spec = {"kind": "csv", "file": str(path)}
+    with contextlib.suppress(DfmError):
+        make_excitation({**spec, "column": "voltage_v"}, **common)
+    make_reference({**spec, "column": "position_um"}, **common)
+
+
 def _parameters(_data: bytes, path: Path) -> None:
     read_parameters(path, "x")
 
@@ -264,7 +282,8 @@ TARGETS = {each.name: each for each in (
     Target("parameters", 6, _yaml("*_ax*s.yaml"), _parameters, "given.yaml"),
     Target("formula", 120, spoilt_formula, _formula),
     Target("formula_file", 4, _formula_yaml, _formula_file, "given.yaml"),
-    Target("goal", 90, _goal, _run_goal),
+    Target("goal", 75, _goal, _run_goal),
+    Target("signal", 15, _signal_table, _signals_of_table, "given.csv"),
 )}
 
 

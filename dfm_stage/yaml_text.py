@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from typing import Any
 
@@ -34,6 +35,18 @@ class YamlError(DfmError):
         return f"{path}:{self.line}" if self.line else str(path)
 
 
+def text_of(path: str | os.PathLike[str]) -> str:
+    """The text of a file, not much more of it than `load_yaml` takes.
+
+    Raises
+    ------
+    OSError, ValueError
+        If it cannot be read, is not UTF-8, or if no file can have this name.
+    """
+    with open(path, encoding="utf-8") as file:
+        return file.read(LONGEST + 1)
+
+
 def load_yaml(text: str, layout: bool = False) -> Any:
     """What a text holds, as plain values; with `layout` as ruamel's, which know their lines.
 
@@ -43,7 +56,7 @@ def load_yaml(text: str, layout: bool = False) -> Any:
         If it is not YAML, or longer, deeper or larger than is read.
     """
     if len(text) > LONGEST:
-        raise YamlError(f"{len(text)} characters; {LONGEST} are read")
+        raise YamlError(f"more than {LONGEST} characters")
     yaml = YAML(typ="rt" if layout else "safe", pure=True)
     yaml.Composer = _Bounded
     try:

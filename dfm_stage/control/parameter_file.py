@@ -10,7 +10,7 @@ from typing import Any
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.files import write_whole
-from dfm_stage.yaml_text import YamlError, load_yaml
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 # Parameters that a node takes at its start only.
 FIXED = ("sample_period_s",)
@@ -52,10 +52,10 @@ def read_parameters(path: str | os.PathLike[str], axis: str, node: str = "contro
         If the file cannot be read or is no parameter file.
     """
     try:
-        content = load_yaml(Path(path).read_text(encoding="utf-8"))
+        content = load_yaml(text_of(path))
     except OSError as error:
         raise ControlError(f"{path}: cannot read the parameter file: {error.strerror}") from None
-    except UnicodeDecodeError:
+    except ValueError:
         raise ControlError(f"{path}: cannot read the parameter file: it is not UTF-8 text"
                            ) from None
     except YamlError as error:

@@ -27,7 +27,7 @@ from dfm_stage.model.formula import KINDS, FormulaEffect, formula_of
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import ALL, EFFECTS, coupling_effect, library_of
 from dfm_stage.share import config_folder
-from dfm_stage.yaml_text import YamlError, load_yaml
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 T = TypeVar("T")
 _AXIS_KEYS = ("base", "effects")
@@ -47,7 +47,7 @@ def load_model(path_or_name: str | os.PathLike[str]) -> Model:
     """
     path = _find(path_or_name)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of(path)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ModelError(f"{path}: cannot be read: {reason}") from error

@@ -8,7 +8,7 @@ from typing import Any
 
 from dfm_stage.model.formula import KINDS, Formula, formula_of
 from dfm_stage.model.formula_text import FormulaError, shown
-from dfm_stage.yaml_text import YamlError, load_yaml
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 YAML_ENDINGS = (".yaml", ".yml")
 _KEYS = {"name", "parameters", "state", "origin", *KINDS}
@@ -23,10 +23,10 @@ def read_formulas(path: Path) -> list[Formula]:
         If the file cannot be read, or holds something else; each message begins with its name.
     """
     try:
-        data: Any = load_yaml(path.read_text(encoding="utf-8"))
+        data: Any = load_yaml(text_of(path))
     except OSError as error:
         raise FormulaError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError:
+    except ValueError:
         raise FormulaError(f"{path}: cannot be read: it is not UTF-8 text") from None
     except YamlError as error:
         raise FormulaError(f"{error.at(path)}: not valid YAML: {error}") from error

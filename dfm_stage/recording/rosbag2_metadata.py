@@ -69,11 +69,11 @@ def _suffix(bag: BagFiles) -> str:
 
 
 def _apply_metadata(path: Path, bag: BagFiles) -> None:
-    from dfm_stage.yaml_text import YamlError, load_yaml
+    from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
     file = path / METADATA_FILE
     try:
-        information = dict(load_yaml(file.read_text(encoding="utf-8"))[
+        information = dict(load_yaml(text_of(file))[
             "rosbag2_bagfile_information"])
     except FileNotFoundError:
         bag.losses.append(Loss(f"{path}: has no {METADATA_FILE}; the {_suffix(bag)} files were "

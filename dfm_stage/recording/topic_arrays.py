@@ -19,8 +19,8 @@ from dfm_stage.recording.numba_tools import Bytes, Ints
 _RECORD_COLUMNS = (Column("log_time_ns", "i8"), Column("publish_time_ns", "i8"),
                    Column("sequence", "u4"))
 _ALIGNMENT = 64
-LARGEST_BYTES = 1 << 46
-"""More cannot be addressed."""
+LARGEST_BYTES = 1 << 40
+"""More than any memory; a system that promises more than it has would agree."""
 _local = threading.local()
 
 

@@ -23,7 +23,7 @@ from dfm_stage.trajectory.signals import (
     make_excitation,
     make_reference,
 )
-from dfm_stage.yaml_text import YamlError, load_yaml
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 # The mode in which no control law is in force: the excitation is the whole command.
 OPEN_LOOP = "open_loop"
@@ -95,7 +95,7 @@ def load_experiment(source: str | os.PathLike[str] | Mapping[str, Any]) -> Exper
         return _experiment(source, "")
     path = Path(source)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of(path)
     except FileNotFoundError:
         raise TrajectoryError(f"{path}: there is no such experiment file") from None
     except (OSError, ValueError) as error:

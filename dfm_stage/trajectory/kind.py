@@ -114,6 +114,22 @@ class Kind(Generic[Signal]):
     build: Callable[[Values, Timing], Signal] = field(repr=False)
     options: tuple[Option, ...] = ()
 
+    def made(self, values: Values, timing: Timing) -> Signal:
+        """Return the signal of checked settings.
+
+        Raises
+        ------
+        TrajectoryError
+            If they do not fit together, or are beyond what numbers and memory hold.
+        """
+        try:
+            with np.errstate(all="ignore"):     # what is not finite is refused by the limits
+                return self.build(values, timing)
+        except (ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
+            raise TrajectoryError(place(values.where, f"{self.name} is beyond what can be "
+                                        f"computed ({str(error) or 'memory'}); use smaller "
+                                        "numbers"), values.where) from None
+
     def checked(self, spec: Mapping[str, Any], where: str = "") -> Values:
         """Return every setting of this kind, from `spec` or its default.
 

@@ -32,7 +32,7 @@ def test_aliases_mean_what_they_repeat(layout: bool) -> None:
     ("[" * 30_000, 1, f"more than {DEEPEST} levels"),
     ("a: 1\nb: " + "9" * 5000, 2, "a number of 5000 digits"),
     ("a: 0x" + "f" * 5000, 1, "a number of 5002 digits"),
-    ("#" * (LONGEST + 1), None, f"{LONGEST} are read"),
+    ("#" * (LONGEST + 1), None, f"more than {LONGEST} characters"),
     ("a: *b", 1, "undefined alias"),
     ("a: 1\nb: {", None, "expected"),
 ])
