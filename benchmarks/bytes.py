@@ -53,6 +53,7 @@ class Block:
     def start(self) -> None:
         """Start or go on."""
         self.moved = (-1.0, time.monotonic())
+        tally_in(self.tally_path)       # it is there before two processes look at it
         self.process = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.bytes_worker", self.target, str(self.seed),
              str(self.first), str(self.end - self.first), str(self.tally_path),

@@ -86,5 +86,6 @@ def spoilt_formula(rng: Random) -> bytes:
             (rng.choice(NUMBERS), [rng.choice(NUMBERS), rng.choice(NUMBERS)], rng.choice(WORDS),
              junk(rng)))
     if rng.random() < 0.1:
-        given = spoilt_tree(rng, given)
+        spoilt = spoilt_tree(rng, given)
+        given = spoilt if isinstance(spoilt, dict) else given   # files refuse what is no mapping
     return json.dumps(given).encode()

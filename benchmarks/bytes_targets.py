@@ -215,11 +215,12 @@ def _run_goal(data: bytes, _path: Path) -> None:
 def _signal_table(rng: Random) -> bytes:
     """A path or a voltage in a table, beside the experiments that are shipped."""
     found = texts("experiments/*.csv")
-    return spoilt_table(rng, b"\n".join(found[0].split(b"\n")[:rng.choice((8, 30))]) + b"\n", found)
+    rows = found[0].split(b"\n")[:rng.choice((8, 30))]
+    return spoilt_table(rng, b"\n".join((*rows, b"")), found)
 
 
 def _signals_of_table(_data: bytes, path: Path) -> None:
-    """As a reference and as an excitation; the first that is refused hides nothing of the other."""
+    """As a reference and as an excitation, each whether the other is refused or not."""
     common = {"sample_period_s": PERIOD_S, "duration_s": 1.0}
     spec = {"kind": "csv", "file": str(path)}
     with contextlib.suppress(DfmError):

@@ -68,7 +68,7 @@ def ending_of(target: Target, data: bytes, path: Path) -> tuple[bool, str, str]:
 
 def keep(found: Path, target: str, number: int, data: bytes, what: str, details: str) -> None:
     """Keep an input that ended wrongly."""
-    folder = found / target / re.sub(r"[^\w. ]+", "_", what)[:80]
+    folder = found / target / re.sub(r"[^\w. -]+", "_", what)[:80]
     folder.mkdir(parents=True, exist_ok=True)
     if len(list(folder.glob("*.bin"))) < KEPT_EACH:
         (folder / f"{number}.bin").write_bytes(data)

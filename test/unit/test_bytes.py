@@ -16,7 +16,7 @@ from dfm_stage.errors import DfmError
 
 SEED = 7
 FAST = {"copley", "qsb", "csv", "mat", "formula"}
-FEW, MANY = 25, 300
+FEW, MANY = 15, 300
 FOUND = sorted((Path(__file__).parent / "found_bytes").glob("*/*"))
 
 
@@ -74,14 +74,15 @@ def test_a_process_that_dies_is_a_finding_and_the_rest_goes_on(
     (worker / "bytes_worker.py").write_text(
         "import os, struct, sys\n"
         "first, count, path = int(sys.argv[3]), int(sys.argv[4]), sys.argv[5]\n"
-        "data = bytearray(open(path, 'rb').read() if os.path.exists(path) else bytes(72))\n"
-        "for k in range(max(first, int(struct.unpack_from('d', data)[0])), first + count):\n"
-        "    struct.pack_into('d', data, 0, k)\n"
-        "    open(path, 'wb').write(data)\n"
+        "handle = os.open(path, os.O_RDWR)\n"
+        "put = lambda at, number: os.pwrite(handle, struct.pack('d', number), at)\n"
+        "begin, values = struct.unpack('dd', os.pread(handle, 16, 0))\n"
+        "for k in range(max(first, int(begin)), first + count):\n"
+        "    put(0, k)\n"
         "    if k == 3: os.kill(os.getpid(), 9)\n"
-        "    struct.pack_into('d', data, 8, struct.unpack_from('d', data, 8)[0] + 1)\n"
-        "struct.pack_into('d', data, 0, first + count)\n"
-        "open(path, 'wb').write(data)\n")
+        "    values += 1\n"
+        "    put(8, values)\n"
+        "put(0, first + count)\n")
     monkeypatch.setattr(bench, "ROOT", tmp_path)
     monkeypatch.setattr(bench, "POLL_S", 0.01)
     found = {each.key: each for each in bench.figures(cases=100, keep=tmp_path / "kept", jobs=1)}
