@@ -6,9 +6,11 @@ import contextlib
 import io
 import sqlite3
 import struct
+import tempfile
 import zipfile
 import zlib
 from collections.abc import Sequence
+from pathlib import Path
 from random import Random
 
 import lz4.frame
@@ -252,13 +254,16 @@ def spoilt_sqlite(rng: Random, seeds: Sequence[bytes]) -> bytes:
     data = rng.choice(seeds)
     if rng.random() < RAW_SHARE:
         return damaged(rng, data, seeds)
-    with contextlib.closing(sqlite3.connect(":memory:")) as database:
-        database.deserialize(data)
-        for _ in range(rng.choice((1, 1, 2, 4))):
-            with contextlib.suppress(sqlite3.Error, OverflowError):
-                _spoil_table(rng, database)
-        database.commit()
-        made = database.serialize()
+    with tempfile.TemporaryDirectory(prefix="dfm_bytes_") as folder:
+        path = Path(folder) / "bag.db3"
+        path.write_bytes(data)
+        with contextlib.closing(sqlite3.connect(path)) as database:
+            database.execute("PRAGMA synchronous = OFF")
+            for _ in range(rng.choice((1, 1, 2, 4))):
+                with contextlib.suppress(sqlite3.Error, OverflowError):
+                    _spoil_table(rng, database)
+            database.commit()
+        made = path.read_bytes()
     return damaged(rng, made, seeds) if rng.random() < 0.1 else made
 
 

@@ -59,6 +59,7 @@ def load_yaml(text: str, layout: bool = False) -> Any:
         raise YamlError(f"more than {LONGEST} characters")
     yaml = YAML(typ="rt" if layout else "safe", pure=True)
     yaml.Composer = _Bounded
+    yaml.preserve_quotes = layout
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
