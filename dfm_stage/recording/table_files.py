@@ -300,6 +300,6 @@ def _sample_period(arrays: Mapping[str, Any]) -> float | None:
     for name, value in arrays.items():
         array, power = np.asarray(value), _PERIODS.get(name.lower())
         if power and array.size == 1 and array.dtype.kind in "iuf" and array.item() > 0:
-            value = float(array.item())
-            return value if power > 0 else 1.0 / value
+            number = float(array.item())
+            return number if power > 0 else 1.0 / number
     return None
