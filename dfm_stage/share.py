@@ -39,11 +39,15 @@ def find_experiment(name: str) -> Path:
         If there is no such file; the message lists the names there are.
     """
     path = Path(name)
-    if path.suffix in {".yaml", ".yml"} or path.is_file():
-        return path
     folder = config_folder() / "experiments"
     named = folder / f"{name}.yaml"
-    if not named.is_file():
+    try:
+        if path.suffix in {".yaml", ".yml"} or path.is_file():
+            return path
+        there = named.is_file()
+    except OSError:         # a name that no file can have
+        there = False
+    if not there:
         names = ", ".join(sorted(each.stem for each in folder.glob("*.yaml"))) or "none yet"
         raise DfmError(f"there is no experiment {name!r}; known: {names}; or give a .yaml file")
     return named

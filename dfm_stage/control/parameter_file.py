@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
-
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from dfm_stage.control.errors import ControlError
 from dfm_stage.files import write_whole
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 # Parameters that a node takes at its start only.
 FIXED = ("sample_period_s",)
@@ -54,12 +51,14 @@ def read_parameters(path: str | os.PathLike[str], axis: str, node: str = "contro
         If the file cannot be read or is no parameter file.
     """
     try:
-        content = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
+        content = load_yaml(text_of(path))
     except OSError as error:
         raise ControlError(f"{path}: cannot read the parameter file: {error.strerror}") from None
-    except (YAMLError, UnicodeDecodeError) as error:
-        said = " ".join(str(error).split())
-        raise ControlError(f"{path}: not valid YAML: {said}") from None
+    except ValueError:
+        raise ControlError(f"{path}: cannot read the parameter file: it is not UTF-8 text"
+                           ) from None
+    except YamlError as error:
+        raise ControlError(f"{error.at(path)}: not valid YAML: {error}") from None
     if not isinstance(content, Mapping) or not all(isinstance(name, str) for name in content):
         raise ControlError(f"{path}: a parameter file is a mapping of nodes to ros__parameters")
     if not any(isinstance(each, Mapping) for each in content.values()):

@@ -11,7 +11,6 @@ from typing import Any, NoReturn, TypeVar
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
@@ -28,6 +27,7 @@ from dfm_stage.model.formula import KINDS, FormulaEffect, formula_of
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import ALL, EFFECTS, coupling_effect, library_of
 from dfm_stage.share import config_folder
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 T = TypeVar("T")
 _AXIS_KEYS = ("base", "effects")
@@ -47,8 +47,8 @@ def load_model(path_or_name: str | os.PathLike[str]) -> Model:
     """
     path = _find(path_or_name)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = text_of(path)
+    except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ModelError(f"{path}: cannot be read: {reason}") from error
     return parse_model(text, str(path))
@@ -63,14 +63,9 @@ def parse_model(text: str, where: str) -> Model:
         As `load_model`.
     """
     try:
-        data = _yaml().load(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = f":{mark.line + 1}" if mark is not None else ""
-        raise ModelError(f"{where}{line}: not valid YAML: "
-                         f"{' '.join(str(error.problem or error.context).split())}") from error
-    except (YAMLError, ValueError) as error:
-        raise ModelError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from error
+        data = load_yaml(text, layout=True)
+    except YamlError as error:
+        raise ModelError(f"{error.at(where)}: not valid YAML: {error}") from error
     return model_from_dict(data, where, text)
 
 
@@ -93,7 +88,7 @@ def model_text(model: Model) -> str:
     """The YAML text of a model."""
     data: Any = _styled(model.to_dict())
     if model.document is not None:
-        old = _yaml().load(model.document)
+        old = load_yaml(model.document, layout=True)
         _merge(old, data)
         data = old
     stream = io.StringIO()

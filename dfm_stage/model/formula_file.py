@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from dfm_stage.model.formula import KINDS, Formula, formula_of
 from dfm_stage.model.formula_text import FormulaError, shown
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 YAML_ENDINGS = (".yaml", ".yml")
-LARGEST_BYTES = 1_000_000
 _KEYS = {"name", "parameters", "state", "origin", *KINDS}
 
 
@@ -26,14 +23,13 @@ def read_formulas(path: Path) -> list[Formula]:
         If the file cannot be read, or holds something else; each message begins with its name.
     """
     try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise FormulaError(f"{path}: larger than {LARGEST_BYTES / 1e6:g} MB")
-        data: Any = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+        data: Any = load_yaml(text_of(path))
     except OSError as error:
         raise FormulaError(f"{path}: cannot be read: {error.strerror}") from error
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise FormulaError(f"{path}: not valid YAML: "
-                           f"{' '.join(str(error).split())[:200]}") from error
+    except ValueError:
+        raise FormulaError(f"{path}: cannot be read: it is not UTF-8 text") from None
+    except YamlError as error:
+        raise FormulaError(f"{error.at(path)}: not valid YAML: {error}") from error
     listed = data.get("effects") if isinstance(data, Mapping) and "effects" in data else data
     entries = listed if isinstance(listed, list) else [listed]
     found = [_formula(path, entry) for entry in entries]

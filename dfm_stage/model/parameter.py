@@ -64,7 +64,10 @@ class Parameter:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ParameterError(f"{place}{self.name} must be a number{unit and ' in'}{unit}, "
                                  f"not {value!r}")
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:       # a whole number of hundreds of digits
+            number = math.inf
         if not math.isfinite(number):
             raise ParameterError(f"{place}{self.name} must be finite, not {value!r}")
         if not self.low <= number <= self.high:

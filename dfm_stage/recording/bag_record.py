@@ -104,12 +104,11 @@ class _Run:
                                   f"{run.get('message')}")
 
     def _tree(self, name: str) -> dict[str, Any]:
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
+        from dfm_stage.yaml_text import YamlError, load_yaml
 
         try:
-            tree = YAML(typ="safe").load(self.texts[name]) if self.texts.get(name) else {}
-        except (YAMLError, ValueError):
+            tree = load_yaml(self.texts[name]) if self.texts.get(name) else {}
+        except YamlError:
             tree = None
         if not isinstance(tree, dict):
             self.notes.append(f"{name} in the bag cannot be read")

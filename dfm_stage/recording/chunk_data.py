@@ -42,9 +42,7 @@ def expand(file: int, chunk: ChunkPlace) -> Bytes:
         elif chunk.compression == "zstd":
             records, checked = _expand_zstd(data, chunk)
         elif chunk.compression == "lz4":
-            records = (lz4.frame.LZ4FrameDecompressor().decompress(data) if chunk.cut
-                       else lz4.frame.decompress(data))
-            checked = False
+            records, checked = _expand_lz4(data, chunk), False
         else:
             raise DamagedError(f"is compressed in an unknown way ({chunk.compression!r})")
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
@@ -55,6 +53,14 @@ def expand(file: int, chunk: ChunkPlace) -> Bytes:
         if not checked and chunk.crc and zlib.crc32(records) != chunk.crc:
             raise DamagedError("fails its checksum")
     return np.frombuffer(records, dtype=np.uint8)
+
+
+def _expand_lz4(data: bytes, chunk: ChunkPlace) -> bytes:
+    frame = lz4.frame.LZ4FrameDecompressor()
+    records: bytes = frame.decompress(data, min(chunk.uncompressed_size, LARGEST_CHUNK) + 1)
+    if not (chunk.cut or frame.eof):
+        raise DamagedError("has not the size it states")
+    return records
 
 
 def _expand_zstd(data: bytes, chunk: ChunkPlace) -> tuple[bytes, bool]:

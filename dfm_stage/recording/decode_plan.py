@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from dfm_stage.recording.message_definitions import Field
 
 MAX_LOOPS = 8
+MOST_INSTRUCTIONS = 2000
+"""Messages in messages multiply; the largest of ROS have a tenth of this."""
 
 _TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _DTYPES = {
@@ -111,6 +113,8 @@ def _message(plan: Plan, definitions: Mapping[str, Sequence[Field]], type_name: 
     path = (*path, type_name)
     for item in definitions[type_name]:
         name = prefix + item.name
+        if len(plan.instructions) >= MOST_INSTRUCTIONS:
+            raise _StopError(f"{name} and what follows: more than {MOST_INSTRUCTIONS} fields")
         if item.base in _LEAVES:
             _leaf(plan, item, name, depth)
         elif item.base == "wstring":

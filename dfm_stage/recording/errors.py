@@ -26,8 +26,6 @@ class BagReadError(RecordingError):
 class NotInBagError(BagReadError, KeyError):
     """A topic or field that was asked for is not in the bag."""
 
-    __str__ = Exception.__str__
-
 
 class DefinitionError(RecordingError):
     """The definition of a message type is missing or cannot be understood."""
@@ -35,8 +33,6 @@ class DefinitionError(RecordingError):
 
 class MissingPackageError(RecordingError, ImportError):
     """An optional package that was asked for is not installed."""
-
-    __str__ = RecordingError.__str__
 
 
 class RecordError(RecordingError):

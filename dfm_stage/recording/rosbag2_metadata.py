@@ -69,17 +69,16 @@ def _suffix(bag: BagFiles) -> str:
 
 
 def _apply_metadata(path: Path, bag: BagFiles) -> None:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
     file = path / METADATA_FILE
     try:
-        information = dict(YAML(typ="safe").load(file.read_text(encoding="utf-8"))[
+        information = dict(load_yaml(text_of(file))[
             "rosbag2_bagfile_information"])
     except FileNotFoundError:
         bag.losses.append(Loss(f"{path}: has no {METADATA_FILE}; the {_suffix(bag)} files were "
                                f"read in the order of their names"))
-    except (OSError, ValueError, YAMLError, KeyError, TypeError):
+    except (OSError, ValueError, YamlError, KeyError, TypeError):
         bag.losses.append(Loss(f"{file}: is damaged and was not used"))
     else:
         _apply(information, path, bag)

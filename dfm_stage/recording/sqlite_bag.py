@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _RECORD = struct.Struct("<BQHIQQ")      # opcode, length, channel, sequence, log and publish time
 _MESSAGE, _HEAD_BYTES = 5, 22
 _BATCH = 4096                           # messages that are decoded at a time
+_SOUND = ("FROM messages WHERE typeof(timestamp) = 'integer' AND timestamp >= 0 "
+          "AND typeof(data) = 'blob'")      # a table of SQLite takes values of any type
 
 
 @dataclass
@@ -90,14 +92,16 @@ def _survey(connection: sqlite3.Connection, file: Path, found: dict[str, _Topic]
     """Add what one file holds."""
     try:
         rows = connection.execute(
-            "SELECT id, name, type, serialization_format FROM topics").fetchall()
+            "SELECT id, name, type, serialization_format FROM topics "
+            "WHERE typeof(id) = 'integer'").fetchall()
         counts = dict(connection.execute(
-            "SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id").fetchall())
+            f"SELECT topic_id, COUNT(*) {_SOUND} GROUP BY topic_id"
+        ).fetchall())
         has = connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
                                  ).fetchone()
         texts = dict(connection.execute(
-            "SELECT topic_type, encoded_message_definition FROM message_definitions "
-            "WHERE encoding = 'ros2msg'").fetchall()) if has else {}
+            "SELECT topic_type, CAST(encoded_message_definition AS TEXT) "
+            "FROM message_definitions WHERE encoding = 'ros2msg'").fetchall()) if has else {}
     except sqlite3.DatabaseError as error:
         raise BagReadError(f"{file}: is no readable SQLite bag ({error})") from error
     for number, name, type_name, encoding in rows:
@@ -139,8 +143,8 @@ def _fill(arrays: TopicArrays, topic: _Topic) -> list[Loss]:
 
 def _batches(connection: sqlite3.Connection, topic: int, row: int) -> Iterator[tuple[Any, Any]]:
     """Yield messages in the order of their times, as (records of MCAP, where each begins)."""
-    cursor = connection.execute("SELECT timestamp, data FROM messages WHERE topic_id = ? "
-                                "ORDER BY timestamp, id", (topic,))
+    cursor = connection.execute(f"SELECT timestamp, data {_SOUND} "
+                                "AND topic_id = ? ORDER BY timestamp, id", (topic,))
     while messages := cursor.fetchmany(_BATCH):
         sizes = [_RECORD.size + len(data) for _, data in messages]
         records = b"".join(part for k, (stamp, data) in enumerate(messages, row) for part in (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-import zipfile
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from dfm_stage.files import write_whole
 from dfm_stage.recording.errors import RecordError, writing
+from dfm_stage.recording.mat_file import LARGEST_BYTES, MatError, NewerMatError, read_mat
 from dfm_stage.recording.record import FloatArray, Record
 
 _DELIMITERS = ",;\t"
@@ -53,8 +54,8 @@ class CsvTable:
         if header.count(self.delimiter) == 0:
             raise RecordError(f"line {kept[0] + 1} has one column only; separate columns "
                               f"by commas, semicolons or tabs", path)
-        self.names: Sequence[str] = [cell.strip() for cell in
-                                     next(csv.reader([header], delimiter=self.delimiter))]
+        self.names: Sequence[str] = [cell.strip() for cell in self._row(header, f"line "
+                                     f"{kept[0] + 1}")]
         self._check_names(kept[0] + 1)
         self._lines = np.array(kept[1:], np.int64) + 1
         self._rows = [lines[number] for number in kept[1:]]
@@ -63,11 +64,17 @@ class CsvTable:
             self.warnings.append(f"line {self._lines[-1]}, the last one, was cut off and left out")
             self._rows.pop()
 
+    def _row(self, text: str, where: str) -> list[str]:
+        try:
+            return next(csv.reader([text], delimiter=self.delimiter), [])
+        except csv.Error as error:
+            raise RecordError(f"{where}: {error}", self.path) from None
+
     def _check_names(self, line: int) -> None:
         if all(_is_number(name) for name in self.names if name):
             raise RecordError(f"line {line} holds numbers; the first line must name "
                               f"the columns, like time_s,input_v,position_m", self.path)
-        twice = {name for name in self.names if name and self.names.count(name) > 1}
+        twice = {name for name, count in Counter(self.names).items() if name and count > 1}
         if twice:
             raise RecordError(f"line {line} names the column {min(twice)} twice; "
                               f"rename one", self.path)
@@ -97,7 +104,7 @@ class CsvTable:
         return {name: values[:, k].copy() for k, name in enumerate(names)}
 
     def _cells(self, row: int, places: Sequence[int]) -> list[float]:
-        cells = next(csv.reader([self._rows[row]], delimiter=self.delimiter), [])
+        cells = self._row(self._rows[row], self.where(row))
         numbers = []
         for place in places:
             if place >= len(cells):
@@ -163,6 +170,7 @@ class ArrayTable:
     def __init__(self, path: Path, kind: str, arrays: Mapping[str, Any]) -> None:
         self.path, self.kind = path, kind
         self.warnings: list[str] = []
+        arrays = {name: each for name, each in arrays.items() if isinstance(each, np.ndarray)}
         self.sample_period = _sample_period(arrays)
         self._columns = dict(_columns(arrays))
         self.names: Sequence[str] = list(self._columns)
@@ -186,9 +194,21 @@ def load_npz(path: Path) -> ArrayTable:
     """Open an .npz file; raises RecordError if it is none."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            return ArrayTable(path, "npz", {name: file[name] for name in file.files})
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            _check_sizes(file)
+            arrays = {name: file[name] for name in file.files}
+    except Exception as error:  # damaged headers make the reader raise errors of every kind
         raise RecordError(f"cannot be read as .npz ({_line(error)})", path) from error
+    return ArrayTable(path, "npz", arrays)
+
+
+def _check_sizes(file: Any) -> None:
+    """Raise ValueError if the arrays of an open .npz file would fill the memory."""
+    if not hasattr(file, "zip"):
+        raise ValueError("it holds one array without a name")
+    size = sum(member.file_size for member in file.zip.infolist())
+    if size > LARGEST_BYTES:
+        raise ValueError(f"it expands to {size / 2**30:.3g} GiB, more than "
+                         f"{LARGEST_BYTES >> 30}")
 
 
 def load_mat(path: Path) -> ArrayTable:
@@ -196,18 +216,14 @@ def load_mat(path: Path) -> ArrayTable:
 
     Structures give dotted names; the X and Y signals of a dSPACE export their own names.
     """
-    import scipy.io
-    from scipy.io.matlab import MatReadError
-
     try:
-        content = scipy.io.loadmat(path, simplify_cells=True)
-    except NotImplementedError as error:
+        content = read_mat(path.read_bytes())
+    except NewerMatError as error:
         raise RecordError("is a MATLAB 7.3 file; save it with "
                           "save(..., '-v7')", path) from error
-    except (OSError, ValueError, TypeError, KeyError, IndexError, MatReadError) as error:
+    except (OSError, MatError) as error:
         raise RecordError(f"cannot be read as .mat ({_line(error)})", path) from error
-    return ArrayTable(path, "mat", dict(_flat({name: value for name, value in content.items()
-                                               if not name.startswith("__")})))
+    return ArrayTable(path, "mat", dict(_flat(content)))
 
 
 def write_mat(record: Record, path: str | os.PathLike[str]) -> None:
@@ -284,5 +300,6 @@ def _sample_period(arrays: Mapping[str, Any]) -> float | None:
     for name, value in arrays.items():
         array, power = np.asarray(value), _PERIODS.get(name.lower())
         if power and array.size == 1 and array.dtype.kind in "iuf" and array.item() > 0:
-            return float(array.item()) ** power
+            number = float(array.item())
+            return number if power > 0 else 1.0 / number
     return None

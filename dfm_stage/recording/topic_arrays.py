@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from dataclasses import dataclass, field
@@ -12,12 +13,14 @@ from numpy.typing import NDArray
 
 from dfm_stage.recording.bag import Array, Ragged, Topic
 from dfm_stage.recording.decode_kernels import decode
-from dfm_stage.recording.decode_plan import Column, Plan
+from dfm_stage.recording.decode_plan import Column, Op, Plan
 from dfm_stage.recording.numba_tools import Bytes, Ints
 
 _RECORD_COLUMNS = (Column("log_time_ns", "i8"), Column("publish_time_ns", "i8"),
                    Column("sequence", "u4"))
 _ALIGNMENT = 64
+LARGEST_BYTES = 1 << 40
+"""More than any memory; a system that promises more than it has would agree."""
 _local = threading.local()
 
 
@@ -51,15 +54,25 @@ class TopicArrays:
     empty_rows: list[tuple[int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        sizes = [column.stored_dtype.itemsize * column.count * self.rows
-                 for column in (*_RECORD_COLUMNS, *self.plan.fixed)]
-        places = np.cumsum([0] + [-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes])
-        self._arena = np.empty(int(places[-1]), np.uint8)
-        self._bases = places[:-1].astype(np.int64)
+        try:
+            self._allocate()
+        except MemoryError:         # a definition may claim arrays of any size
+            self.plan = Plan(left_out=["all fields: they need more memory than there is"],
+                             instructions=[(Op.REST, 0, 0, -1)])
+            self._allocate()
         self._program = self.plan.program
         self._texts: dict[bytes, int] = {}
         self._parts: list[_RaggedPart] = []
         self._lock = threading.Lock()
+
+    def _allocate(self) -> None:
+        sizes = [column.stored_dtype.itemsize * column.count * self.rows
+                 for column in (*_RECORD_COLUMNS, *self.plan.fixed)]
+        places = [0, *itertools.accumulate(-(-size // _ALIGNMENT) * _ALIGNMENT for size in sizes)]
+        if places[-1] > LARGEST_BYTES:
+            raise MemoryError
+        self._arena = np.empty(places[-1], np.uint8)
+        self._bases = np.array(places[:-1], np.int64)
 
     def decode(self, data: Bytes, offsets: Ints, row: int) -> None:
         """Decode the messages whose records stand at `offsets` in `data`, from `row` on."""

@@ -9,9 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from dfm_stage.model.parameter import nearest
 from dfm_stage.trajectory.errors import TrajectoryError, place
@@ -25,6 +23,7 @@ from dfm_stage.trajectory.signals import (
     make_excitation,
     make_reference,
 )
+from dfm_stage.yaml_text import YamlError, load_yaml, text_of
 
 # The mode in which no control law is in force: the excitation is the whole command.
 OPEN_LOOP = "open_loop"
@@ -96,20 +95,16 @@ def load_experiment(source: str | os.PathLike[str] | Mapping[str, Any]) -> Exper
         return _experiment(source, "")
     path = Path(source)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of(path)
     except FileNotFoundError:
         raise TrajectoryError(f"{path}: there is no such experiment file") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise TrajectoryError(f"{path}: cannot read the experiment: {reason}") from None
     try:
-        content = YAML(typ="rt").load(text)
-    except MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        problem = " ".join(str(error.problem or error.context or "malformed").split())
-        raise TrajectoryError(f"{path}:{line}: not valid YAML: {problem}") from None
-    except (YAMLError, ValueError) as error:
-        raise TrajectoryError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+        content = load_yaml(text, layout=True)
+    except YamlError as error:
+        raise TrajectoryError(f"{error.at(path)}: not valid YAML: {error}") from None
     if not isinstance(content, CommentedMap):
         raise TrajectoryError(f"{path}:1: an experiment is a mapping with the keys "
                               f"{', '.join(_KEYS)}")

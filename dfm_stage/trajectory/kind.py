@@ -88,6 +88,9 @@ class Values:
     def samples(self, seconds: float, name: str, timing: Timing) -> int:
         """Return how many samples `seconds` are; anything but a whole number is refused."""
         exact = seconds / timing.sample_period_s
+        if not abs(exact) <= MOST_SAMPLES:
+            raise self.error(name, f"{name} = {seconds:g} s has more than {MOST_SAMPLES} samples "
+                                   f"of {timing.sample_period_s:g} s; shorten it")
         count = round(exact)
         if abs(exact - count) > _WHOLE * max(1.0, exact):
             near = max(1, count) * timing.sample_period_s
@@ -110,6 +113,22 @@ class Kind(Generic[Signal]):
     parameters: tuple[Parameter, ...]
     build: Callable[[Values, Timing], Signal] = field(repr=False)
     options: tuple[Option, ...] = ()
+
+    def made(self, values: Values, timing: Timing) -> Signal:
+        """Return the signal of checked settings.
+
+        Raises
+        ------
+        TrajectoryError
+            If they do not fit together, or are beyond what numbers and memory hold.
+        """
+        try:
+            with np.errstate(all="ignore"):     # what is not finite is refused by the limits
+                return self.build(values, timing)
+        except (ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
+            raise TrajectoryError(place(values.where, f"{self.name} is beyond what can be "
+                                        f"computed ({str(error) or 'memory'}); use smaller "
+                                        "numbers"), values.where) from None
 
     def checked(self, spec: Mapping[str, Any], where: str = "") -> Values:
         """Return every setting of this kind, from `spec` or its default.

@@ -128,7 +128,7 @@ def make_reference(spec: Mapping[str, Any], *, sample_period_s: float, duration_
         If the kind or a setting is unknown, of a wrong type or out of range.
     """
     kind, values = choose(spec, REFERENCE_KINDS, where)
-    return kind.build(values, Timing.over(sample_period_s, duration_s, seed))
+    return kind.made(values, Timing.over(sample_period_s, duration_s, seed))
 
 
 @dataclass(frozen=True)
@@ -252,4 +252,4 @@ def make_excitation(spec: Mapping[str, Any], *, sample_period_s: float, duration
         whole number of samples.
     """
     kind, values = choose(spec, EXCITATION_KINDS, where)
-    return kind.build(values, Timing.over(sample_period_s, duration_s, seed))
+    return kind.made(values, Timing.over(sample_period_s, duration_s, seed))

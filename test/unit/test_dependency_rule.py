@@ -17,7 +17,7 @@ PACKAGE = "dfm_stage"
 
 # part: the other parts of ours it may import, or start as a command
 BASE = {"arrays", "decisions", "errors", "files", "machine_code", "processors", "quantity",
-        "share", "transforms"}
+        "share", "transforms", "yaml_text"}
 RECORDS = BASE | {"model", "recording", "identification"}
 LOOP = BASE | {"model", "trajectory", "control", "recording", "drivers"}
 PURE: dict[str, set[str]] = {
@@ -31,6 +31,7 @@ PURE: dict[str, set[str]] = {
     "quantity": set(),
     "share": {"errors"},
     "transforms": {"arrays"},
+    "yaml_text": {"errors"},
     "commands": {"nodes", "cli"},  # their names, as text, for the entry point
     "model": BASE,
     "recording": BASE,

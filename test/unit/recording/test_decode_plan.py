@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dfm_stage.recording.decode_plan import Column, Op, compile_plan
+from dfm_stage.recording.decode_plan import MOST_INSTRUCTIONS, Column, Op, compile_plan
 from dfm_stage.recording.message_definitions import parse_schema
+from dfm_stage.recording.topic_arrays import TopicArrays
 
 
 def plan_of(*lines: str):
@@ -32,3 +33,19 @@ def test_what_cannot_be_located_ends_the_program_and_leaves_no_half_of_a_loop():
     assert plan.ragged == []
     assert "wide strings" in plan.left_out[0]
     assert plan.left_out[0].startswith("p and what follows")
+
+
+def test_messages_that_multiply_end_the_program():
+    """Eight messages in each of eight levels would be sixteen million fields."""
+    parts = []
+    for level in range(8):
+        parts += ["---", f"MSG: t/L{level}", *(
+            f"L{level + 1} f{k}" if level < 7 else f"uint8 f{k}" for k in range(8))]
+    plan = plan_of("L0 a", *parts)
+    assert len(plan.instructions) <= MOST_INSTRUCTIONS + 1
+    assert f"more than {MOST_INSTRUCTIONS} fields" in plan.left_out[0]
+
+
+def test_a_topic_that_claims_more_than_the_memory_is_left_out_field_by_field():
+    arrays = TopicArrays("/a", "t/msg/M", plan_of("uint8[4000000000] a"), 1 << 20)
+    assert arrays.finish().left_out == ["all fields: they need more memory than there is"]
