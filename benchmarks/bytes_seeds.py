@@ -23,7 +23,7 @@ SAMPLES = 40
 def record(axes: int) -> Record:
     """A short record of a swept sine."""
     rng = np.random.default_rng(1)
-    time = np.arange(SAMPLES) * 1e-3
+    time = np.arange(SAMPLES, dtype=np.float64) * 1e-3
     made = {"xy"[k]: AxisRecord(np.sin(30.0 * time * (k + 1)),
                                 1e-3 * np.cumsum(rng.standard_normal(SAMPLES)), "V", "m")
             for k in range(axes)}

@@ -221,7 +221,7 @@ def _signal_table(rng: Random) -> bytes:
 
 def _signals_of_table(_data: bytes, path: Path) -> None:
     """As a reference and as an excitation, each whether the other is refused or not."""
-    common = {"sample_period_s": PERIOD_S, "duration_s": 1.0}
+    common: dict[str, Any] = {"sample_period_s": PERIOD_S, "duration_s": 1.0}
     spec = {"kind": "csv", "file": str(path)}
     with contextlib.suppress(DfmError):
         make_excitation({**spec, "column": "voltage_v"}, **common)
@@ -236,7 +236,7 @@ def _parameters(_data: bytes, path: Path) -> None:
 
 def _formula(data: bytes, _path: Path) -> None:
     effect = formula_of(json.loads(data)).effect()
-    effect.felt(1e-3, 1e-2, 0.1, [1.0] * len(effect.parameters))
+    effect.felt(1e-3, 1e-2, 0.1, (1.0,) * len(effect.parameters))
 
 
 def _formula_file(_data: bytes, path: Path) -> None:

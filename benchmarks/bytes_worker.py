@@ -18,6 +18,7 @@ import traceback
 import warnings
 from enum import IntEnum
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ class Slot(IntEnum):
 
 def tally_in(path: Path) -> NDArray[np.float64]:
     """The tally in a file, made where there is none."""
-    mode = "r+" if path.exists() else "w+"
+    mode: Literal["r+", "w+"] = "r+" if path.exists() else "w+"
     return np.memmap(path, np.float64, mode, shape=(len(Slot),))
 
 
