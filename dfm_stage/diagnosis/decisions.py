@@ -136,7 +136,8 @@ FURTHER_PART = decision(
     "FURTHER_PART", 0.6, "1", meaning="Share of what is left above the noise that a further "
     "effect must take of held-out power where a remainder stays; the main one, too, unless the "
     "force domain explains as much by it alone, clearly before all others. Of the predictable "
-    "force, what the force domain must explain to name effects alone.", set_on=PARTS + "; alone: "
+    "force, what the force domain must explain to name effects alone, and by common effects for "
+    "uncommon ones not to be tried.", set_on=PARTS + "; alone: "
     "answers to four seeds of the measured-like corpus, seen before: 17 names, all allowed")
 PARAMETER_PART = decision(
     "PARAMETER_PART", 0.05, "1", meaning="Share of what is left that a further parameter of an "

@@ -17,7 +17,13 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.blocks import by_size, jackknife, log_ratio
-from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, FORCE_WORTH, SWAMPED
+from dfm_stage.diagnosis.decisions import (
+    BLOCK_MARGIN,
+    FORCE_WORTH,
+    FURTHER_PART,
+    LEAST_PREDICTABLE,
+    SWAMPED,
+)
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_candidates import Candidates, Fits, Fitted
 from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces
@@ -98,6 +104,13 @@ class Witness:
     def predictable_share(self) -> float:
         """Share of the missing force's power that can be predicted."""
         return 1.0 - self.left**2
+
+    def explained_by(self, names: Sequence[str]) -> bool:
+        """Whether effects of `names` alone explain most of what can be predicted, and no others
+        clearly more."""
+        predictable = max(self.predictable_share, LEAST_PREDICTABLE)
+        return not self.cannot_tell and set(self.best.names) <= set(names) and (
+            self.best.share > FURTHER_PART * predictable)
 
     def of(self, *names: str) -> Explained | None:
         """What a single effect or a pair explains, in any order; None where not told."""

@@ -226,14 +226,18 @@ def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
 
 def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
     """What the effects of the search explain; where they do not explain nearly all that can be
-    predicted, what these and the uncommon ones do, if that is clearly more."""
+    predicted, what these and the uncommon ones do, if that is clearly more. The force domain,
+    which takes seconds, may say that no uncommon one does."""
     found = _explained(trial, first, warnings, split)
     said = verdict(found[2])
     if not trial.uncommon or said.complete or said.kind == "named":
         return found
     trial.search.step("looking for uncommon effects, too")
     search = trial.search.widened(trial.uncommon)
-    among_all = _explained(Trial(search, trial.held, trial.seed), search.begin(), warnings, split)
+    first, wide = search.begin(), Trial(search, trial.held, trial.seed)
+    if wide.witness is not None and wide.witness.explained_by(trial.search.library):
+        return found
+    among_all = _explained(wide, first, warnings, split)
     return among_all if is_clearly_more(among_all[2], found[2]) else found
 
 
