@@ -275,10 +275,10 @@ class System(Problem):
         """
         if len(rows) != 1:
             return self._simulated(index, rows, light)
-        x, (known, found, work) = rows.tobytes(), self._latest.get((index, light), (b"", [], 0.0))
-        if x == known:
-            self._count(work)       # what is decided by work does not depend on what is kept
-            return found
+        x, known = rows.tobytes(), self._latest.get((index, light))
+        if known is not None and x == known[0]:
+            self._count(known[2])   # what is decided by work does not depend on what is kept
+            return known[1]
         before = self.work
         found = self._simulated(index, rows, light)
         for signal in found:
