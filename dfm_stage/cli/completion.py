@@ -49,7 +49,9 @@ def flags_of_commands() -> dict[str, list[str]]:
     for module in pkgutil.iter_modules(cli.__path__):
         try:
             own = getattr(importlib.import_module(f"{cli.__name__}.{module.name}"), "main", None)
-        except ModuleNotFoundError:     # the wheel does not bring what devices need
+        except ModuleNotFoundError as error:    # the wheel does not bring what devices need
+            if (error.name or "").partition(".")[0] == cli.__name__.partition(".")[0]:
+                raise
             continue
         if own is not None:
             parser = getattr(own, "parser", argparse.ArgumentParser())

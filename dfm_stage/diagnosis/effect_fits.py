@@ -66,8 +66,10 @@ class Fits:
         return steps_taken() - self.begun
 
     def begin_work(self, most_steps: float) -> None:
-        """Allow so many integration steps from now on."""
+        """Allow so many integration steps from now on, also for fits that were cut short."""
         self.begun, self.most_steps = steps_taken(), most_steps
+        self.fits = {key: found for key, found in self.fits.items()
+                     if not key[0] & self.not_compared.keys()}
 
     def conditions(self, model: Model) -> Conditions:
         """Sizes that occur in the fitted runs."""

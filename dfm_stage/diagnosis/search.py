@@ -17,6 +17,7 @@ from dfm_stage.diagnosis.decisions import (
     FURTHER,
     FURTHER_SHARE,
     MOST_EFFECTS,
+    MOST_STEPS,
     NOISE_MOVED,
     PAIR_GAIN,
     PAIR_MEMBER,
@@ -71,7 +72,8 @@ class Search(Fits):
     """Effects that were found and not borne out: not looked for again."""
 
     def widened(self, names: Names) -> Search:
-        """A search among these effects, too, that knows the fits made so far."""
+        """A search among these effects, too, that knows the fits made to their end so far."""
+        self.begin_work(MOST_STEPS)
         return Search(self.model, self.runs, self.free, fits=self.fits, weighings=self.weighings,
                       library=(*self.library, *names), step=self.step)
 

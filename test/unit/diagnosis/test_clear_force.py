@@ -130,3 +130,13 @@ def test_most_of_a_part_is_told_as_a_part(trial):
     _, e = by_force(trial, trial.search.begin(), trial.witness, less, (), split=False)
     assert verdict(e).kind == "partial"
     assert np.isclose(verdict(e).effects[0].predictable_share, 0.7 / 0.95)
+
+
+@pytest.mark.parametrize(("seen", "enough"), [
+    (said(FRICTION), True),
+    (said(explained(0.56, "coulomb_friction")), False),   # 0.59 of what is predictable
+    (said(explained(0.58, "coulomb_friction")), True),
+    (said(explained(0.9, "coulomb_friction", "dead_zone")), False),
+    (said(FRICTION, noise=0.9), False)])
+def test_the_force_domain_says_whether_common_effects_are_enough(seen, enough):
+    assert seen.explained_by(["coulomb_friction", "creep"]) is enough

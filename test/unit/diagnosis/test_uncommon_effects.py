@@ -95,3 +95,28 @@ def test_the_effect_or_its_class_is_named(name: str) -> None:
     for parameter, value in values.items() if len(members) == 1 else ():
         low, high = found.effects[0].parameters[parameter].ci95
         assert low - (high - low) < value < high + (high - low), parameter
+
+
+@pytest.mark.parametrize(("name", "values", "without", "named", "widened"), [
+    ("dead_zone", {"width": 0.05}, (), ["dead_zone"], True),
+    ("dead_zone", {"width": 0.05}, ("dead_zone",), [], True),
+    ("cubic_stiffness", {"k3": 2e7}, (), ["cubic_stiffness"], False)])
+def test_uncommon_effects_are_looked_for_where_the_common_ones_do_not_suffice(
+        name: str, values: dict[str, float], without: tuple[str, ...], named: list[str],
+        widened: bool) -> None:
+    runs = [record(name, values, 10 + k, a) for k, a in enumerate((3.0, 1.5, 2.0))]
+    steps: list[str] = []
+    found = diagnose(runs[:2], BELIEVED, holdout=runs[2:], without=without, step=steps.append)
+    assert ("looking for uncommon effects, too" in steps) is widened
+    if named:
+        assert [e.name for e in found.effects] == named
+        assert found.verdict == "named"
+    else:
+        assert name not in {e.name for e in found.effects}
+
+
+def test_an_effect_that_may_not_be_named_must_be_one() -> None:
+    run = Record(PERIOD * np.arange(100), PERIOD, {"x": AxisRecord(np.ones(100), np.ones(100))},
+                 Provenance("run", "csv"))
+    with pytest.raises(DiagnosisError, match="without: there is no effect hum"):
+        diagnose([run], BELIEVED, without=["hum"])

@@ -34,6 +34,7 @@ from dfm_stage.diagnosis.verdict import (
     Reason,
     Rejected,
     fallen,
+    is_clearly_more,
     needs_grading,
     needs_joint_fit,
     small_parts,
@@ -489,3 +490,14 @@ def test_two_effects_fall_the_lesser_first():
     ("no effect explains the gap", True)])
 def test_parts_are_looked_for_where(met, graded):
     assert needs_grading(replace(ROWS[met][0], judged=Judged(noise_power=NOISE**2))) is graded
+
+
+@pytest.mark.parametrize(("new", "known", "taken"), [
+    (part(0.2), part(0.0), False),                        # both unknown
+    (part(0.5), part(0.0), True),                         # a part, where nothing was
+    (part(0.79), part(0.5), False), (part(0.81), part(0.5), True),
+    (found(FRICTION), part(0.9), True),                   # down to the noise
+    (part(0.2), part(0.5), False)])
+def test_uncommon_effects_must_explain_clearly_more(new, known, taken):
+    """0.8 is where 40 % stay of what explaining half of the gap leaves."""
+    assert is_clearly_more(new, known) is taken

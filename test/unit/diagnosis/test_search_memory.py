@@ -1,0 +1,61 @@
+"""What a search need not do twice, and what it must."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis.observation import observe
+from dfm_stage.diagnosis.search import Search
+from dfm_stage.identification.weights import Weight
+
+_spec = importlib.util.spec_from_file_location("memory_truth",
+                                               Path(__file__).with_name("truth.py"))
+assert _spec is not None
+assert _spec.loader is not None
+truth = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(truth)
+
+OTHER = ((Weight(np.ones(1), 1e-6, "given"),),)
+
+
+@pytest.fixture
+def search() -> Search:
+    feed = truth.multisine(1)
+    run = observe(truth.record(feed, truth.move(feed, lambda x, v: -4e6 * x**3), 1, "run"),
+                  truth.believed())
+    return Search(truth.believed(), [run], ("damping", "stiffness"),
+                  library=("cubic_stiffness", "quadratic_damping"))
+
+
+def test_fits_and_screens_by_the_same_weights_are_made_once(search):
+    bare = search.begin()
+    weights, noise = search.weights, search.noise
+    screen = search.screened(bare, ())
+    cubic = search.fitted(("cubic_stiffness",), bare, screen[1][:1])
+    search.reweigh(OTHER)
+    assert search.fitted(("cubic_stiffness",), bare, screen[1][:1]) is not cubic
+    assert search.screened(bare, ()) is not screen
+    search.reweigh(weights, noise)
+    assert search.fitted(("cubic_stiffness",), bare) is cubic
+    assert search.screened(bare, ()) is screen
+    assert "cubic_stiffness" in {h.name for h in screen[1]}
+    search.barred = {"cubic_stiffness"}
+    assert "cubic_stiffness" not in {h.name for h in search.screened(bare, ())[1]}
+
+
+def test_a_wider_search_knows_fits_that_came_to_their_end(search):
+    bare = search.begin()
+    hits = search.screened(bare, ())[1]
+    cubic, damping = (search.fitted((name,), bare, [h for h in hits if h.name == name][:1])
+                      for name in search.library)
+    search.not_compared["quadratic_damping"] = None
+    wide = search.widened(("gravity",))
+    assert wide.library == (*search.library, "gravity")
+    assert not wide.not_compared
+    wide.reweigh(search.weights, search.noise)
+    assert wide.fitted(("cubic_stiffness",), bare) is cubic
+    assert wide.fitted(("quadratic_damping",), bare) is not damping
