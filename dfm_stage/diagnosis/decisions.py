@@ -347,8 +347,8 @@ CONVENTION_WORSE = decision(
     "CONVENTION_WORSE", 1.01, "1", meaning="RMS left by another convention over that left by the "
     "estimated one and a linear effect, up to which it explains as well.",
     set_on="four cases of seed 1498568968, in which an error of timing was named second_mode")
-MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps of one search after which its "
-                     "fits end where they are: among the common effects, and among all.", BOUND)
+MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps of one search after which "
+                     "its fits end where they are: among common effects, and among all.", BOUND)
 GRADING_STEPS = _search("GRADING_STEPS", 50e6, "steps", "Integration steps of the search for "
                         "effects that explain a part.", BOUND)
 FIRST_SHARE = _search("FIRST_SHARE", 0.5, "1", "Share of MOST_STEPS after which the first effects "
