@@ -290,6 +290,16 @@ SHORT_LIST = decision("SHORT_LIST", 4, "1", meaning="Candidates, and rivals of o
                       "are fitted at most.", set_on=SEARCH_FORM)
 SCREENS_KEPT = _search("SCREENS_KEPT", 4, "1", "Screens that are remembered: each holds the "
                        "responses of all candidates.")
+LOOKED_CLOSELY = _search(
+    "LOOKED_CLOSELY", 24, "1", "Starting points of one effect that are screened beside nonlinear "
+    "effects: those that promise most beside the linear model that moves alike.",
+    "28 screens of four cases of seed 30001: 24 hold the best point of 126 in all, 16 in all "
+    "whose best point gains anything")
+MOVES_ALIKE = _search(
+    "MOVES_ALIKE", 0.2, "1", "Difference of the linear model's motion over the motion, up to "
+    "which it may say which starting points promise most.",
+    "a cubic spring beside drag or friction at eight sizes: the best of 126 points comes 1st to "
+    "5th up to 0.2, 73rd to 84th from 0.3")
 SHORT_LIST_GAIN = _search("SHORT_LIST_GAIN", 0.8, "1", "Share of the best screened gain from "
                           "which a candidate is fitted.")
 FULL_SHARE = _search("FULL_SHARE", 0.985, "1", "Share of what is above the noise that one fit "

@@ -7,8 +7,9 @@ step (a score test). Pairs are screened jointly, because a single effect may sta
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -20,6 +21,8 @@ from dfm_stage.diagnosis.decisions import (
     COARSER,
     FEWEST_CYCLES,
     LEAST_TRAVEL,
+    LOOKED_CLOSELY,
+    MOVES_ALIKE,
     SCREEN_RANK,
     STEP_GRID,
     UNSEEN_PART,
@@ -32,6 +35,9 @@ from dfm_stage.identification.weights import Weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import Parameters
+
+BATCH = 400_000
+"""Samples of all responses that are simulated at once, for what they take of memory."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,8 @@ class Screen:
 
     def __init__(self, base: Fit, runs: Sequence[Observation], weights: Weights,
                  noise: float, linear: Model | None = None) -> None:
-        """`linear` is a model that moves alike and answers for one that is slow to simulate."""
+        """`linear` is a model that moves alike, for a first look beside nonlinear effects; it
+        answers for one that is slow to simulate."""
         self.base, self.runs, self.weights, self.noise = base, tuple(runs), weights, noise
         system = base.system
         light = system.barely_nonlinear(base.x)
@@ -82,6 +89,17 @@ class Screen:
         self.plain = self._outputs(self.model)
         self.at = self._conditions()
         self._strengths: list[tuple[str, Parameters, float]] = []
+        self._first = self._beside(linear) if linear is not None and not light and (
+            self.model is not linear) else None
+
+    def _beside(self, linear: Model) -> Screen | None:
+        """The same, with the effects beside a linear model; None where it moves otherwise."""
+        other = copy.copy(self)
+        other.model, other.plain, other._strengths = linear, self._outputs(linear), []
+        if self.plain is None or other.plain is None or np.linalg.norm(
+                self.plain - other.plain) > MOVES_ALIKE * np.linalg.norm(self.plain):
+            return None
+        return other
 
     def _edges(self) -> list[tuple[int, int]]:
         found, at = [], 0
@@ -109,8 +127,47 @@ class Screen:
 
     def hits(self, name: str, keep: int = 2) -> list[Hit]:
         """The best starting points of one effect, best first."""
-        found = [self._hit(name, parameters) for parameters in starts(name, self.at)]
+        points = starts(name, self.at)
+        if self._first is not None and len(points) > LOOKED_CLOSELY:
+            looks = self._first._looked_at(name, points)
+            promise = [-math.inf if h is None else h.gain for h in looks]
+            points = [points[k] for k in sorted(np.argsort(promise)[-LOOKED_CLOSELY:])]
+        found = self._looked_at(name, points)
         return sorted((h for h in found if h is not None), key=lambda h: -h.gain)[:keep]
+
+    def _looked_at(self, name: str, points: Sequence[Parameters]) -> list[Hit | None]:
+        """The hit of each starting point of one effect; None where there is none."""
+        effect = EFFECTS[name]
+        model, plain = self.model, self.plain
+        if effect.rounds:  # at the motion itself, to a part of a step
+            model = self.base.model
+            plain = self._outputs(model)
+        if plain is None or not points:
+            return [None] * len(points)
+        directions = [effect.directions(p, self.at) for p in points]
+        shifted = self._responses(model, name, [p for group in directions for p in group])
+        found: list[Hit | None] = []
+        for parameters, group in zip(points, directions, strict=True):
+            columns = [next(shifted) - plain for _ in group]
+            found.append(self._hit(name, parameters, group, columns) if np.all(
+                np.isfinite(columns)) else None)
+        return found
+
+    def _responses(self, model: Model, name: str,
+                   points: Sequence[Parameters]) -> Iterator[Array]:
+        """The weighted outputs (N,) of a model with one effect at each of several points."""
+        alike = all(p.keys() == points[0].keys() for p in points)
+        at_once = max(BATCH // sum(run.input.size for run in self.runs), 1) if alike else 1
+        for first in range(0, len(points), at_once):
+            some = points[first:first + at_once]
+            system = system_of(model.with_effect(name, some[0]), self.runs, (), self.noise)
+            x = system.started(self.base.locals)
+            values = {f"{name}.{n}": np.array([p[n] for p in some]) for n in some[0]}
+            parts = [[[w.apply(row) for row in out] for out, w in zip(
+                system.varied(i, x, values), ws, strict=True)]
+                for i, ws in enumerate(self.weights)]
+            for k in range(len(some)):
+                yield np.concatenate([rows[k] for signals in parts for rows in signals])
 
     def smallest(self, limit: float) -> dict[str, Parameters]:
         """Size of each effect screened so far at which chi-square is expected to rise by `limit`.
@@ -161,12 +218,10 @@ class Screen:
         best = sorted(tried, key=lambda p: -_staircase(position, residual, p))[:2]
         return [float(p) for p in best if p > max(at.noise, COARSER * known)]
 
-    def _hit(self, name: str, parameters: Parameters) -> Hit | None:
+    def _hit(self, name: str, parameters: Parameters, directions: Sequence[Parameters],
+             responses: Sequence[Array]) -> Hit | None:
         effect = EFFECTS[name]
-        directions = effect.directions(parameters, self.at)
-        columns = self._columns(name, directions)
-        if columns is None:
-            return None
+        columns = self._by_run(name, responses)
         projected = self.project(columns)
         size = np.linalg.norm(projected, axis=0)
         kept = size > UNSEEN_PART * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -186,18 +241,8 @@ class Screen:
         return Hit(name, gain, effect.combined(directions, multiples[:len(directions)]), projected,
                    multiples, len(directions) == 1)
 
-    def _columns(self, name: str, directions: Sequence[Parameters]) -> Array | None:
-        """Weighted responses (N, c) to the effect; one column a run where it differs by run."""
-        model, plain = self.model, self.plain
-        if EFFECTS[name].rounds:  # at the motion itself, to a part of a step
-            model = self.base.model
-            plain = self._outputs(model)
-        columns = []
-        for parameters in directions:
-            shifted = self._outputs(model.with_effect(name, parameters))
-            if shifted is None or plain is None:
-                return None
-            columns.append(shifted - plain)
+    def _by_run(self, name: str, columns: Sequence[Array]) -> Array:
+        """Responses as columns (N, c); one a run of an effect that differs by run."""
         if not EFFECTS[name].per_run or len(self.runs) == 1:
             return np.asarray(np.array(columns).T)
         split = []
@@ -207,8 +252,6 @@ class Screen:
                 own[a:b] = column[a:b]
                 split.append(own)
         return np.asarray(np.array(split).T)
-
-
 
 
 def _staircase(position: Array, residual: Array, step: float) -> float:

@@ -125,8 +125,8 @@ def search(system: System, weights: Weights, start: Array, *, iterations: int = 
                         max_iterations=most, tolerance=tolerance)
 
     in_windows = any(u.part is not None for u in system.unknowns)
-    chord = _Chord(criterion.jacobian) if system.nonlinear and not in_windows and (
-        not light or system.slow) else None
+    chord = None if in_windows or (system.nonlinear and light and not system.slow) \
+        else _Chord(criterion.jacobian)
     found = minimum(chord or criterion.derivative, start, iterations)
     if chord is not None and chord.stale and not spent():
         found = minimum(criterion.jacobian, found.x, max(iterations // 2, 3))

@@ -286,9 +286,21 @@ class System(Problem):
         self._latest[index, light] = x, found, self.work - before
         return found
 
-    def _simulated(self, index: int, rows: Array, light: bool) -> Signals:
+    def varied(self, index: int, x: Array, values: Mapping[str, Array]) -> Signals:
+        """The signals of one run, (P, N - skip) each, at `x` (n,) where parameters of the model
+        that are not free have `values` (P,) each."""
+        count = len(next(iter(values.values())))
+        return self.signals(index, np.tile(x, (count, 1)), lambda i, rows: self._simulated(
+            i, rows, False, values))
+
+    def _simulated(self, index: int, rows: Array, light: bool,
+                   values: Mapping[str, Array] | None = None) -> Signals:
         run = self.runs[index]
         names, table, allowed = self._table(index, rows)
+        if values:
+            kept = [k for k, n in enumerate(names) if n not in values]
+            names = [*(names[k] for k in kept), *values]
+            table = np.column_stack((table[:, kept], *values.values()))
         out = [np.full((len(rows), run.input.size), np.nan) for _ in run.measured]
         if light:
             kept = [k for k, n in enumerate(names) if n.partition(".")[0] not in self.nonlinear]

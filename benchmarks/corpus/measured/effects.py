@@ -199,7 +199,9 @@ OUTSIDE: dict[str, Outside] = {
     "end_stop": Outside(
         lambda r, a, s: {"stop_gap": a.peak * r.uniform(0.4, 0.7),
                          "stop_stiffness": 8.0 * s * a.force / a.x},
-        frozenset({"cubic_stiffness"}), "hardens on both sides", remainder=False),
+        frozenset({"cubic_stiffness"}), "hardens on both sides; two elastic stops are the law of "
+        "a play", remainder=False,
+        own=frozenset({"backlash"})),
     "end_stop_one_sided": Outside(
         lambda r, a, s: {"stop_gap": a.peak * r.uniform(0.4, 0.7), "stop_one_sided": 1.0,
                          "stop_stiffness": 8.0 * s * a.force / a.x},

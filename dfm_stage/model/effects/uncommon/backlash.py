@@ -3,8 +3,8 @@
     F = -stiffness (x - centre - min(max(x - centre, -gap/2), gap/2))
 
 Within the gap the link gives no force. The stage's own stiffness stands beside it; a stage held by
-the link alone has none. Play between a drive with a mass of its own and its load is not this: the
-model has one driven point.
+the link alone has none. Two elastic stops, one on each side, are the same law. Play between a
+drive with a mass of its own and its load is not this: the model has one driven point.
 Source: Nordin and Gutman, Automatica 38 (2002) 1633 (dead-zone model).
 """
 
@@ -55,7 +55,7 @@ nothing but the noise."""
 
 EFFECT = Backlash(
     name="backlash",
-    meaning="the link that holds the stage has play",
+    meaning="the link that holds the stage has play, or an elastic stop stands on each side",
     equation="F = -stiffness (x - centre - min(max(x - centre, -gap/2), gap/2))",
     source="Nordin and Gutman, Automatica 38 (2002) 1633",
     parameters=(
