@@ -89,10 +89,12 @@ class PreslidingFriction(Effect):
     def without_meaning(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """Those of the Stribeck term where the breakaway force is that of sliding, or fades before
         anything moves."""
-        off = values["breakaway_ratio"] == 1.0 or values["stribeck_velocity"] < SLOWEST
+        off = values["breakaway_ratio"] < NO_HIGHER or values["stribeck_velocity"] < SLOWEST
         return ("breakaway_ratio", "stribeck_velocity") if off else ()
 
 
+NO_HIGHER = 1.0 + 1e-9
+"""Breakaway ratio below which nothing but rounding tells the breakaway force from sliding."""
 SLOWEST = 1e-8
 """Stribeck velocity (m/s) below which nothing in a record is slow enough to feel its term."""
 
