@@ -32,11 +32,12 @@ napoleon_use_ivar = True
 napoleon_custom_sections = [("Parameters common to the methods", "params_style")]
 highlight_language = "none"
 autodoc_class_signature = "separated"
-autodoc_default_options = {"members": True, "member-order": "bysource",
+autodoc_default_options = {"members": True, "undoc-members": True, "member-order": "bysource",
                            "exclude-members": "__init__, __new__"}
 autodoc_preserve_defaults = True
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "FloatArray", "Ints")}
 _work = tempfile.TemporaryDirectory()       # the notebooks write here; it goes with the process
 plot_working_directory = _work.name
 plot_pre_code = "pass"      # a notebook imports what it uses
@@ -148,6 +149,13 @@ def _kind(name: str) -> str:
     return "exception" if issubclass(found, Exception) else "class"
 
 
+def name_aliases(_app: Any, _what: str, _name: str, _found: Any, _options: Any,
+                 signature: str | None, returns: str | None) -> tuple[str | None, str | None]:
+    """Write an alias within a union by its name, as autodoc does elsewhere."""
+    plain = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", signature or "") or signature
+    return plain, returns
+
+
 def show_equation(writer: Any, node: Any) -> None:
     """Write an equation as MathML, which browsers show without a script."""
     from docutils.nodes import SkipNode
@@ -163,6 +171,7 @@ def setup(app: Any) -> None:
     app.connect("source-read", add_order)
     app.connect("doctree-read", name_cells)
     app.connect("doctree-read", keep_short_code)
+    app.connect("autodoc-process-signature", name_aliases)
     app.setup_extension("matplotlib.sphinxext.plot_directive")
     app.add_directive("plot", NumberedPlot, override=True)
     app.add_html_math_renderer("mathml", (show_equation, None), (show_equation, None))
