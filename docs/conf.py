@@ -152,8 +152,10 @@ def _kind(name: str) -> str:
 def name_aliases(_app: Any, _what: str, _name: str, _found: Any, _options: Any,
                  signature: str | None, returns: str | None) -> tuple[str | None, str | None]:
     """Write an alias within a union by its name, as autodoc does elsewhere."""
-    plain = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", signature or "") or signature
-    return plain, returns
+    def named(text: str | None) -> str | None:
+        return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
+
+    return named(signature), named(returns)
 
 
 def show_equation(writer: Any, node: Any) -> None:
