@@ -32,6 +32,8 @@ takes time at every start, and a signal meanwhile ends in a traceback."""
 HERE = os.path.dirname(os.path.abspath(__file__))
 PACKAGE = "dfm_stage"
 PYTEST_PLUGIN = "pytest_dfm_stage"
+REPOSITORY = ""
+"""Address of the public repository. None is known yet: RELEASING.md says when to write it here."""
 FOR_PIP = "setuptools.build_meta" in sys.modules
 """pip and other front ends build through this module, colcon runs this file."""
 DEPENDENCIES = [
@@ -72,6 +74,16 @@ CLASSIFIERS = [
 ]
 
 
+def addresses():
+    """Where package indexes send a reader."""
+    found = {"ROS 2 Jazzy": "https://docs.ros.org/en/jazzy/"}
+    if REPOSITORY:
+        found |= {"Source": REPOSITORY, "Issues": f"{REPOSITORY}/issues",
+                  "Documentation": f"{REPOSITORY}/blob/main/docs/index.md",
+                  "Changelog": f"{REPOSITORY}/blob/main/CHANGELOG.md"}
+    return found
+
+
 def files(folder):
     """Every file below a folder, by its path from here."""
     return [path for path in sorted(glob(f"{folder}/**", recursive=True))
@@ -110,7 +122,7 @@ setup(
     license="Apache-2.0",
     keywords=["system identification", "model diagnosis", "flexure", "nanopositioning", "ROS 2"],
     classifiers=CLASSIFIERS,
-    project_urls={"ROS 2 Jazzy": "https://docs.ros.org/en/jazzy/"},
+    project_urls=addresses(),
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     py_modules=[PYTEST_PLUGIN],

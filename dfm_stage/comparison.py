@@ -69,7 +69,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Check:
-    """Whether a model still explains records: the largest gap beside the one it is held to."""
+    """Whether a model still explains its machine: its largest gap, and the gap allowed."""
 
     simulations: tuple[Simulation, ...]
     stored: float
@@ -77,12 +77,12 @@ class Check:
 
     @property
     def worst(self) -> Simulation:
-        """The record that the model explains least."""
+        """The response for the record with the largest gap."""
         return max(self.simulations, key=lambda each: each.rms)
 
     @property
     def holds(self) -> bool:
-        """Whether no gap exceeds the stored one times the factor."""
+        """True if no gap exceeds the stored gap times the factor."""
         return self.worst.rms <= self.factor * self.stored
 
     def to_dict(self) -> dict[str, Any]:

@@ -32,11 +32,12 @@ napoleon_use_ivar = True
 napoleon_custom_sections = [("Parameters common to the methods", "params_style")]
 highlight_language = "none"
 autodoc_class_signature = "separated"
-autodoc_default_options = {"members": True, "member-order": "bysource",
+autodoc_default_options = {"members": True, "undoc-members": True, "member-order": "bysource",
                            "exclude-members": "__init__, __new__"}
 autodoc_preserve_defaults = True
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "FloatArray", "Ints")}
 _work = tempfile.TemporaryDirectory()       # the notebooks write here; it goes with the process
 plot_working_directory = _work.name
 plot_pre_code = "pass"      # a notebook imports what it uses
@@ -60,6 +61,10 @@ ORDER = {
                   "decisions", "reference", "api"],
     "Benchmarks": ["benchmarks", "benchmarks_diagnosis", "benchmarks_faults", "measured_stages"],
 }
+SHORT_CODE = 14
+"""Characters up to which a word of code is kept whole: no line ends within `--split`."""
+PARAGRAPH = 120
+"""Characters of a cell from which a table of three columns is too wide for a phone."""
 UNIT = re.compile(r"(?<=\d) (?=(?:%|[nµmk]?(?:m|s|Hz|N|V))(?!\w))")
 
 
@@ -90,13 +95,23 @@ def name_cells(_app: Any, doctree: Any) -> None:
     for each in doctree.findall(table):
         head = next(iter(each.findall(thead)), None)
         names = [cell.astext() for cell in head.findall(entry)] if head is not None else []
-        long = any(len(cell.astext()) > LONG_TEXT for cell in each.findall(entry))
-        if len(names) <= MOST_ON_PHONE or not long:
+        longest = max((len(cell.astext()) for cell in each.findall(entry)), default=0)
+        limit = LONG_TEXT if len(names) > MOST_ON_PHONE else PARAGRAPH
+        if len(names) < MOST_ON_PHONE or longest <= limit:
             continue
         each["classes"].append("cards")
         for line in next(iter(each.findall(tbody))).findall(row):
             for name, cell in zip(names, line.children, strict=True):
                 cell.insert(0, inline("", name, classes=["named"]))
+
+
+def keep_short_code(_app: Any, doctree: Any) -> None:
+    """Mark code whose words are short: the style sheet keeps each of them on one line."""
+    from docutils.nodes import literal
+
+    for each in doctree.findall(literal):
+        if max(map(len, each.astext().split()), default=0) <= SHORT_CODE:
+            each["classes"].append("short")
 
 
 def with_plots(notebook: str) -> str:
@@ -134,12 +149,22 @@ def _kind(name: str) -> str:
     return "exception" if issubclass(found, Exception) else "class"
 
 
+def name_aliases(_app: Any, _what: str, _name: str, _found: Any, _options: Any,
+                 signature: str | None, returns: str | None) -> tuple[str | None, str | None]:
+    """Write an alias within a union by its name, as autodoc does elsewhere."""
+    def named(text: str | None) -> str | None:
+        return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
+
+    return named(signature), named(returns)
+
+
 def show_equation(writer: Any, node: Any) -> None:
     """Write an equation as MathML, which browsers show without a script."""
     from docutils.nodes import SkipNode
 
-    display = "block" if node.tagname == "math_block" else "inline"
-    writer.body.append(convert(node.astext().strip(), display=display))
+    block = node.tagname == "math_block"
+    shown = convert(node.astext().strip(), display="block" if block else "inline")
+    writer.body.append(f'<div class="equation">{shown}</div>' if block else shown)
     raise SkipNode
 
 
@@ -147,6 +172,8 @@ def setup(app: Any) -> None:
     """Sphinx calls this once."""
     app.connect("source-read", add_order)
     app.connect("doctree-read", name_cells)
+    app.connect("doctree-read", keep_short_code)
+    app.connect("autodoc-process-signature", name_aliases)
     app.setup_extension("matplotlib.sphinxext.plot_directive")
     app.add_directive("plot", NumberedPlot, override=True)
     app.add_html_math_renderer("mathml", (show_equation, None), (show_equation, None))

@@ -1,4 +1,4 @@
-"""bags: what a bag of any nodes holds, what could be input and output, and its export."""
+"""bags: list the topics and numbers of a bag, from any nodes, and export a record from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""check: whether a model still explains its machine, by new records; for CI and maintenance."""
+"""check: does a model still explain new records of its machine? For CI and maintenance."""
 
 from __future__ import annotations
 

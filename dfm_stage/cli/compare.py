@@ -1,4 +1,4 @@
-"""compare: several models beside the same records, in one table and one picture."""
+"""compare: several models with the same records, in one table and one plot."""
 
 from __future__ import annotations
 

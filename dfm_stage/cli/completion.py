@@ -1,4 +1,4 @@
-"""completion: lines for a shell's start-up file that complete commands and their options."""
+"""completion: a script for the shell's start-up file that completes commands and options."""
 
 from __future__ import annotations
 

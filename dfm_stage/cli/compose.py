@@ -1,4 +1,4 @@
-"""compose: several nodes in one process, where they hand messages over by a call."""
+"""compose: several nodes in one process, which pass messages by a function call."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""diagnose: what a model lacks, by runs it should explain, shown on runs it has not seen."""
+"""diagnose: which physical effect a model lacks, confirmed on records that were not fitted."""
 
 from __future__ import annotations
 

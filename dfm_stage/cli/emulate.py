@@ -1,4 +1,4 @@
-"""emulate: a serial device that is not there, on a pseudo-terminal, byte for byte."""
+"""emulate: a serial device on a pseudo-terminal, byte for byte."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""example: measured files of a stage whose model lacks something, to try the commands on."""
+"""example: write records of a stage and a model that lacks an effect, to try the commands on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""identify: model, natural frequency, damping and gain with 95 % intervals from recorded runs."""
+"""identify: estimate a model, natural frequency, damping and gain, with 95 % intervals."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ examples:
 FEWEST_SAMPLES = 100
 """A shorter record is refused: it holds too little of a stage's motion to fit a noise model to."""
 OPTIONS: Options = (
-    option("bags", nargs="*", metavar="BAG",
+    option("bags", nargs="*", metavar="RUN",
            help="bag folder, .mcap, .csv, .npz or .mat; several are fitted together"),
-    option("--record", action="append", default=[], metavar="BAG",
-           help="one more record to fit, as BAG"),
-    option("--holdout", action="append", default=[], metavar="BAG",
+    option("--record", action="append", default=[], metavar="RUN",
+           help="one more record to fit, as RUN"),
+    option("--holdout", action="append", default=[], metavar="RUN",
            help="a record to predict and not to fit; without one, the last quarter of the first "
            "record"),
     option("--out", default="identified", metavar="DIR",

@@ -1,4 +1,4 @@
-"""learn: repeat a movement on the node graph until what is wrong with it is learnt away."""
+"""learn: repeat a movement on the node graph, and correct its input after each pass."""
 
 from __future__ import annotations
 

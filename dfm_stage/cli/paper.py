@@ -1,4 +1,4 @@
-"""paper: everything the paper did, on the simulated stage; its numbers beside ours, row by row."""
+"""paper: repeat the paper's experiments on the simulated stage, its numbers beside ours."""
 
 from __future__ import annotations
 

@@ -21,18 +21,21 @@ from dfm_stage.recording import (
 from dfm_stage.recording.record import HOLDS
 
 COLUMNS: Group = ("CSV files with other column names, bags of other nodes", (
-    option("--time", metavar="COLUMN", help="of a bag: header, publish or arrival, or a field"),
-    option("--input", metavar="COLUMN", help="of a bag: a field, as /joint_states.effort[0]"),
-    option("--output", metavar="COLUMN", help="as --input"),
-    *(option(f"--{name}-unit", metavar="UNIT") for name in ("time", "input", "output")),
-    option("--sample-period", type=float, metavar="SECONDS")))
+    option("--time", metavar="COLUMN",
+           help="column of the time; of a bag: header, publish, arrival or a field"),
+    option("--input", metavar="COLUMN",
+           help="column of the input; of a bag: a field, as /joint_states.effort[0]"),
+    option("--output", metavar="COLUMN", help="column of the output, likewise"),
+    *(option(f"--{name}-unit", metavar="UNIT", help=f"such as {unit}, if its name has none")
+      for name, unit in (("time", "ms"), ("input", "V"), ("output", "um"))),
+    option("--sample-period", type=float, metavar="SECONDS", help="in place of a time column")))
 RANGE: Group = ("which part of each record", (
     option("--from", dest="from_s", type=float, metavar="SECONDS",
            help="begin so long after the record began"),
     option("--to", dest="to_s", type=float, metavar="SECONDS",
            help="end so long after the record began"),
-    option("--rows", metavar="A:B", help="samples A to B, B left out, counted from 0; either may "
-           "be missing"),
+    option("--rows", metavar="A:B", help="samples A to B, without B, counted from 0; A or B may "
+           "be left out"),
     option("--gaps", choices=("longest", "fill"), default="longest",
            help="where samples are missing, keep the longest stretch, or first fill in up to two "
            "in a row (default: %(default)s)")))
@@ -40,8 +43,8 @@ SPLIT = option("--split", type=float, metavar="SHARE",
                help="fit this first share of each record and hold out the rest, as 0.75")
 CONVENTION: Group = ("when the input acts", (
     option("--input-hold", choices=("auto", *HOLDS), default="auto",
-           help="between samples the input stands (zero), goes straight to the next (first) or "
-           "is band-limited (default: found from the record)"),
+           help="between samples the input keeps its value (zero), changes linearly (first) or is "
+           "band-limited (default: found from the record)"),
     option("--input-shift", default="auto", metavar="SAMPLES",
            help="the input acts so many samples later than its column says; below 0: earlier "
            "(default: found from the record)")))

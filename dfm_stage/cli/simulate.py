@@ -1,4 +1,4 @@
-"""simulate: the response of a model to recorded inputs, and what it leaves of the measurement."""
+"""simulate: the response of a model to recorded inputs, its RMS error and its fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""tune: from a model, or a bag, to the controllers' parameters, what they promise, and why."""
+"""tune: choose a controller's parameters for a model or a bag, with margins and reasons."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""view: the loop as it runs, on a page for this machine: positions, errors, faults, arm, stop."""
+"""view: a page that shows the running loop: positions, errors, faults; arm and stop."""
 
 from __future__ import annotations
 

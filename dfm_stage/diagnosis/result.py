@@ -114,14 +114,17 @@ class AcceptedFormula:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found. `model` is the extended model, `next_experiment` a mapping that
-    `load_experiment` takes, or None. Where nothing was found, `detection_limits` are the sizes at
-    which each effect would have been named in half of such records. `conventions` say what the
-    input of each record does between its samples. `shown` says which of the models compared is the
-    one after. `complete` says that the model explains all but noise. `witness` is what the force
-    domain says by itself, `surface` the force that is still missing, where clear of noise, and
-    `formulas` are offered for it; `accepted` were added to the model. `stretches` are what was
-    chosen of long records."""
+    """The answer of a diagnosis.
+
+    `model` is the extended model, and `complete` is true if it leaves only noise. `gap` compares
+    the models before and after; `shown` tells which model is "after". `next_experiment` is a
+    mapping for `load_experiment`, or None.
+
+    `conventions` tell what the input of each record does between its samples. `stretches` are the
+    parts used of long records. `witness` are the effects that the force domain finds by itself.
+    `surface` is the force that is still missing, where it exceeds the noise. `formulas` are
+    offered for that force, and `accepted` were added to the model. If nothing was found,
+    `detection_limits` has the size at which half of such records would name each effect."""
 
     verdict: Kind
     sentence: str

@@ -84,33 +84,33 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
              fixed: Sequence[str] = (), names: Sequence[str] = (), seed: int = 0,
              accept: Sequence[Formula] = (),
              step: Callable[[str], None] | None = None) -> Diagnosis:
-    """Find what is missing in `model` by records it should explain.
+    """Find out which effects `model` lacks, from records that it should explain.
 
     Parameters
     ----------
     records
-        To fit. Of a long one (more than LONG_RECORD samples) stretches are, chosen to tell most.
+        Records to fit. Of one with more than LONG_RECORD samples, selected stretches are fitted.
     model
-        Of one axis, or of several with `axis` naming one.
+        A model of one axis; or of several, with `axis` to choose one.
     holdout
         Records to predict and never to fit. Without one, the last 30 % of each record are held
         out, and a warning says so.
     library
-        Effects that may be named. By default those listed in `dfm_stage.model.EFFECTS` and, where
-        these leave more than noise, the uncommon ones; `all` stands for both from the first.
+        Effects that may be named. By default, those of `dfm_stage.model.EFFECTS`; the uncommon
+        ones follow if these leave more than noise. `all` admits both from the beginning.
     without
         Effects that may not be named.
     free
-        Base parameters to re-estimate, without those in `fixed`. By default damping, stiffness,
-        force constant, lag and delay where the model has them, and the effects it has.
+        Base parameters to re-estimate, except those in `fixed`. By default damping, stiffness,
+        force constant, lag and delay, as far as the model has them, and its effects.
     names
-        Of the records, for the report; held-out ones follow the fitted ones.
+        Names of the records for the report: the fitted ones, then those held out.
     seed
-        Fixes what is shuffled.
+        Seed of all random choices, so that a call can be repeated.
     accept
-        Formulas to add to the model before. The gap is told without and with them.
+        Formulas to add to the model first. The gap is given without and with them.
     step
-        Called with the name of each step as it begins.
+        Function to call with the name of each step when it begins.
 
     Raises
     ------

@@ -108,7 +108,7 @@ class Convention:
             return " (assumed: the other records show it, this one does not)"
         if self.late is not None and self.late_sigma is not None \
                 and self.late > HELD_SIGMAS * self.late_sigma:
-            return f" (it acts {self.late:.2g} samples later: not told from a lag or a delay)"
+            return f" (it acts {self.late:.2g} samples later; a lag or a delay does the same)"
         return ""
 
 

@@ -50,7 +50,7 @@ PAPER_MASS = 1.082
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that was found: the model, its figures with intervals, and the tests."""
+    """The result of an identification: model, figures with intervals, and residual tests."""
 
     fit: ModelFit
     sources: tuple[Source, ...]
@@ -74,12 +74,12 @@ class Identification:
 
     @property
     def estimate(self) -> Estimate:
-        """The estimate behind the model."""
+        """The estimate from which the model was made, with covariance and residuals."""
         return self.fit.estimate
 
     @property
     def headline(self) -> dict[str, Quantity]:
-        """The figures that everybody asks for, by name."""
+        """Natural frequency, damping ratio and gain, by name."""
         return {"natural frequency": self.natural_frequency_hz,
                 "damping ratio": self.damping_ratio, "gain": self.gain}
 
@@ -120,14 +120,14 @@ def identify(records: Sequence[Source | Record], *, model: Model | None = None,
     Parameters
     ----------
     records
-        To fit. Of a record with several axes choose one by `Source.of(record, axis)`.
+        Records to fit. `Source.of(record, axis)` chooses an axis of a record that has several.
     model
         Where to start; by default a second-order stage behind amplifier lag and delay, its mass
         held at the paper's.
     free
-        Addresses to estimate (default: see `default_free`).
+        Addresses of the parameters to estimate (default: see `default_free`).
     fixed
-        Some of them to hold, at a value where one is given.
+        Parameters to hold, each at the value given, or where it is if None.
     holdout
         Records to predict and not to fit; by default the last quarter of the first record.
     step

@@ -214,7 +214,7 @@ class Model:
         return "A" if self.drive == "current" else "V"
 
     def usual_axis(self, axis: str | None = None) -> str | None:
-        """`axis` where one is named, else x where there are several and one is called so."""
+        """`axis` if it is given; else "x" if the model has several axes and one of that name."""
         return axis if axis is not None or "x" not in self.axes else "x"
 
     def axis(self, name: str | None = None) -> Model:
@@ -265,7 +265,7 @@ class Model:
         return next((use for use in self.effects if use.name == name), None)
 
     def effective_base(self) -> dict[str, float]:
-        """The base parameters of a one-axis model with all effects that add to one.
+        """The base parameters of a one-axis model, with the effects that add to them.
 
         Beside them `constant_force` and `dry_friction` (N) and `command_limit` (V or A).
         """
@@ -279,7 +279,7 @@ class Model:
         return values
 
     def parameters(self) -> dict[str, float]:
-        """Address -> value of every parameter the model gives."""
+        """The values of all parameters that the model gives, by address."""
         if not self.axes:
             return _values(self)
         values = {f"{name}.{k}": v for name, axis in self.axes.items()
@@ -348,7 +348,7 @@ class Model:
 
     def with_effect(self, name: str, parameters: Mapping[str, float],
                     origin: Mapping[str, Any] | None = None) -> Model:
-        """A copy of a one-axis model with an effect added, or replaced where it was on."""
+        """A copy of a one-axis model with an effect added, or replaced if it has it."""
         uses = {use.name: use for use in self.effects}
         own = uses[name].formula if name in uses else None
         uses[name] = EffectUse(name, parameters, origin, own)

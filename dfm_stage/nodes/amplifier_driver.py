@@ -1,8 +1,8 @@
-"""amplifier_driver: commands to the coil, and zero where they stop, are wrong or unwanted.
+"""amplifier_driver: passes commands to the coil, and takes the output to zero if they stop.
 
 Every cause that takes the output to zero latches (see dfm_stage.drivers.interlock): it stays at
-zero, disarmed, until `clear` and `arm` are called. With hardware the commands go to a thread that
-alone talks to the drive, and that notices by itself when they stop.
+zero, disarmed, until `clear` and `arm` are called. With hardware, one thread talks to the drive.
+It notices by itself when commands stop.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""controller: one command for every measurement, by the law that `mode` names, plus excitation.
+"""controller: one command for each measurement, by the control law of `mode`, plus excitation.
 
-In lockstep it waits for reference and excitation of the same sample. In real time it answers at
-once with the reference that was sent ahead for this sample, or, where that is late, with the last
-one (counted). The laws that are not in force follow the one that is (`LawSet`), so that `mode`
-changes without a bump. A guard watches travel and divergence in every mode; once it let go, the
-output stays zero until `mode` is set again.
+In lockstep it waits for the reference and excitation of the same sample. In real time it answers
+at once, with the reference that was sent ahead for this sample. If that is late, it takes the last
+one and counts this. The other laws follow the active one (`LawSet`), so that the output does not
+jump when `mode` changes. A guard watches travel and divergence in every mode. Once it has tripped,
+the output stays zero until `mode` is set again.
 """
 
 from __future__ import annotations

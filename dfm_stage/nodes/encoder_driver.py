@@ -1,8 +1,8 @@
-"""encoder_driver: counts of the scale to metres, dated, numbered and checked for plausibility.
+"""encoder_driver: converts counts to metres, with time stamp and number, and checks them.
 
-The counts come from the simulated scale or, by a thread of their own, from a serial counter. When
-they are lost, implausible or beyond the travel, `encoder_health` (latched) says so at once, and
-amplifier_driver acts on it, whatever the controller does.
+The counts come from the simulated scale, or from a serial counter that a thread reads. If they are
+lost, implausible or beyond the travel, `encoder_health` (latched) reports it at once. Then
+amplifier_driver takes the output to zero, whatever the controller does.
 """
 
 from __future__ import annotations

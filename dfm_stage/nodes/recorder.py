@@ -1,10 +1,10 @@
 """recorder: every topic into a rosbag2-compatible MCAP bag, with what the nodes say of themselves.
 
-Messages are written as the bytes that came. Nodes of the same process hand them over. Those of
-others are fetched every few milliseconds from subscriptions that no executor watches: waking up
-for each of some ten thousand a second costs more than everything else the recorder does, and
-takes it from the loop it records. A bag that cannot be created ends the node; one that can no
-longer be written (full disk) is reported and stops nothing else.
+Messages are written byte by byte as they came. Nodes of the same process pass them by a function
+call. Those of other processes are fetched every few milliseconds from subscriptions that no
+executor watches: waking up for each of ten thousand messages a second would cost more than all
+else, and take that time from the loop. If the bag cannot be created, the node ends. If it can no
+longer be written (full disk), the node reports it and everything else continues.
 """
 
 from __future__ import annotations

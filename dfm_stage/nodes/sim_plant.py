@@ -1,9 +1,9 @@
-"""sim_plant: the simulated stage, where coil and scale would be.
+"""sim_plant: simulates the stage with coil and scale.
 
-Real time: a steady clock takes a sample every period, late ones are made up for at once and
-counted. Lockstep: sample k waits for the drive that answers it, then the plant steps and /clock
-advances. In both the drive that answers sample k is held from t_k to t_(k+1); in real time a late
-one acts a sample later and is counted.
+In real time it takes a sample in every period of a steady clock. Samples that are late are taken
+at once and counted. In lockstep, sample k waits for the drive that answers it. Then the plant
+steps and /clock advances. The drive that answers sample k is held from t_k to t_(k+1). In real
+time, a drive that is late acts one sample later and is counted.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """trajectory_generator: the reference and the excitation of one axis, sample by sample.
 
-It answers measurement k. In lockstep it gives reference and excitation k and, when no experiment
-is running, nothing at all: time stands still between experiments. In real time it gives those of
-k + 1, so that the controller has them when measurement k + 1 arrives; between experiments it
-holds the last position. What would leave a limit (`limits.*`) is refused before it starts.
+It answers measurement k. In lockstep it sends reference and excitation k; between experiments it
+sends nothing, and time does not advance. In real time it sends those of k + 1, so that the
+controller has them when measurement k + 1 arrives; between experiments it holds the last position.
+A movement beyond a limit (`limits.*`) is refused before it starts.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ footer dd { margin: 0; overflow-wrap: anywhere; }
   table { font-size: .84rem; }
   th, td { padding-right: .5rem; }
   caption { max-width: calc(100vw - 2rem); }
-  .cards, .cards tbody, .cards tr, .cards td { display: block; }
+  .cards, .cards caption, .cards tbody, .cards tr, .cards td { display: block; }
   .cards thead { display: none; }
   .cards tr { padding: .5rem 0; border-bottom: 1px solid var(--grid); }
   .cards td, .cards td.number {

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import venv
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,6 +28,7 @@ found = run_setup("setup.py", stop_after="init")
 print(json.dumps({"scripts": [line.partition(" ")[0] for line in
                               found.entry_points["console_scripts"]],
                   "plugins": found.entry_points["pytest11"], "modules": found.py_modules,
+                  "urls": list(found.metadata.project_urls.items()),
                   "data": [name for _, names in found.data_files or [] for name in names],
                   "inside": found.package_data["dfm_stage"]}))
 """
@@ -33,7 +36,7 @@ BARE = {name: value for name, value in os.environ.items() if not name.startswith
     ("PYTHON", "AMENT", "ROS", "RMW", "COLCON", "CMAKE", "LD_LIBRARY", "NUMBA", "PIP_TARGET"))}
 
 
-def described(build: str) -> dict[str, list[str]]:
+def described(build: str) -> dict[str, list[Any]]:
     """What setup.py says to colcon or to pip."""
     done = subprocess.run([sys.executable, "-c", "import setuptools\n" + DESCRIBE, build],
                           cwd=ROOT, capture_output=True, text=True, check=True)
@@ -66,6 +69,13 @@ def test_both_have_the_configuration_inside(build: str) -> None:
     inside = set(described(build)["inside"])
     assert {"config/models/paper_stage.yaml", "config/experiments/example_signals.csv",
             "config/fastdds.xml", "live/page/index.html", "py.typed"} <= inside
+
+
+def test_metadata_and_citation_name_one_repository_or_none() -> None:
+    cited = re.search(r"^repository-code: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"),
+                      re.MULTILINE)
+    urls = dict(described("pip")["urls"])
+    assert urls.get("Source") == (cited and cited[1])
 
 
 def test_one_version_everywhere() -> None:

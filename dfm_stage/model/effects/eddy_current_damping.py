@@ -1,6 +1,6 @@
 """Eddy-current braking: damping that fades above a critical speed.
 
-    F = -damping x' / (1 + (x'/critical_velocity)^2)
+    F = -damping x' / (1 + (x' / critical_velocity)^2)
 
 Viscous far below the critical speed, where the field of the eddy currents is small; the force is
 largest, damping critical_velocity / 2, at the critical speed.
@@ -39,7 +39,7 @@ class EddyCurrentDamping(Effect):
 EFFECT = EddyCurrentDamping(
     name="eddy_current_damping",
     meaning="eddy currents brake the motion, the less the faster it is",
-    equation="F = -damping x' / (1 + (x'/critical_velocity)^2)",
+    equation="F = -damping x' / (1 + (x' / critical_velocity)^2)",
     source="Wouterse, IEE Proc. B 138 (1991) 153",
     parameters=(
         Parameter("damping", 0.0, "N s/m", "damping at low speed", 0.0, 1e9),

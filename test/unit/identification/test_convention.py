@@ -230,7 +230,7 @@ def test_what_is_late_is_never_corrected(base: dict[str, float]) -> None:
     assert found.held
     assert found.late is not None
     assert found.late > 0.9
-    assert "not told from a lag or a delay" in found.words
+    assert "a lag or a delay does the same" in found.words
 
 
 def test_a_measured_velocity_tells_it_too() -> None:

@@ -1,6 +1,6 @@
 """Stribeck friction: dry friction that falls from a breakaway to a sliding force.
 
-    F = -force (ratio + (1 - ratio) exp(-(|x'|/stribeck_velocity)^exponent)) sgn(x')  moving
+    F = -force (ratio + (1 - ratio) exp(-(|x'| / stribeck_velocity) ^ exponent)) sgn(x')  moving
     F = -(all other forces)                at rest, as long as |F| <= force
 
 Viscous friction is the base parameter damping. The simulator locates each reversal and breakaway
@@ -57,8 +57,8 @@ SLOWEST, FASTEST = 0.01, 5.0
 EFFECT = StribeckFriction(
     name="stribeck_friction",
     meaning="dry friction that falls as the stage gets faster",
-    equation="F = -force (ratio + (1 - ratio) exp(-(|x'|/stribeck_velocity)^exponent)) sgn(x'); "
-    "at rest any |F| <= force that keeps it there",
+    equation="F = -force (ratio + (1 - ratio) exp(-(|x'| / stribeck_velocity) ^ exponent)) sgn(x')"
+    "; at rest any |F| <= force that keeps it there",
     source="Armstrong-Helouvry et al., Automatica 30 (1994) 1083, sec. 2",
     parameters=(
         Parameter("force", 0.0, "N", "breakaway force", 0.0, 1e6),
