@@ -7,7 +7,9 @@ executor: what the middleware alone costs on this machine in this minute.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +30,8 @@ def figures(quick: bool = False) -> list[Figure]:
     duration_s = 10.0 if quick else 60.0
     spike = pipeline.ages_ms(duration_s / 3)
     urgent = pipeline.ages_ms(duration_s / 3, PRIORITY.default)
-    ours = _measure(duration_s, "events")
-    default = _measure(duration_s / 3, "default")
+    ours = measure(duration_s, "events")
+    default = measure(duration_s / 3, "default")
     seconds = f"{duration_s:g} s at 1 kHz, six processes, raster under PID"
     peer = "default executor, same nodes"
     out = [
@@ -59,12 +61,22 @@ def figures(quick: bool = False) -> list[Figure]:
     return out
 
 
-def _measure(duration_s: float, name: str) -> dict:
+def measure(duration_s: float, name: str, line: Mapping[str, float] | None = None,
+            **graph_settings: Any) -> dict:
+    """Scan at 1 kHz in six processes with an executor, recorded; return what the bag says.
+
+    `line` goes to the raster, `graph_settings` to `StageGraph`.
+
+    Returns
+    -------
+    dict
+        `age` (an array, ms), `answered` (%), `cpu` (% of a core), `lost` and `missed`.
+    """
     experiment = {"name": "loop", "mode": "pid", "duration_s": duration_s + SETTLING_S,
-                  "axes": {"x": {"reference": {"kind": "raster"}}}}
+                  "axes": {"x": {"reference": {"kind": "raster", **(line or {})}}}}
     with executor(name), tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
-        with StageGraph(bag=bag) as graph:
+        with StageGraph(bag=bag, **graph_settings) as graph:
             busy = graph.cpu_seconds()
             result = graph.run(experiment)["x"]
             cpu = 100.0 * (graph.cpu_seconds() - busy) / (duration_s + SETTLING_S)
