@@ -33,7 +33,7 @@ STRANGER = Path(__file__).with_name("secured_stranger.py")
 TOOLS_PERIOD_S = 0.004
 """Slower than a scan of the bench: two cores have to start a tool beside the secured graph."""
 TOPICS = ("reference", "measurement", "command", "amplifier", "plant")
-TOOL_ENDS_S, MEETS_S, FORGES_S = 60.0, "3", 5.0
+STARTS_S, TOOL_ENDS_S, MEETS_S, FORGES_S = 180.0, 90.0, "10", 5.0
 SHORT_OF_A_RIGHT = "topic not found in allow rule"
 
 
@@ -111,7 +111,7 @@ def lockstep_scan(keys: Path, bag: Path, domain_id: int, duration_s: float) -> I
     """Scan two axes in lockstep, recorded."""
     axes = ("x", "y")
     with secured(keys), StageGraph(axes=axes, lockstep=True, bag=bag,
-                                   domain_id=domain_id) as graph:
+                                   domain_id=domain_id, start_timeout_s=STARTS_S) as graph:
         yield Check("nodes_start", len(graph.launched) == 2 + len(axes) * len(AXIS_NODES),
                     f"{len(graph.launched)} nodes in processes of their own start and meet")
         try:
@@ -174,9 +174,10 @@ def operators(graph: StageGraph, keys: Path, folder: Path) -> Iterator[Check]:
             ("echoes", "voltage", "topic", "echo", "--once", "/stage/x/command"),
             ("sets", "successful", "param", "set", controller, "kp", "650.0"),
             ("gets", "650.0", "param", "get", controller, "kp"),
-            ("disarms", "success=True", "service", "call", f"{amplifier}/disarm", trigger),
-            ("arms", "success=True", "service", "call", f"{amplifier}/arm", trigger),
             ("state", "active", "lifecycle", "get", amplifier),
+            ("disarms", "success=True", "service", "call", f"{amplifier}/disarm", trigger),
+            ("clears", "success=True", "service", "call", f"{amplifier}/clear", trigger),
+            ("arms", "success=True", "service", "call", f"{amplifier}/arm", trigger),
             ("runs", "SUCCEEDED", "action", "send_goal",
              "/stage/x/trajectory_generator/run_experiment",
              "dfm_interfaces/action/RunExperiment", f"{{experiment: {experiment}}}")):
@@ -249,6 +250,7 @@ def strangers(graph: StageGraph, visitors: Mapping[str, tuple[str, Path | None]]
         out[key] = {**found, "moved_m": max(abs(each.position) for each in plant),
                     "off": sum(not each.enabled for each in amplifier)}
         graph.spin(FORGES_S / 2)
+    graph.set_parameters("/stage/x/controller", {"mode": "pid"})
     return out
 
 
@@ -277,4 +279,4 @@ def visited(domain_id: int, bag: Path | None = None) -> StageGraph:
     """Return a graph to be visited, at a rate that leaves tools the processor."""
     nodes = ("sim_plant", *AXIS_NODES, *(("recorder",) if bag else ()))
     return StageGraph(nodes=nodes, bag=bag, domain_id=domain_id, sample_period_s=TOOLS_PERIOD_S,
-                      parameters={"controller": CONTROLLER})
+                      start_timeout_s=STARTS_S, parameters={"controller": CONTROLLER})

@@ -75,7 +75,7 @@ def helper_node(name: str, namespace: str, context: Any) -> Node:
 
 @contextlib.contextmanager
 def refusals_told(name: str, arguments: Sequence[str] = ()) -> Iterator[None]:
-    """Turn what the middleware refuses a node, in a process with these arguments, into DfmError."""
+    """Turn what the middleware refuses a node of a process with these arguments into DfmError."""
     try:
         yield
     except rclpy_implementation.RCLError as error:
