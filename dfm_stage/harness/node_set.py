@@ -34,6 +34,7 @@ from dfm_stage.nodes.process import (
     StopRequest,
     helper_node,
     make_executor,
+    refusals_told,
     steady_interpreter,
 )
 
@@ -166,9 +167,10 @@ class NodeSet:
         if make is None:
             return self.launch_together([(kind, namespace, parameters)])[0]
         launched = Launched(kind, namespace, parameters=dict(parameters))
-        launched.node = make(context=self._context, cli_args=[
-            "--ros-args", "-r", f"__ns:={namespace}", "--params-file",
-            str(self._parameter_file([launched])), "--enclave", launched.full_name])
+        with refusals_told(launched.full_name):
+            launched.node = make(context=self._context, cli_args=[
+                "--ros-args", "-r", f"__ns:={namespace}", "--params-file",
+                str(self._parameter_file([launched])), "--enclave", launched.full_name])
         self.launched.append(launched)
         self._executor.add_node(launched.node)
         launched.node.begin()

@@ -50,11 +50,17 @@ def require_what_was_asked(arguments: Sequence[str] = ()) -> None:
                             f"{keystore!r} is no keystore: make one with ros2 security, or unset "
                             "ROS_SECURITY_ENABLE")
     _require_enclave(Path(keystore, "enclaves"), enclave_of(arguments))
-    library = _loaded_fast_dds()
-    if library is not None and not _contains(library, _PLUGIN):
-        raise SecurityError(f"ROS_SECURITY_ENABLE is true, but {library.name} was built without "
+    if not supported():
+        name = getattr(_loaded_fast_dds(), "name", "")
+        raise SecurityError(f"ROS_SECURITY_ENABLE is true, but {name} was built without "
                             "DDS security, nothing would be checked or encrypted: use a full "
                             "ROS 2 installation, or unset ROS_SECURITY_ENABLE")
+
+
+def supported() -> bool:
+    """Return whether the middleware of this process can secure a graph, as far as is known."""
+    library = _loaded_fast_dds()
+    return library is None or _contains(library, _PLUGIN)
 
 
 def enclave_of(arguments: Sequence[str]) -> str:

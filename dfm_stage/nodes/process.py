@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -60,11 +60,29 @@ def make_executor(context: Any) -> Any:
 
 
 def helper_node(name: str, namespace: str, context: Any) -> Node:
-    """Make a node for a program beside the graph: no parameters, arguments or rosout."""
-    with avoiding_dead_ports():
+    """Make a node for a program beside the graph: no parameters, arguments or rosout.
+
+    Raises
+    ------
+    DfmError
+        If the middleware refuses it something.
+    """
+    with refusals_told(name), avoiding_dead_ports():
         return rclpy.create_node(name, namespace=namespace, context=context,
                                  use_global_arguments=False, enable_rosout=False,
                                  start_parameter_services=False)
+
+
+@contextlib.contextmanager
+def refusals_told(name: str, arguments: Sequence[str] = ()) -> Iterator[None]:
+    """Turn what the middleware refuses a node of a process with these arguments into DfmError."""
+    try:
+        yield
+    except rclpy_implementation.RCLError as error:
+        right = (f"; has its enclave {enclave_of(arguments)} the right to it, in this "
+                 "ROS_DOMAIN_ID?" if security.asked() else "")
+        raise DfmError(f"{name}: the middleware refused: {_in_one_line(error)}"
+                       f"{right}") from error
 
 
 class Helper:
@@ -239,15 +257,9 @@ def _join(given: list[str]) -> None:
 
 def _made(kind: Callable[[], LoopNode]) -> LoopNode:
     """Make the node; DfmError where the middleware refuses it something."""
-    try:
-        with avoiding_dead_ports():
-            return kind()
-    except rclpy_implementation.RCLError as error:
-        right = (f"; has its enclave {enclave_of(sys.argv)} the right to it?" if security.asked()
-                 else "")
-        name = (kind.func if isinstance(kind, partial) else kind).kind  # type: ignore[union-attr]
-        raise DfmError(f"{name}: the middleware refused: {_in_one_line(error)}"
-                       f"{right}") from error
+    name = (kind.func if isinstance(kind, partial) else kind).kind  # type: ignore[union-attr]
+    with refusals_told(name, sys.argv), avoiding_dead_ports():
+        return kind()
 
 
 def _in_one_line(error: Exception) -> str:

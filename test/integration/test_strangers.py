@@ -175,9 +175,8 @@ def test_the_policy_is_what_the_nodes_really_do_and_no_more(tmp_path):
 def test_an_operator_may_do_what_the_ros2_command_does_and_nothing_on_the_loop():
     granted = permissions()["/stage/operator"]
     with StageGraph(composed=True, lockstep=True) as graph:
-        # as NodeStrategy of ros2cli makes it; ros2 param, lifecycle, service, action, topic echo
-        node = rclpy.create_node("_ros2cli_4711", context=graph._context,
-                                 start_parameter_services=False)
+        # for ros2 param, lifecycle, topic echo, and, with parameter services, service and action
+        node = rclpy.create_node("_ros2cli_4711", context=graph._context)
         for each in graph.launched:
             AsyncParameterClient(node, each.full_name)
             node.create_client(GetTypeDescription, f"{each.full_name}/get_type_description")
@@ -264,7 +263,21 @@ def test_a_right_that_its_enclave_lacks_is_one_line(keystore, monkeypatch, capfd
     said = said_by("controller", "--enclave", "/stage/recorder", capfd=capfd)
     assert said == ("error: controller: the middleware refused: Failed to create publisher: "
                     "rt/stage/x/command topic not found in allow rule.; has its enclave "
-                    "/stage/recorder the right to it?")
+                    "/stage/recorder the right to it, in this ROS_DOMAIN_ID?")
+
+
+def test_keys_of_another_domain_are_one_line_for_programs_beside_the_graph(monkeypatch):
+    def refuse(*_: Any, **__: Any) -> None:
+        raise rclpy_implementation.RCLError(
+            "error creating node: could not create data writer, at ./src/publisher.cpp:275")
+
+    monkeypatch.setattr(rclpy, "create_node", refuse)
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/stage/operator")
+    monkeypatch.setattr("dfm_stage.nodes.process.require_what_was_asked", lambda: None)
+    with pytest.raises(DfmError, match=r"^view: .* could not create data writer; has its enclave "
+                       r"/stage/operator the right to it, in this ROS_DOMAIN_ID\?$"):
+        Helper("view", "/stage")
 
 
 @pytest.mark.parametrize("name", ["controller", "recorder"])

@@ -1,0 +1,159 @@
+"""The graph under SROS2, Enforce: it runs, it keeps others out; what security costs.
+
+It needs a Fast DDS with DDS security and the commands `ros2` and `ros2 security`. Where they are
+absent nothing is measured, and the one figure says so.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import loop
+from benchmarks.fault_scene import CONTROLLER
+from benchmarks.figure import Figure
+from benchmarks.private import run_module
+from benchmarks.secured_checks import (
+    STARTS_S,
+    Check,
+    kept_out,
+    lockstep_scan,
+    make_keys,
+    node_without_a_right,
+    operators,
+    real_time_scan,
+    secured,
+    strangers,
+    visited,
+)
+from dfm_stage.errors import DfmError
+from dfm_stage.harness.domain import claim_domain
+from dfm_stage.middleware.security import supported
+
+RUNS, RATES_HZ = 3, (250.0, 1000.0)
+FULL_S, QUICK_S = 20.0, 4.0
+SLEEPS = 2000
+COSTS = {"age_p50_ms": ("ms", "median age of a command at the amplifier"),
+         "age_p99_ms": ("ms", "99 % of the ages within"),
+         "cpu": ("% of a core", "all six processes together")}
+
+
+def figures(quick: bool = False) -> list[Figure]:
+    """Try the checks once, and measure the cost in pairs of runs of 20 s (quick: 4 s)."""
+    if why := _absent():
+        return [Figure("secured.checks", 0.0, "checks", how=f"none was run: {why}")]
+    with tempfile.TemporaryDirectory(prefix="dfm_secured_") as folder:
+        answer = Path(folder) / "found.json"
+        (work := Path(folder) / "work").mkdir()
+        run_module("benchmarks.secured", [str(work), str(answer),
+                                          str(QUICK_S if quick else FULL_S)], work)
+        found = json.loads(answer.read_text("utf-8"))
+    checks = [Check(*each) for each in found["checks"]]
+    out = [Figure("secured.checks", float(sum(each.passed for each in checks)), "checks",
+                  float(len(checks)), how="passed, of those below", bar_kind="at least")]
+    out += [Figure(f"secured.{each.key}", float(each.passed), "", 1.0, how=each.seen,
+                   bar_kind="at least") for each in checks]
+    return out + [each for rate_hz in RATES_HZ for each in _costs(found["runs"], rate_hz)]
+
+
+def _absent() -> str:
+    """Return in a line what this needs and there is not."""
+    if not supported():
+        return "the Fast DDS of this environment was built without DDS security"
+    return "" if shutil.which("ros2") else "there is no ros2 command on the PATH"
+
+
+def _costs(runs: list[dict[str, Any]], rate_hz: float) -> list[Figure]:
+    at, runs = f"{rate_hz:g}hz", [each for each in runs if each["rate_hz"] == rate_hz]
+    out = []
+    for name, (unit, what) in COSTS.items():
+        values = {kind: [each[name] for each in runs if each["secured"] == kind and name in each]
+                  for kind in (True, False)}
+        with_, without = (float(np.median(values[kind])) if values[kind] else float("nan")
+                          for kind in (True, False))
+        each = "; ".join(f"{kind}: " + ", ".join(f"{value:.3g}" for value in values[is_])
+                         for kind, is_ in (("secured", True), ("unsecured", False)))
+        out.append(Figure(f"secured.{name}_{at}", with_, unit, None, "unsecured, in turns",
+                          without, with_ / without, f"{what}, median of runs ({each})"))
+    tried = [each for each in runs if each["secured"]]
+    done = [each for each in tried if "error" not in each]
+    said = "; ".join(each["error"] for each in tried if "error" in each)
+    slept = "; ".join(f"{each['sleep_p99_ms']:.3f} ms at load {each['load']:.2f}"
+                      for each in runs)
+    return [*out,
+            Figure(f"secured.scans_{at}", float(len(done)), "scans", float(len(tried)),
+                   how=f"recorded, success, with {sum(each['lost'] for each in done):g} messages "
+                   f"missing in their bags{'; ' * bool(said)}{said}", bar_kind="at least"),
+            Figure(f"secured.sleep_p99_ms_{at}", max(each["sleep_p99_ms"] for each in runs), "ms",
+                   how=f"a bare sleep of 1 ms was late by, before each run: {slept}")]
+
+
+def main() -> None:
+    """Try everything in a domain of its own; write what was found as JSON."""
+    folder, answer, duration_s = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
+    with claim_domain() as domain:
+        os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+        keys, other = make_keys(folder / "keys"), make_keys(folder / "other")
+        checks = []
+        for check in _checks(folder, keys, other, domain.number):
+            print(f"{'ok    ' if check.passed else 'FAILED'} {check.key}: {check.seen}",
+                  file=sys.stderr, flush=True)
+            checks.append(check)
+        runs = [_run(rate_hz, bool(number % 2), keys, domain.number, duration_s)
+                for rate_hz in RATES_HZ for number in range(2 * RUNS)]
+    answer.write_text(json.dumps({
+        "checks": [[each.key, each.passed, each.seen] for each in checks], "runs": runs}))
+
+
+def _checks(folder: Path, keys: Path, other: Path, domain_id: int) -> Iterator[Check]:
+    yield from lockstep_scan(keys, folder / "lockstep", domain_id, 2.0)
+    yield node_without_a_right(keys)
+    with secured(keys), visited(domain_id, folder / "bag") as graph:
+        secret = strangers(graph, {"unsecured": ("stranger", None),
+                                   "other_ca": ("controller", other)})
+        yield from operators(graph, keys, folder)
+        yield real_time_scan(graph)
+    with secured(None), visited(domain_id) as graph:
+        seen = strangers(graph, {"open": ("stranger", None)})
+    yield from kept_out(secret, seen["open"])
+
+
+def _run(rate_hz: float, is_secured: bool, keys: Path, domain_id: int, duration_s: float
+         ) -> dict[str, Any]:
+    out: dict[str, Any] = {"rate_hz": rate_hz, "secured": is_secured,
+                           "sleep_p99_ms": _sleep_p99_ms(), "load": os.getloadavg()[0]}
+    with secured(keys if is_secured else None):
+        try:
+            found = loop.measure(duration_s, "events", {"line_length_m": 1e-3}, rate_hz,
+                                 domain_id=domain_id, start_timeout_s=STARTS_S,
+                                 parameters={"controller": CONTROLLER})
+        except DfmError as error:
+            print(f"secured: {is_secured}: {error}", file=sys.stderr, flush=True)
+            return {**out, "error": str(error)}
+        out |= {"cpu": found["cpu"], "lost": found["lost"],
+                "age_p50_ms": float(np.percentile(found["age"], 50)),
+                "age_p99_ms": float(np.percentile(found["age"], 99))}
+    print(json.dumps(out), file=sys.stderr, flush=True)
+    return out
+
+
+def _sleep_p99_ms() -> float:
+    late = []
+    for _ in range(SLEEPS):
+        begin = time.monotonic()
+        time.sleep(1e-3)
+        late.append(time.monotonic() - begin - 1e-3)
+    return 1e3 * float(np.percentile(late, 99))
+
+
+if __name__ == "__main__":
+    main()
