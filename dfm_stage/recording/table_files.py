@@ -276,7 +276,8 @@ def _dspace(capture: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """A dSPACE capture: X holds the time, Y a signal or a list of them."""
     for key in ("X", "Y"):
         signals = capture[key]
-        for signal in signals if isinstance(signals, (list, np.ndarray)) else [signals]:
+        for signal in (np.atleast_1d(signals) if isinstance(signals, np.ndarray)
+                       else signals if isinstance(signals, list) else [signals]):
             if isinstance(signal, Mapping) and "Data" in signal:
                 name = signal.get("Name", "")
                 name = name.split("/")[-1].strip('"') if isinstance(name, str) else ""
