@@ -35,8 +35,6 @@ TOOLS_PERIOD_S = 0.004
 TOPICS = ("reference", "measurement", "command", "amplifier", "plant")
 STARTS_S, TOOL_ENDS_S, MEETS_S, FORGES_S = 180.0, 90.0, "10", 5.0
 SHORT_OF_A_RIGHT = "topic not found in allow rule"
-
-
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 STILL_M = 1e-7
 """Two counts of the encoder."""

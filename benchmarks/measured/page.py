@@ -168,7 +168,7 @@ def with_tables(text: str, results: Mapping[str, Result]) -> str:
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         head, _, rest = text.partition(begin)
         tail = rest.partition(end)[2]
-        text = f"{head}{begin}\n{table}\n{end}{tail}"
+        text = f"{head}{begin}\n\n{table}\n\n{end}{tail}"
     return text
 
 

@@ -11,18 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dfm_stage.arrays import Array, Lines
+from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import Drive, interpolated
 from dfm_stage.identification.coordinates import group, late_parameters
 from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
+from dfm_stage.identification.windows import Windows, at_window, first_slope
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import reads
@@ -35,8 +36,6 @@ PARALLEL = 1_000_000
 """Samples (rows times length) up to which one thread simulates: more cost more than they save."""
 SHORTEST_LAG = 1e-6
 """Least lag, in samples, for which a periodic motion is looked for."""
-
-
 
 _TAKEN: ContextVar[float] = ContextVar("steps", default=0.0)
 
@@ -154,7 +153,7 @@ class System(Problem):
                 moving = state.endswith("velocity")
                 first = known.get(state, 0.0) if self.springless and (
                     run.window or state == run.measures) else 0.0
-                yield Unknown(_at_window(f"initial.{state}", run, part), first,
+                yield Unknown(at_window(f"initial.{state}", run, part), first,
                               (run.speed or 1e-9) if moving else run.travelled or 1e-9,
                               unit=f"{unit}/s" if moving else unit, run=index,
                               part=part if run.window else None)
@@ -324,7 +323,7 @@ class System(Problem):
         driven = drive.values[:drive.factor * (run.period or 0)] if periodic else drive.values
         other = run.other if run.other is None or drive.factor == 1 else interpolated(
             run.other, drive.factor, periodic=periodic)[:driven.size]
-        windows = self._windows_of(run, names, table) \
+        windows = Windows.of(run, names, table, self.states) \
             if run.window and run.start == "free" else None
         rows, own_names, parts = (table, names, None) if windows is None else (
             windows.rows, windows.names, [slice(drive.factor * w.start, drive.factor * w.stop)
@@ -373,26 +372,6 @@ class System(Problem):
         table = table.copy()
         table[:, list(names).index("delay")] += longer
         return names, table
-
-    def _windows_of(self, run: Run, names: Sequence[str], table: Array) -> _Windows:
-        """What is to be simulated of each window: the rows that leave one alone once."""
-        place = {n: k for k, n in enumerate(names)}
-        shared = [k for n, k in place.items() if WINDOW not in n]
-        states = [s for s in self.states if any(
-            n.startswith(f"initial.{s}{WINDOW}") for n in names)]
-        differ = table != np.median(table, axis=0)
-        moved = np.any(differ[:, shared], axis=1)
-        rows, parts, shown = [], [], []
-        for part in run.windows:
-            own = [place[_at_window(f"initial.{s}", run, part)] for s in states]
-            alone = moved | np.any(differ[:, own], axis=1)
-            still = np.flatnonzero(~alone)
-            chosen = np.concatenate((np.flatnonzero(alone), still[:1]))
-            rows.append(table[chosen][:, [*shared, *own]])
-            parts += [part] * chosen.size
-            shown.append((part, chosen, still))
-        return _Windows([*(names[k] for k in shared), *(f"initial.{s}" for s in states)],
-                        np.concatenate(rows), parts, shown)
 
     def _table(self, index: int, rows: Array) -> tuple[list[str], Array, NDArray[np.bool_]]:
         """Names and values (P, m) of the simulator's parameters for one run, and which rows are
@@ -474,46 +453,6 @@ def _ready(model: Model, names: Iterable[str]) -> Model:
     absent = {n: 1.0 if n == "force_constant" else 0.0 for n in names
               if "." not in n and n not in model.base}
     return model.with_parameters(absent) if absent else model
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """Rows (R, m) of parameters by `names` (m), each for one of `parts`; `shown` says of each
-    window which rows of the whole table they stand for, and which are as its last."""
-
-    names: Sequence[str]
-    rows: Array
-    parts: Sequence[slice]
-    shown: Sequence[tuple[slice, Lines, Lines]]
-
-    def put_together(self, found: Array, count: int) -> Array:
-        """A signal (count, N) from those of the windows, `found` (R, longest)."""
-        out = np.empty((count, self.parts[-1].stop))
-        at = 0
-        for part, chosen, still in self.shown:
-            size = part.stop - part.start
-            out[chosen, part] = found[at:at + chosen.size, :size]
-            at += chosen.size
-            out[still[1:], part] = found[at - 1, :size]
-        return out
-
-
-WINDOW = "@"
-"""Stands between the name of an unknown and the sample at which its window begins."""
-SLOPE_SAMPLES = 20
-"""Samples over which the velocity at the beginning of a window is first read off."""
-
-
-def _at_window(name: str, run: Run, part: slice) -> str:
-    """The name of an unknown that belongs to one window of a run."""
-    return f"{name}{WINDOW}{part.start}" if run.window else name
-
-
-def first_slope(output: Array) -> float:
-    """Change a sample at the beginning of `output` (N,), by least squares."""
-    first = output[:SLOPE_SAMPLES]
-    ramp = np.arange(first.size) - 0.5 * (first.size - 1)
-    return float(ramp @ first / max(float(ramp @ ramp), 1.0))
 
 
 def _is_mechanical(state: str) -> bool:

@@ -50,17 +50,16 @@ def require_what_was_asked(arguments: Sequence[str] = ()) -> None:
                             f"{keystore!r} is no keystore: make one with ros2 security, or unset "
                             "ROS_SECURITY_ENABLE")
     _require_enclave(Path(keystore, "enclaves"), enclave_of(arguments))
-    if not supported():
-        name = getattr(_loaded_fast_dds(), "name", "")
-        raise SecurityError(f"ROS_SECURITY_ENABLE is true, but {name} was built without "
+    if library := built_without():
+        raise SecurityError(f"ROS_SECURITY_ENABLE is true, but {library.name} was built without "
                             "DDS security, nothing would be checked or encrypted: use a full "
                             "ROS 2 installation, or unset ROS_SECURITY_ENABLE")
 
 
-def supported() -> bool:
-    """Return whether the middleware of this process can secure a graph, as far as is known."""
+def built_without() -> Path | None:
+    """Return the Fast DDS of this process if it was built without DDS security, else None."""
     library = _loaded_fast_dds()
-    return library is None or _contains(library, _PLUGIN)
+    return None if library is None or _contains(library, _PLUGIN) else library
 
 
 def enclave_of(arguments: Sequence[str]) -> str:

@@ -14,6 +14,7 @@ from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.screen import Hit, Screen
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.model import EFFECTS
+from dfm_stage.model.registry import ALL, library_of
 
 _spec = importlib.util.spec_from_file_location("screen_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -51,7 +52,7 @@ def screen(search: Search, *names: str) -> Screen:
                   bare.model)
 
 
-@pytest.mark.parametrize("name", sorted(EFFECTS))
+@pytest.mark.parametrize("name", library_of([ALL]))
 def test_points_simulated_together_respond_as_each_alone(search, name):
     own = screen(search)
     if excluded(name, own.model, own.at):
