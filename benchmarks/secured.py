@@ -93,7 +93,7 @@ def _costs(runs: list[dict[str, Any]], rate_hz: float) -> list[Figure]:
                    how=f"recorded, success, with {sum(each['lost'] for each in done):g} messages "
                    f"missing in their bags{'; ' * bool(said)}{said}", bar_kind="at least"),
             Figure(f"secured.sleep_p99_ms_{at}", max(each["sleep_p99_ms"] for each in runs), "ms",
-                   how="how late a bare sleep of 1 ms at the priority of the nodes was, before each run: "
+                   how="lateness of a bare sleep of 1 ms at the nodes' priority before each run: "
                    f"{slept}")]
 
 
