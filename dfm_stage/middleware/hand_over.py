@@ -7,6 +7,9 @@ where its `Receiver`s wait, and the executor calls them in the order in which me
 after the callback that put them. So nobody is called from within a call, what a callback raises
 reaches whoever spins, and a thread of a driver may put messages, too.
 
+A receiver that only keeps messages (the recorder) takes them when it likes: with `arrivals`, a
+list of its own, messages are put there with the time, and nobody is called.
+
 Every receiver keeps its subscription: the graph shows it, and publishers that do not hand over
 (other processes, plain rclpy nodes) reach it there. A message goes to DDS, too, where more
 subscriptions are matched than there are receivers. What a receiver then hears twice it drops. As
@@ -34,6 +37,19 @@ _ECHOES = 64
 """At least so many messages that went to DDS, too, are known again when they come from there."""
 
 
+class _Receivers:
+    """The receivers of one topic: all, those that are called, and those that keep arrivals."""
+
+    def __init__(self, receivers: tuple[Receiver, ...] = ()) -> None:
+        self.all = receivers
+        self.called = tuple(each for each in receivers if each.arrivals is None)
+        self.keeping = tuple((each, each.arrivals) for each in receivers
+                             if each.arrivals is not None)
+
+
+_NOBODY = _Receivers()
+
+
 class HandOver:
     """What the nodes of one context hand over, on the one `executor` that spins them.
 
@@ -44,7 +60,7 @@ class HandOver:
         self._executor = executor
         self._known: list[Receiver] = []
         self._spun: list[Node] | None = None
-        self._receivers: dict[str, tuple[Receiver, ...]] = {}
+        self._receivers: dict[str, _Receivers] = {}
         self._due: deque[Receiver] = deque()
         self._scheduled = self._in_turn = False
 
@@ -64,13 +80,15 @@ class HandOver:
         """Hand a message over, from any thread; return to whom."""
         if not self._in_turn:
             self._look()
-        receivers = self._receivers.get(topic, ())
-        for receiver in receivers:
+        receivers = self._receivers.get(topic, _NOBODY)
+        for receiver in receivers.called:
             receiver.waiting.append(data)
             self._due.append(receiver)
-        if receivers and not self._scheduled:
+        for receiver, arrivals in receivers.keeping:
+            arrivals.append((receiver, data, time.time_ns()))
+        if receivers.called and not self._scheduled:
             self._schedule()
-        return receivers
+        return receivers.all
 
     def idle(self) -> bool:
         """Return whether all that was put has arrived."""
@@ -92,8 +110,8 @@ class HandOver:
         self._spun, self._receivers = spun, {}
         for receiver in self._known:
             if receiver.spun_with in spun:
-                self._receivers[receiver.topic] = (
-                    *self._receivers.get(receiver.topic, ()), receiver)
+                before = self._receivers.get(receiver.topic, _NOBODY)
+                self._receivers[receiver.topic] = _Receivers((*before.all, receiver))
             else:
                 receiver.waiting.clear()
 
@@ -136,13 +154,16 @@ class Receiver:
     """A subscription whose `callback` gets serialised messages, by a call or from DDS.
 
     `spun_with` is the node whose executor has to be that of the hand-over, where it is not `node`.
+    With `arrivals` what is handed over is put there as (receiver, message, system time in ns).
     """
 
     def __init__(self, node: Node, message_type: Any, topic: str,
                  callback: Callable[[bytes], object], qos: QoSProfile,
-                 spun_with: Node | None = None) -> None:
+                 spun_with: Node | None = None,
+                 arrivals: list[tuple[Receiver, bytes, int]] | None = None) -> None:
         depth = None if qos.history == HistoryPolicy.KEEP_ALL else qos.depth
         self.callback = callback
+        self.arrivals = arrivals
         self.waiting: deque[bytes] = deque(maxlen=depth)
         self.echoes: deque[bytes] = deque(maxlen=depth and max(depth, _ECHOES))
         self.ros = node.create_subscription(message_type, topic, self.from_dds, qos, raw=True)

@@ -1,10 +1,10 @@
 """recorder: every topic into a rosbag2-compatible MCAP bag, with what the nodes say of themselves.
 
-Messages are written byte by byte as they came. Nodes of the same process pass them by a function
-call. Those of other processes are fetched every few milliseconds from subscriptions that no
-executor watches: waking up for each of ten thousand messages a second would cost more than all
-else, and take that time from the loop. If the bag cannot be created, the node ends. If it can no
-longer be written (full disk), the node reports it and everything else continues.
+Messages are written byte by byte as they came. Nodes of the same process leave them in a list, with
+the time. Those of other processes stay in subscriptions that no executor watches. The recorder
+fetches both every few milliseconds: waking up for each of ten thousand messages a second would cost
+more than all else, and take that time from the loop. If the bag cannot be created, the node ends.
+If it can no longer be written (full disk), the node reports it and everything else continues.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import os
 import platform
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -57,6 +59,16 @@ _REPAIR_S = 0.25
 _NICENESS = 5
 
 
+@dataclass
+class _Topic:
+    """What the recorder knows of a topic: its number in the bag, how many of its messages came."""
+
+    number: int
+    has_header: bool
+    is_config: bool
+    received: int = 0
+
+
 class Recorder(LoopNode):
     """Records until it is stopped; `~/stop` closes the bag and answers when it is complete."""
 
@@ -83,6 +95,8 @@ class Recorder(LoopNode):
                          json.dumps(versions(), sort_keys=True).encode())
         self._topics: dict[str, Receiver] = {}
         self._taps: list[tuple[Callable[..., Any], Any, Callable[[bytes], object]]] = []
+        self._known: dict[Receiver, _Topic] = {}
+        self._arrivals: list[tuple[Receiver, bytes, int]] = []
         self._refused: set[str] = set()
         self._configs: dict[str, Any] = {}
         self._model_attached = False
@@ -145,36 +159,42 @@ class Recorder(LoopNode):
             if all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in profiles)
             else DurabilityPolicy.VOLATILE)
         first = next(iter(message_type.get_fields_and_field_types().values()), "")
-        write = self._writer(topic, first == "std_msgs/Header", is_config=(
-            type_name == "std_msgs/msg/String" and name.endswith("/config")))
-        self._topics[name] = tap = Receiver(self._tap, message_type, name, write, qos,
-                                            spun_with=self)
+        known = _Topic(topic, first == "std_msgs/Header",
+                       type_name == "std_msgs/msg/String" and name.endswith("/config"))
+        self._topics[name] = tap = Receiver(
+            self._tap, message_type, name, partial(self._write_one, known), qos, spun_with=self,
+            arrivals=self._arrivals)
+        self._known[tap] = known
         self._taps.append((tap.ros.handle.take_message, message_type, tap.from_dds))
 
     def _fetch(self) -> None:
         """Write what has come since the last time."""
+        if come := len(self._arrivals):  # a thread of a driver may add more meanwhile
+            known = self._known
+            self._write((known[tap], data, when) for tap, data, when in self._arrivals[:come])
+            del self._arrivals[:come]
         for take, message_type, write in self._taps:
             while (taken := take(message_type, True)) is not None:
                 write(taken[0])
 
-    def _writer(self, topic: int, has_header: bool,
-                is_config: bool) -> Callable[[bytes], None]:
-        write, clock, sequence = self._bag.write, time.time_ns, 0
-        lockstep = self.lockstep
+    def _write_one(self, topic: _Topic, data: bytes) -> None:
+        self._write([(topic, data, time.time_ns())])
 
-        def on_message(data: bytes) -> None:
-            nonlocal sequence
-            stamp = header_stamp_ns(data) if has_header else 0
-            log = stamp if lockstep and has_header else clock()
-            sequence += 1
+    def _write(self, arrivals: Iterable[tuple[_Topic, bytes, int]]) -> None:
+        """Write messages that arrived, with the system time of that (ns)."""
+        lockstep, messages = self.lockstep, []
+        for topic, data, when in arrivals:
+            stamp = header_stamp_ns(data) if topic.has_header else 0
+            topic.received += 1
+            messages.append((topic.number, data, stamp if lockstep and topic.has_header else when,
+                             stamp or when, topic.received))
+            if topic.is_config:
+                self._on_config(data)
+        if self._open:
             try:
-                write(topic, data, log, stamp or log, sequence)
+                self._bag.write_all(messages)
             except BagWriteError as error:
                 self._failed(error)
-            if is_config:
-                self._on_config(data)
-
-        return on_message
 
     def _on_config(self, data: bytes) -> None:
         try:
@@ -225,8 +245,6 @@ class Recorder(LoopNode):
             self._fetch()
         self._open = False
         # what still comes is taken, so that nobody waits for us, and dropped
-        for tap in self._topics.values():
-            tap.callback = len
         try:
             for config in self._configs.values():
                 for name, text in config.pop("attachments", {}).items():

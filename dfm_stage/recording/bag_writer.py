@@ -168,25 +168,44 @@ class BagWriter:
             If the writer is closed, has failed (`error`; the message counts as lost), or an
             argument is impossible.
         """
+        self.write_all([(topic_id, data, log_time_ns, publish_time_ns, sequence)])
+
+    def write_all(self, messages: Sequence[tuple[int, bytes, int, int, int]]) -> None:
+        """Add messages, the arguments of `write` each; one that is refused keeps no other out.
+
+        Raises
+        ------
+        BagWriteError
+            As `write`.
+        """
+        refused: BagWriteError | None = None
         with self._lock:
             if self.error is not None and not self._closing:
-                self.message_count += 1
-                self.lost += 1
+                self.message_count += len(messages)
+                self.lost += len(messages)
             self._check_open()
-            records = self._chunk.records
-            try:
-                head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, _MESSAGE_FIXED_BYTES + len(data),
-                                          topic_id, sequence & 0xFFFFFFFF, log_time_ns,
-                                          publish_time_ns)
-                self._chunk.indexes[topic_id] += _INDEX_ENTRY.pack(log_time_ns, len(records))
-            except (struct.error, IndexError) as error:
-                raise BagWriteError(f"{self.directory}: message of topic {topic_id} at "
-                                    f"{log_time_ns} ns refused: {error}") from error
-            records += head
-            records += data
-            self.message_count += 1
-            if len(records) >= self._chunk_bytes:
-                self._hand_over()
+            head, entry, kind, fixed = (
+                _MESSAGE_HEAD.pack, _INDEX_ENTRY.pack, Opcode.MESSAGE.value, _MESSAGE_FIXED_BYTES)
+            chunk = self._chunk
+            records, indexes = chunk.records, chunk.indexes
+            for topic_id, data, log_ns, publish_ns, sequence in messages:
+                try:
+                    begin = head(kind, fixed + len(data), topic_id, sequence & 0xFFFFFFFF,
+                                 log_ns, publish_ns)
+                    indexes[topic_id] += entry(log_ns, len(records))
+                except (struct.error, IndexError) as error:
+                    refused = BagWriteError(f"{self.directory}: message of topic {topic_id} at "
+                                            f"{log_ns} ns refused: {error}")
+                    continue
+                records += begin
+                records += data
+                self.message_count += 1
+                if len(records) >= self._chunk_bytes:
+                    self._hand_over()
+                    chunk = self._chunk
+                    records, indexes = chunk.records, chunk.indexes
+        if refused is not None:
+            raise refused
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file into the bag; it stands before every message written after this call."""

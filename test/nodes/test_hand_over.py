@@ -270,3 +270,18 @@ def test_a_joint_state_is_that_of_rclpy(name):
     assert deserialize_message(encode_joint_state(5_000_000_007, name.encode(), -1.25e-3),
                                JointState) == JointState(header=header, name=[name],
                                                          position=[-1.25e-3])
+
+
+def test_who_keeps_arrivals_gets_them_in_order_beside_who_is_called(process):
+    arrivals = []
+    process.receiver()
+    keeping = [Receiver(process.two, Measurement, topic, None, LOCKSTEP_QOS, arrivals=arrivals)
+               for topic in (process.topic, process.topic + "_other")]
+    senders = [process.sender(), process.sender(process.topic + "_other")]
+    for index, data in enumerate(DATA[:4]):
+        senders[index % 2].put(data)
+    assert [(receiver, data) for receiver, data, _ in arrivals] == [
+        (keeping[index % 2], DATA[index]) for index in range(4)]
+    assert sorted(when for _, _, when in arrivals) == [when for _, _, when in arrivals]
+    process.spin()
+    assert process.heard == DATA[0:4:2]

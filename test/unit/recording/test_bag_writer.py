@@ -250,3 +250,14 @@ def test_random_schemas_of_rosbags_are_understood(
         assert [field.name for field in fields] == [
             field for field, _ in typestore.fielddefs[str(name)][1]
             if field != "structure_needs_at_least_one_member"]
+
+
+def test_one_message_that_is_refused_keeps_no_other_out(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", chunk_bytes=40) as bag:
+        topic = bag.add_topic("/a", "std_msgs/msg/String", [], "", STRING)
+        with pytest.raises(BagWriteError, match="topic 9.*refused"):
+            bag.write_all([(topic, b"one", 1, 1, 1), (9, b"", 2, 2, 1), (topic, b"two", 3, 3, 2)])
+        assert (bag.message_count, bag.lost) == (2, 0)
+    with bag.file_path.open("rb") as file:
+        assert [(m.log_time, m.data) for _, _, m in make_reader(file).iter_messages()] == [
+            (1, b"one"), (3, b"two")]
