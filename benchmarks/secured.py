@@ -59,7 +59,7 @@ def figures(quick: bool = False) -> list[Figure]:
     checks = [Check(*each) for each in found["checks"]]
     out = [Figure("secured.checks", float(sum(each.passed for each in checks)), "checks",
                   float(len(checks)), how="passed, of those below", bar_kind="at least")]
-    out += [Figure(f"secured.{each.key}", float(each.passed), "", 1.0, how=each.seen,
+    out += [Figure(f"secured.{each.key}", float(each.passed), "1 = yes", 1.0, how=each.seen,
                    bar_kind="at least") for each in checks]
     return out + [each for rate_hz in RATES_HZ for each in _costs(found["runs"], rate_hz)]
 
