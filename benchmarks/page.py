@@ -40,6 +40,7 @@ HEAD = ("figure", "value", "interval", "bar", "peer", "ratio")
 NOT_MEASURED = "Not measured yet: `./run bench {}`."
 YES_OR_NO = "1 = yes"
 UNITS = {"us": "µs", "um": "µm", "1": "", YES_OR_NO: ""}
+MARKER = re.compile(r"<!-- figures: (\w+) -->")
 UNIT_SUFFIX = re.compile(r"_(percent|ms|us|um|nm|mm|s|hz|mib|gib)$")
 MOST_DIGITS = 7
 
@@ -69,8 +70,15 @@ def keep(paths: Sequence[Path], folder: Path = KEPT) -> None:
                             if bench_of(each["key"]) == bench],
                 "failed": [each for each in report["failed"] if each["bench"] == bench]})
     folder.mkdir(parents=True, exist_ok=True)
+    shown = {bench for page in PAGES for bench in MARKER.findall(page.read_text("utf-8"))}
     for bench, reports in by_bench.items():
-        write_whole(folder / f"{bench}.json", json.dumps(merged(reports), indent=1) + "\n")
+        if bench not in shown:
+            print(f"{bench}: not kept, no page has its figures", file=sys.stderr)
+        elif all(each["value"] is None for report in reports for each in report["figures"]):
+            print(f"{bench}: not kept, nothing was measured", file=sys.stderr)
+        else:
+            write_whole(folder / f"{bench}.json",
+                        json.dumps(merged(reports), indent=1) + "\n")
 
 
 def _own(commands: Iterable[str], bench: str) -> list[str]:
@@ -249,8 +257,8 @@ def put(text: str, tables: Mapping[str, str]) -> str:
 
 def with_figures(text: str, kept: Mapping[str, Plain]) -> str:
     """Return a page with its tables made anew."""
-    benches = re.findall(r"<!-- figures: (\w+) -->", text)
-    return put(text, {f"figures: {bench}": section(bench, kept) for bench in benches})
+    return put(text, {f"figures: {bench}": section(bench, kept)
+                      for bench in MARKER.findall(text)})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -15,13 +15,13 @@ from dfm_stage.cli.bench_runs import combined, merged
 
 def figure(value: float | None, **more) -> dict:
     kind = {"bar": 3.0, "bar_kind": "at least", **more}
-    return {**Figure("bench.speed", 0.0 if value is None else value, "x", **kind).to_dict(),
+    return {**Figure("loop.speed", 0.0 if value is None else value, "x", **kind).to_dict(),
             "value": value}
 
 
 def report(*figures: dict, load: float = 0.5, **more) -> dict:
     return {"machine": {"cores": 2, "load_1min": load}, "measured": "2026-01-02",
-            "commands": ["./run bench bench"], "figures": list(figures), "failed": [], **more}
+            "commands": ["./run bench loop"], "figures": list(figures), "failed": [], **more}
 
 
 def test_the_value_of_several_runs_is_the_median_with_the_range():
@@ -62,24 +62,25 @@ def test_a_bar_is_judged_where_more_than_half_of_the_runs_judged_it(judging, met
 def test_reports_are_merged_with_the_range_of_the_load():
     both = merged([report(figure(1.0), load=0.2), report(figure(2.0), load=3.0)])
     assert both["machine"]["load_range"] == [0.2, 3.0]
-    assert both["commands"] == ["./run bench bench"]
+    assert both["commands"] == ["./run bench loop"]
     assert both["figures"][0]["value"] == 1.5
 
 
 def test_files_are_kept_by_their_bench(tmp_path: Path):
     for number, value in enumerate((1.0, 2.0, 6.0)):
         (tmp_path / f"{number}.json").write_text(json.dumps(report(
-            figure(value), {**figure(1.0), "key": "two_axes.age"}, commit="abc1234",
-            commands=["./run bench bench composed --quick"])))
+            figure(value), {**figure(1.0), "key": "two_axes.age"},
+            {**figure(1.0), "key": "diagnose.seconds"}, {**figure(None), "key": "secured.checks"},
+            commands=["./run bench loop composed --quick"])))
     page.keep(sorted(tmp_path.glob("*.json")), tmp_path / "kept")
     kept = page.read_kept(tmp_path / "kept")
-    assert set(kept) == {"bench", "composed"}
-    assert kept["bench"]["commands"] == ["./run bench bench --quick"]
-    assert [each["value"] for each in kept["bench"]["figures"]] == [2.0]
-    row, = page.table(kept["bench"]["figures"], 3).splitlines()[2:]
-    assert row == "| speed<br>`bench.speed` | 2 x **missed** | 1 to 6 | at least 3 x |"
-    assert "`./run bench bench --quick --runs 3`, 2026-01-02, 2 cores, load 0.5, 3 runs" in \
-        page.section("bench", kept)
+    assert set(kept) == {"loop", "composed"}
+    assert kept["loop"]["commands"] == ["./run bench loop --quick"]
+    assert [each["value"] for each in kept["loop"]["figures"]] == [2.0]
+    row, = page.table(kept["loop"]["figures"], 3).splitlines()[2:]
+    assert row == "| speed<br>`loop.speed` | 2 x **missed** | 1 to 6 | at least 3 x |"
+    assert "`./run bench loop --quick --runs 3`, 2026-01-02, 2 cores, load 0.5, 3 runs" in \
+        page.section("loop", kept)
 
 
 @pytest.mark.parametrize(("value", "text"), [
