@@ -223,13 +223,13 @@ def measure(case: Case, records: int, seed: int, key: str, pool: Any,
         peer_value = 100.0 * float(np.mean([a[0] for a in others]))
     how = (f"{records} records of {SAMPLES * PERIOD_S:g} s, coloured noise "
            f"{1e9 * case.noise_rms_m:g} nm RMS, seed {seed}; bar {BAR_LOW:g} to {BAR_HIGH:g}; "
-           f"Wilson {low:.1f} to {high:.1f} over {hits.size} intervals; {each}; "
+           f"Wilson interval over {hits.size} intervals; {each}; "
            f"{failed} did not converge")
     if peers:
         how += f"; peer on the first {peers} records"
     return Figure(key, value, "%", BAR_LOW,
                   "scipy least_squares, white-noise covariance" if peers else None, peer_value,
-                  None, how, "between", BAR_HIGH)
+                  None, how, "between", BAR_HIGH, low, high, "95 %")
 
 
 def figures(quick: bool = False) -> list[Figure]:

@@ -46,11 +46,11 @@ def figures(quick: bool = False, cases: int | None = None, seed: int = SEED,
         for name, block in _blocks(faults, only):
             tally = kept(block, folder / name) if resume else None
             tallies.append(tally or run_block(block, folder / name))
-            left += 0 if tally else _processes_left()
+            left += 0 if tally else _orphans()
     tally = Tally.of_all(tallies)
     _print(tally)
     return [*_outcomes(tally, f"seed {seed}{why}"), *_operator(tally), *_messages(tally),
-            Figure("faults.processes_left", float(left), "processes", 0.0, bar_kind="at most",
+            Figure("faults.orphans", float(left), "processes", 0.0, bar_kind="at most",
                    how="after each block of faults was over")]
 
 
@@ -100,10 +100,11 @@ def _outcomes(tally: Tally, seeds: str) -> list[Figure]:
     took = np.array([each.took_s for each in outcomes if each.recovered] or [np.nan])
     how = (f"of {len({each.fault.kind for each in outcomes})} kinds, each on each of its targets "
            f"in turn, {seeds}, during a raster at 1 kHz in six processes; "
-           f"{sum(each.cut for each in outcomes)} of them stopped the loop; repeated, as the "
-           f"witness itself heard nothing any more: {tally.deaf}")
+           f"repeated, as the witness itself heard nothing any more: {tally.deaf}")
     return [
-        Figure("faults.count", float(len(outcomes)), "faults", None, how=how),
+        Figure("faults.injected", float(len(outcomes)), "faults", None, how=how),
+        Figure("faults.stopped_loop", float(sum(each.cut for each in outcomes)), "faults",
+               how="of them, during which the loop was cut"),
         _count("unsafe", [each for each in outcomes if not each.safe],
                "the output was neither at zero nor under control 3 s later, or the travel "
                f"was passed; median {np.median(safe):.2f} s until it was, worst "
@@ -153,7 +154,7 @@ def _messages(tally: Tally) -> list[Figure]:
     ]
 
 
-def _processes_left() -> int:
+def _orphans() -> int:
     deadline = time.monotonic() + GRACE_S
     while (left := len(_children())) and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -6,6 +6,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from dfm_stage.cli.bench_runs import judged
+
 BarKind = Literal["at least", "at most", "between"]
 
 
@@ -15,7 +17,8 @@ class Figure:
 
     `bar` is what was promised, None where nothing was; `bar_kind` says on which side of it the
     value must lie ("between" goes from `bar` to `bar_to`). Without a kind the bar is shown and not
-    judged. `how` is one line: what was done, how often, which statistic.
+    judged. `how` is one line: what was done, how often, which statistic. `low` and `high` are an
+    interval, and `interval` says which ("95 %", "5 runs"); `runs` is how often it was measured.
     """
 
     key: str
@@ -28,6 +31,10 @@ class Figure:
     how: str = ""
     bar_kind: BarKind | None = None
     bar_to: float | None = None
+    low: float | None = None
+    high: float | None = None
+    interval: str | None = None
+    runs: int = 1
 
     def __post_init__(self) -> None:
         if self.bar_kind == "between" and (self.bar is None or self.bar_to is None):
@@ -36,13 +43,7 @@ class Figure:
     @property
     def met(self) -> bool | None:
         """Whether the bar is met; None where there is nothing to judge. NaN meets no bar."""
-        if self.bar is None or self.bar_kind is None:
-            return None
-        if self.bar_kind == "at least":
-            return self.value >= self.bar
-        if self.bar_kind == "at most":
-            return self.value <= self.bar
-        return self.bar_to is not None and self.bar <= self.value <= self.bar_to
+        return judged(self.value, self.bar, self.bar_kind, self.bar_to)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON, with `met`; a number that is not finite becomes null."""

@@ -88,7 +88,6 @@ def figures(quick: bool = False) -> list[Figure]:
         found.append(Figure(
             f"identify.{name}_deviation", worst, "%", bar, "fit to the frequency response alone",
             peer, worst / peer, f"largest of {what}, seeds from {FIRST_SEED}", "at most"))
-    few = answers[:100]
     for name in BARS:
         hits = sum(a[name][1] for a in answers)
         other = sum(a[f"response.{name}"][1] for a in answers)
@@ -96,9 +95,8 @@ def figures(quick: bool = False) -> list[Figure]:
         found.append(Figure(
             f"identify.{name}_coverage", 100.0 * hits / len(answers), "%", 90.0,
             "fit to the frequency response alone", 100.0 * other / len(answers), None,
-            f"intervals that hold over {what}; bar 90 to 99; Wilson {low:.1f} to {high:.1f}; "
-            f"of the first {len(few)}: {sum(a[name][1] for a in few)}",
-            "between", 99.0))
+            f"intervals that hold over {what}; Wilson interval", "between", 99.0, low, high,
+            "95 %"))
     found.append(Figure("identify.seconds", seconds, "s", how=f"mean over {what}, simulation "
                         "included, on all cores"))
     return found

@@ -114,13 +114,14 @@ def _figures(name: str, outcome: Outcome, how: str) -> list[Figure]:
                how=f"sample periods that the plant woke up too late for, as published; {how}"),
         Figure(f"load.{name}_late_percent", outcome.share("late_drives"), "%",
                how=f"drives that came after their sample and acted one later; {how}{said}"),
-        Figure(f"load.{name}_unsafe", float(outcome.unsafe), "", 0.0, bar_kind="at most",
+        Figure(f"load.{name}_unsafe", float(outcome.unsafe), "1 = yes", 0.0, bar_kind="at most",
                how=f"travel passed; furthest {outcome.travel_m * 1e3:.2f} mm; {how}"),
     ]
     if outcome.counted:
         apart = (outcome.counted["deadlines_missed"] > 0) and (
             outcome.published.get("deadlines_missed", 0) == 0)
-        out.append(Figure(f"load.{name}_unpublished", float(apart), "", 0.0, bar_kind="at most",
+        out.append(Figure(f"load.{name}_unpublished", float(apart), "1 = yes", 0.0,
+                          bar_kind="at most",
                           how=f"{outcome.counted['deadlines_missed']} missed deadlines counted "
                           "in the node and none in /diagnostics"))
     return out

@@ -145,12 +145,13 @@ def _figures(effect: str, kind: str, file: Path, seconds: float) -> list[Figure]
     wall, processor, gib = diagnosed(file, out)
     key = f"long.{effect or 'nothing'}_{kind}"
     size = sum(f.stat().st_size for f in (file.glob("*.mcap") if file.is_dir() else [file]))
-    how = f"{seconds / PERIOD_S:.0f} samples, {size / 2**20:.0f} MiB; one run"
+    how = f"{seconds / PERIOD_S:.0f} samples, {size / 2**20:.0f} MiB"
     return [
-        Figure(f"{key}.right", float(is_right(effect, out)), "1", 1.0, how=how,
+        Figure(f"{key}.right", float(is_right(effect, out)), "1 = yes", 1.0, how=how,
                bar_kind="at least"),
         Figure(f"{key}.seconds", wall, "s", SECONDS_BAR, bar_kind="at most",
-               how=f"{how}; {processor:.0f} s of processor time"),
+               how=how),
+        Figure(f"{key}.processor_s", processor, "s", how=how),
         Figure(f"{key}.peak_gib", gib, "GiB", GIB_BAR, how=how, bar_kind="at most")]
 
 

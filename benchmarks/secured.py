@@ -7,6 +7,7 @@ absent nothing is measured, and the one figure says so.
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import sys
@@ -49,7 +50,7 @@ COSTS = {"age_p50_ms": ("ms", "median age of a command at the amplifier"),
 def figures(quick: bool = False) -> list[Figure]:
     """Try the checks once, and measure the cost in pairs of runs of 20 s (quick: 4 s)."""
     if why := _absent():
-        return [Figure("secured.checks", 0.0, "checks", how=f"none was run: {why}")]
+        return [Figure("secured.checks", math.nan, "checks", how=f"none was run: {why}")]
     with tempfile.TemporaryDirectory(prefix="dfm_secured_") as folder:
         answer = Path(folder) / "found.json"
         (work := Path(folder) / "work").mkdir()
@@ -59,7 +60,7 @@ def figures(quick: bool = False) -> list[Figure]:
     checks = [Check(*each) for each in found["checks"]]
     out = [Figure("secured.checks", float(sum(each.passed for each in checks)), "checks",
                   float(len(checks)), how="passed, of those below", bar_kind="at least")]
-    out += [Figure(f"secured.{each.key}", float(each.passed), "", 1.0, how=each.seen,
+    out += [Figure(f"secured.{each.key}", float(each.passed), "1 = yes", 1.0, how=each.seen,
                    bar_kind="at least") for each in checks]
     return out + [each for rate_hz in RATES_HZ for each in _costs(found["runs"], rate_hz)]
 

@@ -166,7 +166,7 @@ def _nonlinear(quick: bool) -> Figure:
         single = _paired(lambda: simulate(inputs, out, 1), lambda: None, rounds)[0]
     each = 1e9 / len(inputs)
     return Figure(
-        "simulate.nonlinear_over_c", ratio, "", 1.0, f"C -O3 RK4, {steps} steps a sample",
+        "simulate.nonlinear_over_c", ratio, "", 1.0, f"C -O3 RK4, {steps} steps a sample, ns",
         peer * each, ratio,
         f"ours {mine * each:.0f} ns a sample, largest error {ours:.0e} m; C {errors[steps]:.0e} m "
         f"(with one step {single * each:.0f} ns and {errors[1]:.0e} m); reference good to "
@@ -201,7 +201,7 @@ def _linear(quick: bool) -> list[Figure]:
     found = []
     order = min(ratios, key=lambda n: ratios[n][0])
     found.append(Figure(
-        "simulate.linear_lfilter_over_ours", ratios[order][0], "", 1.0, "scipy.signal.lfilter",
+        "simulate.linear_lfilter_over_ours", ratios[order][0], "", 1.0, "scipy.signal.lfilter, ns",
         ratios[order][2] / samples * 1e9, ratios[order][0],
         f"the worse of {'; '.join(notes)}; {samples} samples, median of {rounds} pairs",
         "at least"))
@@ -215,7 +215,7 @@ def _linear(quick: bool) -> list[Figure]:
              lambda: control.forced_response(other, t, few))):
         peer, _, _ = _paired(work, lambda: None, 5)
         ratio = (peer / len(few)) / (ratios[4][1] / samples)
-        found.append(Figure(key, ratio, "", None, name, peer / len(few) * 1e9, ratio,
+        found.append(Figure(key, ratio, "", None, f"{name}, ns", peer / len(few) * 1e9, ratio,
                             f"order 4, ns a sample each, median of 5 over {len(few)} samples"))
     return found
 

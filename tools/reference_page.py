@@ -87,7 +87,7 @@ record | [records.md](records.md#from-a-table)
 `learning.json`, `<axis>_learned.csv`, `learned.yaml` | learn | `learn --replay` | \
 [control.md](control.md#learning)
 figures `.json` | `bench --json` | `bench --page` | `machine`, `figures` of `key` `value` `unit` \
-`bar` `met` `peer` `peer_value` `ratio` `how`
+`bar` `met` `peer` `peer_value` `ratio` `low` `high` `interval` `runs` `how`
 `report.html` | identify, diagnose, compare, tune, characterize, paper, learn, bench | browsers | \
 one page, everything inside, light and dark, phone and print
 """)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measured.records import MeasuredRecord, load_records
+from benchmarks.page import put
 from dfm_stage.files import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -162,14 +163,8 @@ def _also(record: MeasuredRecord) -> list[str]:
 
 def with_tables(text: str, results: Mapping[str, Result]) -> str:
     """The page with its tables made anew."""
-    made = {"answers": answers(results), "figures": figures_beside_published(results),
-            "records": sources()}
-    for name, table in made.items():
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        head, _, rest = text.partition(begin)
-        tail = rest.partition(end)[2]
-        text = f"{head}{begin}\n\n{table}\n\n{end}{tail}"
-    return text
+    return put(text, {"answers": answers(results), "figures": figures_beside_published(results),
+                      "records": sources()})
 
 
 def main(argv: list[str] | None = None) -> int:

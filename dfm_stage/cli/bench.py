@@ -18,12 +18,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dfm_stage.cli.bench_report import table, write_page
+from dfm_stage.cli.bench_runs import merged
 from dfm_stage.cli.command import command_parser, option, paint
 from dfm_stage.errors import DfmError
 from dfm_stage.files import write_whole
@@ -35,6 +37,7 @@ PR_SET_PDEATHSIG = 1
 EPILOG = """\
 examples:
   ./run bench loop lockstep --json out/loop.json
+  ./run bench loop --runs 5 --json out/loop.json
   ./run bench diagnose --cases 100 --seed 7 --resume --keep out/diagnose
   ./run bench real --data ~/records --keep out/real
   ./run bench --from out/loop.json --from out/all.json --page out/bench.html
@@ -55,8 +58,10 @@ OPTIONS = (
     option("--json", type=Path, metavar="FILE", help="write machine and figures"),
     option("--page", type=Path, metavar="FILE", help="write all of it as one page (.html)"),
     option("--from", dest="results", type=Path, action="append", default=[], metavar="FILE",
-           help="measure nothing: take what --json wrote, several files together, and write the "
-           "--page or print the table"),
+           help="measure nothing: take what --json wrote, and write the --page or print the "
+           "table; of a figure that several files have, the median and the range"),
+    option("--runs", type=int, default=1, metavar="N",
+           help="run each N times in turn: a figure is the median, with its range"),
     option("--quick", action="store_true", help="shorter runs, rougher figures"),
     option("--list", action="store_true", help="print the names and stop"),
     ("for benchmarks of many cases (diagnose)", CASE_OPTIONS),
@@ -193,6 +198,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.results:
             return _shown(_merged(options.results), options)
         names = _chosen(options.names, folder)
+        if options.runs < 1:
+            raise BenchError(f"--runs {options.runs}: give 1 or more")
         if options.list:
             print("\n".join(names))
             return 0
@@ -205,45 +212,66 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _merged(files: Sequence[Path]) -> dict[str, Any]:
-    """Results of several runs as one: of a figure measured twice, the later file's counts."""
-    out: dict[str, Any] = {"machine": {}, "figures": [], "failed": []}
-    figures: dict[str, Any] = {}
+    """Results of several files as one: of a figure measured twice, the median and the range."""
+    reports = []
     for file in files:
         try:
-            content = json.loads(file.read_text("utf-8"))
-            figures |= {figure["key"]: figure for figure in content["figures"]}
-            out["machine"] |= content["machine"]
-            out["failed"] += content.get("failed", [])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            reports.append(json.loads(file.read_text("utf-8")))
+            merged(reports[-1:])
+        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             raise BenchError(f"{file}: not what bench --json writes ({error}): name such a file "
                              "with --from") from None
-    return {**out, "figures": list(figures.values())}
+    return merged(reports)
+
+
+def _blank(command: str) -> dict[str, Any]:
+    """A report without figures: on which machine, when, by which command, of which commit."""
+    today = datetime.now(timezone.utc).date().isoformat()
+    out = {"machine": machine(), "measured": today, "commands": [command], "figures": [],
+           "failed": []}
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):
+        out["commit"] = subprocess.run(
+            ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude=*"],
+            capture_output=True, text=True, check=True).stdout.strip()
+    return out
+
+
+def _command(names: Sequence[str], options: argparse.Namespace) -> str:
+    """How to repeat it; a folder of this machine is no part of it."""
+    words = ["./run bench", *names, *(["--quick"] if options.quick else [])]
+    words += [f"--{name} {value}" for name in ("cases", "seed", "only")
+              if (value := getattr(options, name)) is not None]
+    words += ["--data DIR"] if options.data else []
+    return " ".join([*words, *([f"--runs {options.runs}"] if options.runs > 1 else [])])
 
 
 def _run_all(names: Sequence[str], folder: Path, options: argparse.Namespace) -> int:
-    report: dict[str, Any] = {"machine": machine(), "figures": [], "failed": []}
-    if options.json:
-        _write_json(options.json, report)
-    for index, name in enumerate(names, start=1):
-        print(f"[{index}/{len(names)}] {name} ...", file=sys.stderr, flush=True)
+    reports: list[dict[str, Any]] = []
+    todo = [(turn, name) for turn in range(options.runs) for name in names]
+    for index, (turn, name) in enumerate(todo, start=1):
+        if turn == len(reports):
+            reports.append(_blank(_command(options.names, options)))
+            if options.json:
+                _write_json(options.json, merged(reports))
+        print(f"[{index}/{len(todo)}] {name} ...", file=sys.stderr, flush=True)
         begin = time.monotonic()
         try:
-            report["figures"] += run_one(name, folder, options.quick, _extra(options))
+            reports[-1]["figures"] += run_one(name, folder, options.quick, _extra(options))
         except BenchError as error:
-            report["failed"].append({"bench": name, "reason": str(error)})
+            reports[-1]["failed"].append({"bench": name, "reason": str(error)})
             print(f"bench: {error}", file=sys.stderr)
-        print(f"[{index}/{len(names)}] {name}: {time.monotonic() - begin:.1f} s", file=sys.stderr)
+        print(f"[{index}/{len(todo)}] {name}: {time.monotonic() - begin:.1f} s", file=sys.stderr)
         if options.json:
-            _write_json(options.json, report)
-    return _shown(report, options)
+            _write_json(options.json, merged(reports))
+    return _shown(merged(reports), options)
 
 
 def _shown(report: Mapping[str, Any], options: argparse.Namespace) -> int:
     """Print the table, and write the page if asked; 1 when a benchmark failed."""
     if options.page:
-        how = [] if options.results else [" ".join(("./run bench", *options.names))]
         options.page.parent.mkdir(parents=True, exist_ok=True)
-        write_page(report["figures"], options.page, report["machine"], report["failed"], how)
+        write_page(report["figures"], options.page, report["machine"], report["failed"],
+                   report["commands"])
     print(table(report["figures"]))
     judged = [figure["met"] for figure in report["figures"] if figure["met"] is not None]
     facts, failed = report["machine"], len(report["failed"])

@@ -11,7 +11,7 @@ from dfm_stage.reporting import Page, new_figure, page_style
 from dfm_stage.reporting.table import Cell
 
 Figure = Mapping[str, Any]
-ROW = ("key", "value", "unit", "bar", "", "peer", "peer value", "ratio", "how")
+ROW = ("key", "value", "range", "unit", "bar", "", "peer", "peer value", "ratio", "how")
 VERDICTS = {True: "met", False: "MISSED", None: ""}
 TITLES = {
     "loop": "The node graph in real time", "lockstep": "The node graph in lockstep",
@@ -23,7 +23,7 @@ TITLES = {
     "executors": "Executors", "zero_current": "Time to zero current",
     "real": "Diagnoses of records measured by others",
 }
-COLUMNS = ("figure", "value", "unit", "bar", "", "peer", "its value", "ratio", "how")
+COLUMNS = ("figure", "value", "range", "unit", "bar", "", "peer", "its value", "ratio", "how")
 MOST_IN_A_PLOT = 24
 
 
@@ -99,7 +99,7 @@ def _margins(figures: Sequence[Figure]) -> Any:
 def cells(figure: Figure, number: Callable[[float], str], at_least: str,
           at_most: str) -> list[Any]:
     """Return a figure's cells under `ROW`; `number` and the two signs write its bar."""
-    return [str(figure["key"]), figure["value"], str(figure["unit"]),
+    return [str(figure["key"]), figure["value"], _range(figure, number), str(figure["unit"]),
             _bar(figure, number, {"at least": at_least, "at most": at_most}),
             VERDICTS[figure.get("met")], str(figure["peer"] or ""), figure["peer_value"],
             figure["ratio"], str(figure["how"])]
@@ -114,6 +114,11 @@ def table(figures: Sequence[Figure]) -> str:
         cell.rjust(width) if title in right else cell.ljust(width)
         for cell, width, title in zip(row, widths, ROW, strict=False)), row[-1]]).rstrip()
         for row in rows)
+
+
+def _range(figure: Figure, number: Callable[[float], str]) -> str:
+    low, high = figure.get("low"), figure.get("high")
+    return "" if low is None or high is None else f"{number(low)} to {number(high)}"
 
 
 def _bar(figure: Figure, number: Callable[[float], str], signs: Mapping[str, str]) -> str:

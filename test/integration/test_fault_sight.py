@@ -119,7 +119,7 @@ def test_blocks_of_faults_are_kept_and_taken_up_again(tmp_path, monkeypatch):
 
     monkeypatch.setattr(faults, "run_block", run_block)
     monkeypatch.setattr(faults, "BLOCK", 4)
-    monkeypatch.setattr(faults, "_processes_left", lambda: 0)   # other tests have some
+    monkeypatch.setattr(faults, "_orphans", lambda: 0)   # other tests have some
     monkeypatch.setattr(faults, "private_mounts", lambda: ("unshare",))
     monkeypatch.setenv(faults.PRIVATE, "1")
 
@@ -130,10 +130,10 @@ def test_blocks_of_faults_are_kept_and_taken_up_again(tmp_path, monkeypatch):
 
     first = values(6)
     assert run == ["block_pause_000.json", "block_pause_001.json"]
-    assert (first["faults.count"], first["faults.unsafe"]) == (6, 0)
+    assert (first["faults.injected"], first["faults.unsafe"]) == (6, 0)
     assert values(6, resume=True) == first
     assert run == []
-    assert values(9, resume=True)["faults.count"] == 9  # a block that was cut short is run again
+    assert values(9, resume=True)["faults.injected"] == 9   # a block cut short is run again
     assert run == ["block_pause_001.json", "block_pause_002.json"]
     values(6, resume=True, seed=2)
     assert len(run) == 2

@@ -75,7 +75,8 @@ def test_table_and_json_say_the_same(folder: Path, tmp_path: Path, capsys) -> No
     out = tmp_path / "new" / "bench.json"
     assert bench.main(["good", "--folder", str(folder), "--quick", "--json", str(out)]) == 0
     written = json.loads(out.read_text())
-    assert set(written) == {"machine", "figures", "failed"}
+    assert {"machine", "measured", "commands", "figures", "failed"} <= set(written)
+    assert written["commands"] == ["./run bench good --quick"]
     assert {"cpu", "cores", "python", "numpy"} <= set(written["machine"])
     assert os.uname().nodename not in json.dumps(written["machine"]).split('"')
     asked = {"key", "value", "unit", "bar", "peer", "peer_value", "ratio", "how"}
@@ -99,6 +100,38 @@ def test_a_failing_benchmark_stops_nothing_else(folder: Path, tmp_path: Path, ca
     assert "signal 9" in written["failed"][0]["reason"]
     assert len(written["figures"]) == 2
     assert "on purpose" in capfd.readouterr().err
+
+
+COUNTING = """
+from pathlib import Path
+from benchmarks.figure import Figure
+
+def figures(quick=False):
+    seen = Path(__file__).with_name("seen")
+    seen.write_text((seen.read_text() if seen.exists() else "") + "c")
+    return [Figure("counting.turn", float(len(seen.read_text())), "")]
+"""
+
+
+def test_runs_take_turns_and_files_are_taken_together(folder: Path, tmp_path, capsys) -> None:
+    (folder / "counting.py").write_text(COUNTING)
+    out = tmp_path / "bench.json"
+    asked = ["--folder", str(folder), "--json", str(out)]
+    assert bench.main([*asked, "--runs", "3", "counting", "good"]) == 0
+    written = json.loads(out.read_text())
+    turn, speed, _ = written["figures"]
+    assert (turn["value"], turn["low"], turn["high"], turn["runs"]) == (2.0, 1.0, 3.0, 3)
+    assert (speed["value"], speed["interval"], speed["met"]) == (24.0, "3 runs", True)
+    assert written["commands"] == ["./run bench counting good --runs 3"]
+    assert "[2/6] good" in capsys.readouterr().err
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps({**written, "figures": [{**turn, "high": 7.0, "value": 6.0}]}))
+    assert bench.main(["--from", str(out), "--from", str(other)]) == 0
+    assert "counting.turn      4  1 to 7" in capsys.readouterr().out
+    other.write_text("[]")
+    assert bench.main(["--from", str(other)]) == 2
+    assert "not what bench --json writes" in capsys.readouterr().err
+    assert bench.main([*asked, "--runs", "0", "good"]) == 2
 
 
 def test_an_unknown_name_gets_the_nearest(folder: Path, capsys) -> None:
