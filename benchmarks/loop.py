@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks import pipeline
 from benchmarks.executors import executor
 from benchmarks.figure import Figure
-from dfm_stage.harness import StageGraph
+from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.nodes.base import PRIORITY
 from dfm_stage.recording import read_bag
 
@@ -31,7 +31,7 @@ def figures(quick: bool = False) -> list[Figure]:
     spike = pipeline.ages_ms(duration_s / 3)
     urgent = pipeline.ages_ms(duration_s / 3, PRIORITY.default)
     ours = measure(duration_s, "events")
-    default = measure(duration_s / 3, "default")
+    default = _default_executor(duration_s / 3)
     seconds = f"{duration_s:g} s at 1 kHz, six processes, raster under PID"
     peer = "default executor, same nodes"
     out = [
@@ -59,6 +59,15 @@ def figures(quick: bool = False) -> list[Figure]:
                "sample periods that the plant's steady clock woke up too late for"),
     ]
     return out
+
+
+def _default_executor(duration_s: float) -> dict:
+    """What `measure` says of the default executor; nothing where its delay lets the stage leave
+    its travel."""
+    try:
+        return measure(duration_s, "default")
+    except HarnessError:
+        return {"answered": np.nan, "age": np.full(1, np.nan), "cpu": np.nan}
 
 
 def measure(duration_s: float, name: str, line: Mapping[str, float] | None = None,

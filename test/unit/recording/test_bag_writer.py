@@ -255,7 +255,7 @@ def test_random_schemas_of_rosbags_are_understood(
 def test_one_message_that_is_refused_keeps_no_other_out(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", chunk_bytes=40) as bag:
         topic = bag.add_topic("/a", "std_msgs/msg/String", [], "", STRING)
-        with pytest.raises(BagWriteError, match="topic 9.*refused"):
+        with pytest.raises(BagWriteError, match=r"topic 9.*refused"):
             bag.write_all([(topic, b"one", 1, 1, 1), (9, b"", 2, 2, 1), (topic, b"two", 3, 3, 2)])
         assert (bag.message_count, bag.lost) == (2, 0)
     with bag.file_path.open("rb") as file:
