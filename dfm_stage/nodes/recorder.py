@@ -1,10 +1,11 @@
 """recorder: every topic into a rosbag2-compatible MCAP bag, with what the nodes say of themselves.
 
 Messages are written byte by byte as they came. Nodes of the same process leave them in a list,
-with the time. Those of other processes stay in subscriptions that no executor watches. The recorder
-fetches both every few milliseconds: waking up for each of ten thousand messages a second would
-cost more than all else, and take that time from the loop. If the bag cannot be created, the node
-ends. If it can no longer be written (full disk), the node reports it and everything else continues.
+with the time. Those of other processes stay in subscriptions that no executor watches. The
+recorder fetches both every few milliseconds: waking up for each of ten thousand messages a
+second would cost more than all else, and take that time from the loop. If the bag cannot be
+created, the node ends. If it can no longer be written (full disk), the node reports it and
+everything else continues.
 """
 
 from __future__ import annotations
