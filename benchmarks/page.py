@@ -98,15 +98,16 @@ def read_kept(folder: Path = KEPT) -> dict[str, dict[str, Any]]:
 
 def section(bench: str, kept: Mapping[str, Plain]) -> str:
     """Return what stands between the markers of a bench: its table, and how it was made."""
+    if bench == "bytes" and BYTES.exists():
+        return targets(json.loads(BYTES.read_text("utf-8")), number)
     if bench not in kept:
         text = NOT_MEASURED.format(bench)
     else:
         report = kept[bench]
         shown = [each for each in report["figures"] if not in_matrix(each)]
         parts = [control_matrix(report["figures"], shown_value)] if bench == "control" else []
-        text = "\n\n".join([*parts, table(shown, runs_of(report)), made(bench, report)])
-    if bench == "bytes" and BYTES.exists():
-        text += f"\n\n{targets(json.loads(BYTES.read_text('utf-8')), number)}"
+        parts += [table(shown, runs_of(report))] if shown else []
+        text = "\n\n".join([*parts, made(bench, report)])
     return text
 
 
@@ -207,13 +208,14 @@ def made(bench: str, report: Plain) -> str:
     several = {int(each.get("runs") or 1) for each in report["figures"]} == {runs} != {1}
     commands = [f"`{re.sub(r' --runs [0-9]+', '', command)}"
                 f"{f' --runs {runs}' if several else ''}`" for command in report["commands"]]
-    loads = [f"{load:.1f}" for load in facts.get("load_range") or [facts["load_1min"]]]
+    known = facts.get("load_range") or [facts.get("load_1min")]
+    loads = " to ".join(dict.fromkeys(f"{load:.1f}" for load in known if load is not None))
     ranges = "" if runs == 1 else (
         f", {'' if several else 'up to '}{runs} runs: medians with their ranges")
     failed = len(report["failed"])
     versions = f"With {report['versions']}. " if report.get("versions") else ""
     return (f"{' and '.join(dict.fromkeys(commands))}, {report['measured']}, "
-            f"{facts['cores']} cores, load {' to '.join(dict.fromkeys(loads))}{ranges}. "
+            f"{facts['cores']} cores, load {loads or 'not recorded'}{ranges}. "
             f"{f'{failed} of the runs failed. ' if failed else ''}{versions}"
             f"[Details of each figure](../benchmarks/kept/figures/{bench}.json).")
 

@@ -42,11 +42,12 @@ def control_matrix(figures: Sequence[Mapping[str, Any]],
     lines = [f"| | {' | '.join(CONTROLLERS.values())} |", "|---" * (len(CONTROLLERS) + 1) + "|"]
     for what, title in ROWS.items():
         cells = [by_key.get(f"control.{name}.{what}") for name in CONTROLLERS]
-        lines.append(f"| {title} | "
-                     f"{' | '.join(shown(each) if each else '' for each in cells)} |")
+        if any(cells):
+            lines.append(f"| {title} | "
+                         f"{' | '.join(shown(each) if each else '' for each in cells)} |")
     judged = [each for each in figures if each.get("met") is not None]
     met = sum(bool(each["met"]) for each in judged)
-    said = f"{met} of {len(judged)} bars are met. The other figures with a bar, and more:"
+    said = f"{met} of {len(judged)} bars are met."
     return "\n".join([*lines, "", said])
 
 

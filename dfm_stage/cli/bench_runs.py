@@ -71,7 +71,8 @@ def merged(reports: Sequence[Plain]) -> dict[str, Any]:
     """
     machine = dict(reports[-1]["machine"])
     loads = [load for each in reports if (facts := each["machine"])
-             for load in (facts.get("load_range") or [facts["load_1min"]])]
+             for load in (facts.get("load_range") or [facts.get("load_1min")])
+             if load is not None]
     if len(reports) > 1 and loads:
         machine["load_range"] = [min(loads), max(loads)]
     return {"machine": machine,
