@@ -20,7 +20,6 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -162,24 +161,22 @@ class Recorder(LoopNode):
         first = next(iter(message_type.get_fields_and_field_types().values()), "")
         known = _Topic(topic, first == "std_msgs/Header",
                        type_name == "std_msgs/msg/String" and name.endswith("/config"))
+        arrived = self._arrivals.append
         self._topics[name] = tap = Receiver(
-            self._tap, message_type, name, partial(self._write_one, known), qos, spun_with=self,
-            arrivals=self._arrivals)
+            self._tap, message_type, name, lambda data: arrived((tap, data, time.time_ns())), qos,
+            spun_with=self, arrivals=self._arrivals)
         self._known[tap] = known
         self._taps.append((tap.ros.handle.take_message, message_type, tap.from_dds))
 
     def _fetch(self) -> None:
         """Write what has come since the last time."""
+        for take, message_type, keep in self._taps:
+            while (taken := take(message_type, True)) is not None:
+                keep(taken[0])
         if come := len(self._arrivals):  # a thread of a driver may add more meanwhile
             known = self._known
             self._write((known[tap], data, when) for tap, data, when in self._arrivals[:come])
             del self._arrivals[:come]
-        for take, message_type, write in self._taps:
-            while (taken := take(message_type, True)) is not None:
-                write(taken[0])
-
-    def _write_one(self, topic: _Topic, data: bytes) -> None:
-        self._write([(topic, data, time.time_ns())])
 
     def _write(self, arrivals: Iterable[tuple[_Topic, bytes, int]]) -> None:
         """Write messages that arrived, with the system time of that (ns)."""
