@@ -198,6 +198,8 @@ def _bar(figure: Plain) -> str:
 def _peer(figure: Plain) -> str:
     if not figure.get("peer"):
         return ""
+    if figure["peer_value"] is None:
+        return f"{figure['peer']}: failed"
     same = "" if figure["unit"] in ("x", "") else f" {UNITS.get(figure['unit'], figure['unit'])}"
     return f"{figure['peer']}: {number(figure['peer_value'])}{same}".rstrip()
 
