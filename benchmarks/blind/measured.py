@@ -43,9 +43,10 @@ from benchmarks.corpus.measured import (
     make_case,
     measured_plan,
 )
-from benchmarks.corpus.measured.case import long_records, make_setup
+from benchmarks.corpus.measured.case import long_records
 from benchmarks.corpus.measured.plan import GROUPS
 from benchmarks.corpus.measured.plant import HELD
+from benchmarks.corpus.measured.truth import make_setup
 
 DEVELOPMENT_SEED = 30_001
 CASES = {"remainder": 320, "outsider": 207, "nuisance": 304, "convention": 96}

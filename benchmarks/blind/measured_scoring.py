@@ -20,6 +20,8 @@ TIMING_SLACK = 0.1
 """Samples by which a shift that was found may be wrong."""
 CORRECTED = 0.01
 """Samples of an early shift from which a record's timing counts as corrected."""
+MOST_HELD_OUT = 0.3
+"""Share of a remainder in held-out records up to which these, too, show mostly the effect."""
 PHYSICAL_BELOW = 0.0105
 """Share of a remainder up to which an interval should hold the physical value, too."""
 
@@ -29,7 +31,8 @@ class MeasuredScore:
     """One case, judged.
 
     right: the answer is as it should be, in its class; exact: to the name; wrong_name: a name
-    outside what is allowed; found: per record that must be told, whether its convention was;
+    outside what is allowed; shown: the remainder makes at most MOST_HELD_OUT of the held-out gap,
+    too; found: per record that must be told, whether its convention was;
     corrected: per record whose timing was as assumed, whether it was corrected all the same;
     held: per interval of a parameter, whether it holds the pseudo-true value, and `physical`
     whether it holds the true one.
@@ -43,6 +46,7 @@ class MeasuredScore:
     right: bool
     exact: bool
     wrong_name: bool
+    shown: bool = True
     found: tuple[bool, ...] = ()
     untold: tuple[bool, ...] = ()
     corrected: tuple[bool, ...] = ()
@@ -78,6 +82,7 @@ def judge_measured(label: Mapping[str, Any], answer: Mapping[str, Any],
         int(label["index"]), _group(label), _row(label), share,
         _text(verdict, names, listed, bool(answer.get("complete", True))), right,
         right and names[:1] == [label["effect"]], wrong,
+        float(label.get("remainder_share_held_out", 0.0)) <= MOST_HELD_OUT,
         tuple(found for (found, _), asked in zip(told, must, strict=True) if asked),
         tuple(not fixed for (_, fixed), asked in zip(told, must, strict=True) if not asked),
         tuple(fixed for (_, fixed), plain in zip(told, as_assumed, strict=True) if plain),
@@ -178,6 +183,8 @@ def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[
         _rate("remainder_right_percent", (s.right for s in beside), 90.0, "at least",
               "effects that make at least 70 % of the gap named in their class; "
               f"to the name {sum(s.exact for s in beside)}"),
+        _rate("remainder_shown_right_percent", (s.right for s in beside if s.shown), 90.0,
+              "at least", "of the same where it makes so much of the held-out gap, too"),
         _rate("remainder_wrong_percent", (s.wrong_name for s in beside), 2.0, "at most",
               "of the same with a name outside the class"),
         _rate("outsider_wrong_percent", (s.wrong_name for s in outside), 3.0, "at most",
@@ -236,6 +243,7 @@ def measured_report(scores: Sequence[MeasuredScore]) -> str:
               for name, row in sorted(rows.items())]
     lines += ["", "NOT RIGHT"]
     lines += [f"  {s.group} {s.index:5d}  {s.row:48s} {s.answer} "
-              f"{'WRONG NAME ' if s.wrong_name else ''}{s.note}"
+              f"{'WRONG NAME ' if s.wrong_name else ''}"
+              f"{'' if s.shown else '(held-out records show it less) '}{s.note}"
               for s in scores if not s.right]
     return "\n".join(lines)

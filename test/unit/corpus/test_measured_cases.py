@@ -8,7 +8,6 @@ from scipy.optimize import least_squares
 
 from benchmarks.corpus.linear import response
 from benchmarks.corpus.measured import make_case, measured_plan
-from benchmarks.corpus.measured.case import make_setup
 from benchmarks.corpus.measured.effects import LIBRARY, OUTSIDE, OUTSIDERS, REMAINDERS, can_meet
 from benchmarks.corpus.measured.nuisance import NUISANCES
 from benchmarks.corpus.measured.plan import GROUPS, SHARES, MeasuredSpec
@@ -22,6 +21,7 @@ from benchmarks.corpus.measured.plant import (
     REST,
     SPEED,
 )
+from benchmarks.corpus.measured.truth import make_setup
 from benchmarks.corpus.plan import EFFECTS, class_of
 
 
