@@ -14,6 +14,7 @@ from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     FEWEST_CYCLES,
+    FULL_SHARE,
     FURTHER_PART,
     GRADED_RIVALS,
     GRADING_STEPS,
@@ -65,6 +66,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
     while True:
+        search.begin_work(max(search.most_steps - search.steps, LEAST_STEPS))
         found = search.settled(names, found) if names else found
         h = trial.no_worse(Hypothesis(names, found, bare, {
             n: list(_rivals(search, seen, n, names, found)) for n in names}))
@@ -131,20 +133,31 @@ def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
 def _largest(search: Search, bare: Fit, begins: Sequence[Begin],
              paid: frozenset[str]) -> tuple[Names, Fit]:
     """The set that leaves the least power, a further effect paid for by what it must take; that
-    of `paid` has been, on held-out blocks in the force domain."""
+    of `paid` has been, on held-out blocks in the force domain.
+
+    Sets with few parameters come first, and one that takes nearly all is the last: large ones
+    become the small ones at an end of their range, and take the work of all that follow."""
     best: tuple[Names, Fit] = (), bare
+    above = bare.chi2 - bare.white.size
 
     def score(names: Names, found: Fit) -> float:
         return _score(names[:1] if set(names) == paid else names, found)
 
-    for start, new, base in begins:
+    for start, new, base in sorted(begins, key=_added_parameters):
         names = (*(use.name for use in start.model.effects
                    if search.model.effect(use.name) is None), *new)
         search.step(f"fitting {' and '.join(names)}")
         found = search.once(names, start, [Hit.at(n, p) for n, p in new.items()], base)
         if _usable(found, names) and score(names, found) < score(*best):
             best = names, found
+        if bare.chi2 - best[1].chi2 > FULL_SHARE * above:
+            break
     return best
+
+
+def _added_parameters(begin: Begin) -> int:
+    """Parameters of the effects that a fit begins with."""
+    return sum(len(EFFECTS[name].parameters) for name in begin[1])
 
 
 def _usable(found: Fit, names: Names) -> bool:

@@ -355,10 +355,12 @@ def _left(e: Evidence) -> float:
 
 
 def needs_grading(e: Evidence) -> bool:
-    """Whether a gap stays that no set of effects brings to the noise."""
+    """Whether a gap stays that no set of effects brings to the noise: a large one, or one of which
+    they take nearly all on held-out records."""
     real = e.retuned.remainder if not e.effects else True
-    return not judge_hypothesis(e).stands and real and (
-        e.retuned.held_out.power > EXCESS**2 * e.judged.noise_power)
+    large = e.retuned.held_out.power > EXCESS**2 * e.judged.noise_power
+    taken = bool(e.effects) and above(e, e.extended.held_out.power) >= NAMED_SHARE
+    return not judge_hypothesis(e).stands and real and (large or taken)
 
 
 def stays_open(e: Evidence) -> bool:

@@ -299,9 +299,14 @@ def _to_noise(trial: Trial, names: Names, found: Fit, steps: float, warnings: Se
 
 def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
                 split: bool) -> Judgement:
-    """What explains most; in windows where much of the motion is missed and the fits stay far
-    behind the force domain, because long simulations have many local minima then."""
+    """What explains most: beside the base as given where held-out records refute other values and
+    nothing stands beside these; in windows where much of the motion is missed and the fits stay
+    far behind the force domain, because long simulations have many local minima then."""
     found = trial, *graded(trial, h, warnings, split)
+    if not found[1].names and trial.search.free and not found[1].bare.system.free:
+        own = _anew(trial, trial.search.runs, trial.held, ())
+        bare = own.search.begin()
+        found = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
     seen = trial.witness
     if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare) \
             or seen.best.share < PARTIAL_SHARE \
@@ -357,9 +362,15 @@ def _begun_in_windows(trial: Trial) -> tuple[Trial, Fit]:
 
 def _in_windows(trial: Trial) -> Trial:
     """The same with states that start anew in every window."""
+    return _anew(trial, [in_windows(r) for r in trial.search.runs],
+                 [in_windows(r) for r in trial.held], trial.search.free)
+
+
+def _anew(trial: Trial, runs: Sequence[Observation], held: Sequence[Observation],
+          free: Names) -> Trial:
+    """The same on other forms of the records, or with other base parameters free."""
     old = trial.search
-    search = Search(old.model, [in_windows(r) for r in old.runs], old.free, library=old.library,
-                    step=old.step)
-    found = Trial(search, [in_windows(r) for r in trial.held], trial.seed)
-    found.witness = trial.witness  # forces know no windows
+    found = Trial(Search(old.model, runs, free, library=old.library, step=old.step), held,
+                  trial.seed)
+    found.witness = trial.witness  # forces know neither windows nor what is free
     return found

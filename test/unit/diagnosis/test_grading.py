@@ -5,12 +5,15 @@ from __future__ import annotations
 import importlib.util
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dfm_stage.diagnosis import diagnose
-from dfm_stage.model import Model, load_model
+from benchmarks.blind.measured import diagnosed_files
+from benchmarks.corpus.measured import make_case, measured_plan
+from dfm_stage.diagnosis import diagnose, grading
+from dfm_stage.model import EFFECTS, Model, load_model
 from dfm_stage.recording import AxisRecord, Provenance, Record, read_record
 
 _spec = importlib.util.spec_from_file_location("grading_truth",
@@ -162,6 +165,41 @@ def test_what_the_force_domain_puts_first_is_a_rival_of_what_a_fit_puts_first():
 
 
 # -- measured records, where they are ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("taken", "fitted"), [
+    (0.99, ["coulomb_friction"]),
+    (0.5, ["coulomb_friction", "eddy_current_damping", "presliding_friction"])])
+def test_small_sets_come_first_and_one_that_takes_nearly_all_is_the_last(
+        taken, fitted, monkeypatch):
+    seen = []
+
+    def leaving(chi2):
+        return SimpleNamespace(chi2=chi2, white=np.zeros(10), model=SimpleNamespace(effects=()),
+                               system=SimpleNamespace(free=()))
+
+    def once(names, *_):
+        seen.extend(names)
+        return leaving(10.0 + 1e4 * (1.0 - taken))
+
+    search = SimpleNamespace(step=lambda _: None, once=once)
+    monkeypatch.setattr(grading, "_usable", lambda *_: True)
+    bare = leaving(10.0 + 1e4)
+    begins = [(bare, {name: dict(EFFECTS[name].defaults)}, {}) for name in (
+        "presliding_friction", "eddy_current_damping", "coulomb_friction")]
+    names, _ = grading._largest(search, bare, begins, frozenset())
+    assert (names, seen) == (("coulomb_friction",), fitted)
+
+
+@pytest.mark.slow
+def test_an_effect_stands_beside_the_given_base_where_held_out_records_refute_another():
+    """A vibration beside damping that grows with position, which bends the base."""
+    answer = diagnosed_files(make_case(measured_plan("remainder", 16, 1040220614)[15]))
+    assert answer["verdict"] == "partial"
+    assert [e["name"] for e in answer["effects"]] == ["periodic_disturbance"]
+    assert answer["effects"][0]["parameters"]["frequency"]["value"] == pytest.approx(14.852,
+                                                                                     abs=0.005)
+
 
 DATA = Path(os.environ.get("DFM_SHARED_DATA") or Path(__file__).resolve().parents[4]
             / "shared" / "data")

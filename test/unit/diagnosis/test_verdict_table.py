@@ -492,6 +492,14 @@ def test_parts_are_looked_for_where(met, graded):
     assert needs_grading(replace(ROWS[met][0], judged=Judged(noise_power=NOISE**2))) is graded
 
 
+@pytest.mark.parametrize(("leaves", "graded"), [(0.2, True), (0.5, False)])
+def test_a_small_gap_counts_where_effects_take_nearly_all_of_it(leaves, graded):
+    e = case(retuned=left(1e-6, held=1.2 * NOISE, remainder=True), effects=(FRICTION,),
+             extended=left(1e-8, held=leaves * NOISE, remainder=True),
+             judged=Judged(noise_power=NOISE**2))
+    assert needs_grading(e) is graded
+
+
 @pytest.mark.parametrize(("new", "known", "taken"), [
     (part(0.2), part(0.0), False),                        # both unknown
     (part(0.5), part(0.0), True),                         # a part, where nothing was
