@@ -26,6 +26,7 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import CheckFailedError, DfmError
 from dfm_stage.harness.domain import claim_domain
 from dfm_stage.harness.fork_server import SEVERAL, NodeProcess, shared_fork_server
+from dfm_stage.middleware.discovery import loopback_alone
 from dfm_stage.middleware.hand_over import handing_over
 from dfm_stage.middleware.security import OVERRIDE, require_what_was_asked
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
@@ -144,7 +145,8 @@ class NodeSet:
         # our participant leaves first: one that hears the others' endpoints go can lock up
         self._cleanup.callback(self._end_processes)
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
+        with loopback_alone():
+            rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
         self._cleanup.callback(self._let_go)
         self._cleanup.callback(self._context.try_shutdown)
         self._executor = make_executor(self._context)

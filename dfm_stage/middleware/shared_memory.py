@@ -1,5 +1,9 @@
 """What a killed process does to Fast DDS's ports in shared memory, and how our nodes live with it.
 
+A graph of this machine alone has no such ports (config/fastdds_local.xml). The notes below then
+stand for UDP ports, and still tell whose endpoints were killed. The rest is for a graph that was
+opened to the network.
+
 Every Fast DDS participant reads two numbered ports in /dev/shm, and a new one takes the lowest
 free numbers: those of a killed participant. Until its lease ends (config/fastdds.xml) the others
 go on writing to it; where its reader stood still for longer than healthy_check_timeout_ms of our
@@ -35,6 +39,7 @@ import contextlib
 import fcntl
 import os
 import re
+import socket
 import struct
 import time
 from collections.abc import Iterator, Sequence
@@ -43,6 +48,8 @@ from pathlib import Path
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 where Fast DDS puts it
 PORT_BASE, DOMAIN_GAIN = 7400, 250
 """First port of domain 0, and ports of each domain (DDSI-RTPS 2.5, 9.6.2.4)."""
+_LOOPBACK, _ANY_PORT = "127.0.0.1", 32768
+"""From the second on a port is one that the system chose, of a socket that only sends."""
 LEASE_S = 14.0
 PORT_LOOK_S = 1.0
 _NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
@@ -69,10 +76,10 @@ def avoiding_dead_ports() -> Iterator[None]:
     with contextlib.ExitStack() as held:
         for note, number in _named(_NOTE):
             if number not in _own and _killed_lately(note):
-                _hold(SHARED_MEMORY / f"{_PORT}{number}_el", held)
+                _hold(number, held)
         yield
     take_back_notes()
-    for number in _ports_read_here() - _own.keys():
+    for number in (_ports_read_here() | _sockets_here()) - _own.keys():
         _leave_note(number)
     put_off_checks()
 
@@ -125,7 +132,7 @@ def _domain(number: str) -> int | None:
 
 def take_back_notes() -> None:
     """To be called when a participant of a process that goes on has ended."""
-    for number in _own.keys() - _ports_read_here():
+    for number in _own.keys() - _ports_read_here() - _sockets_here():
         _take_back(number)
 
 
@@ -148,8 +155,13 @@ def _killed_lately(note: Path) -> bool:
     return False
 
 
-def _hold(lock: Path, held: contextlib.ExitStack) -> None:
-    """Take the lock of a port's reader until `held` is closed: Fast DDS goes to the next port."""
+def _hold(number: str, held: contextlib.ExitStack) -> None:
+    """Take a port, and the lock of its reader in shared memory, until `held` is closed: Fast DDS
+    goes to the next port."""
+    with contextlib.suppress(OSError):
+        taken = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        taken.bind((_LOOPBACK, int(number)))
+    lock = SHARED_MEMORY / f"{_PORT}{number}_el"
     with contextlib.suppress(OSError):
         descriptor = os.open(lock, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         held.callback(os.close, descriptor)
@@ -158,14 +170,27 @@ def _hold(lock: Path, held: contextlib.ExitStack) -> None:
 
 def _ports_read_here() -> set[str]:
     """Return the numbers of the ports whose lock this process has open."""
-    found = set()
     with contextlib.suppress(OSError):
-        for descriptor in os.listdir("/proc/self/fd"):
-            with contextlib.suppress(OSError):
-                lock = _LOCK.search(os.readlink(f"/proc/self/fd/{descriptor}"))
-                if lock:
-                    found.add(lock[1])
-    return found
+        return {lock[1] for link in _links() if (lock := _LOCK.search(link))}
+    return set()
+
+
+def _sockets_here() -> set[str]:
+    """Return the numbers of the ports on loopback that this process reads."""
+    with contextlib.suppress(OSError):
+        lines = [line.split() for line in
+                 Path("/proc/self/net/udp").read_text("ascii").splitlines()[1:]]
+        numbers = {f"socket:[{line[9]}]": int(line[1].partition(":")[2], 16) for line in lines}
+        return {str(numbers[link]) for link in _links()
+                if numbers.get(link, _ANY_PORT) < _ANY_PORT}
+    return set()
+
+
+def _links() -> Iterator[str]:
+    """Yield what this process has open."""
+    for descriptor in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):
+            yield os.readlink(f"/proc/self/fd/{descriptor}")
 
 
 def _leave_note(number: str) -> None:

@@ -26,6 +26,7 @@ from rclpy.utilities import remove_ros_args
 from dfm_stage import __version__, interruption
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware import security
+from dfm_stage.middleware.discovery import loopback_alone
 from dfm_stage.middleware.hand_over import handing_over
 from dfm_stage.middleware.security import enclave_of, require_what_was_asked
 from dfm_stage.middleware.shared_memory import (
@@ -91,8 +92,9 @@ class Helper:
     def __init__(self, name: str, namespace: str) -> None:
         require_what_was_asked()
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, args=[],
-                   signal_handler_options=SignalHandlerOptions.NO)
+        with loopback_alone():
+            rclpy.init(context=self._context, args=[],
+                       signal_handler_options=SignalHandlerOptions.NO)
         self.node = helper_node(name, namespace, self._context)
         self.executor = make_executor(self._context)
         self.executor.add_node(self.node)
@@ -250,7 +252,8 @@ def _join(given: list[str]) -> None:
     """Join the graph with these ROS arguments; DfmError where that cannot be."""
     require_what_was_asked(given)
     try:
-        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        with loopback_alone():
+            rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise DfmError(str(error)) from error
 

@@ -18,6 +18,7 @@ import rclpy
 from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.harness.domain import claim_domain
 from dfm_stage.middleware import shared_memory
+from dfm_stage.middleware.discovery import OPEN, PEERS, PROFILES
 from dfm_stage.middleware.shared_memory import (
     DOMAIN_GAIN,
     LEASE_S,
@@ -28,9 +29,17 @@ from dfm_stage.middleware.shared_memory import (
     neighbour_killed,
 )
 from dfm_stage.nodes.process import helper_node
+from dfm_stage.share import config_folder
 
 SETTLED_S = 0.5
 CONTROLLER = ("controller", "--ros-args", "-r", "__ns:=/stage/x")
+
+
+@pytest.fixture(autouse=True)
+def with_shared_memory(monkeypatch):
+    """As a graph that is opened to named hosts: alone on this machine it has no such ports."""
+    monkeypatch.setenv(PEERS, "127.0.0.1")
+    monkeypatch.setenv(PROFILES, str(config_folder() / OPEN))
 
 
 @pytest.fixture
@@ -149,9 +158,10 @@ def test_the_endpoints_of_a_killed_node_are_told_from_those_of_the_next(domain):
 def test_after_its_lease_it_is_taken_again(domain):
     with running_node(domain) as (_, port):
         pass
-    note = SHARED_MEMORY / port.name.replace("fastrtps_port", "dfm_stage_port")
-    note.write_text("killed")
-    os.utime(note, (0, time.time() - LEASE_S - 1.0))
+    for note in files_of(domain):
+        if note.name.startswith("dfm_stage_port"):
+            note.write_text("killed")
+            os.utime(note, (0, time.time() - LEASE_S - 1.0))
     with running_node(domain) as (_, other):
         assert other == port
 
