@@ -7,9 +7,11 @@ import os
 from pathlib import Path
 
 _SELF = Path("/proc/self")
-_SENDER = "dds.asyn"
-"""Fast DDS's thread for what did not go out at once: it tries the lock of a writer again and again
-without a pause, and at real-time priority kept the processor from whoever held it."""
+_SENDER, _SENDER_PRIORITY = "dds.asyn", 1
+"""Fast DDS's thread for what did not go out at once, and the lowest real-time priority for it. It
+tries the lock of a writer again and again without a pause: at the priority of the loop it kept the
+processor from whoever held that lock. Without any, tools that started kept the processor from it
+while it held a lock itself, and the loop waited for up to 41 ms."""
 _CROWDED = 0.05
 _CROWDED_LOOKS = 5
 _CROWDED_S = 0.9
@@ -115,8 +117,9 @@ class RealTime:
 def _schedule(policy: int, priority: int) -> None:
     for thread in (_SELF / "task").iterdir():
         with contextlib.suppress(ProcessLookupError, FileNotFoundError):  # it has ended
-            if not (thread / "comm").read_text("ascii", "replace").startswith(_SENDER):
-                os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
+            sends = (thread / "comm").read_text("ascii", "replace").startswith(_SENDER)
+            own = min(priority, _SENDER_PRIORITY) if sends else priority
+            os.sched_setscheduler(int(thread.name), policy, os.sched_param(own))
 
 
 def _waited_s() -> float:

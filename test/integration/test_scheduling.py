@@ -48,7 +48,7 @@ def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, t
         for each in graph.launched:
             priority = 20 if each.kind in LOOP else 10
             assert policies(each.process.pid) == {(os.SCHED_RR, priority)}, each.kind
-            assert policies(each.process.pid, senders=True) == {(os.SCHED_OTHER, 0)}, each.kind
+            assert policies(each.process.pid, senders=True) == {(os.SCHED_RR, 1)}, each.kind
 
 
 @needs_the_right
