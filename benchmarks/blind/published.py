@@ -27,6 +27,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.rates import LARGE, large_effects, limits_of, shares_by_severity
+from benchmarks.blind.measured import read_measured
+from benchmarks.blind.measured_scoring import measured_figures
 from benchmarks.blind.scoring import Score, wilson
 from benchmarks.diagnose import SEED, read_scores
 from dfm_stage.files import write_whole
@@ -35,7 +37,9 @@ KEPT = Path(__file__).resolve().parents[1] / "kept"
 MISSES = KEPT / "misses.csv"
 MISS_COLUMNS = ("seed", "case", "severity", "answer", "times")
 MEASURED = KEPT / "measured_corpus.json"
-"""Seed and figures of a run of `benchmarks.blind.measured`; what it missed is beside it."""
+"""Seed and figures of a run of `benchmarks.blind.measured`."""
+MEASURED_MISSES = KEPT / "measured_corpus_misses.csv"
+MEASURED_COLUMNS = ("group", "case", "kind", "answer", "wrong_name")
 Row = tuple[str, str, str, Callable[[float], bool]]
 ROWS: tuple[Row, ...] = (
     ("exact", "one effect at severity 3 or 10: exact name", "95 %", lambda r: r >= 95.0),
@@ -183,10 +187,31 @@ def keep(folder: Path) -> None:
     write_whole(MISSES, misses(seeds))
 
 
+def keep_measured(folder: Path) -> None:
+    """Keep the rates and the wrong answers of one seed of `benchmarks.blind.measured`."""
+    scores = read_measured(folder)
+    figures = [{name: each[name] for name in ("key", "value", "unit", "bar", "bar_kind", "met",
+                                              "how")}
+               for each in (figure.to_dict() for figure in measured_figures(scores))
+               if each["value"] is not None]
+    for each in figures:
+        each["value"] = round(each["value"], 3)
+    write_whole(MEASURED, json.dumps({
+        "seed": int(folder.name.removeprefix("seed_")), "cases": len(scores),
+        "figures": figures}, indent=1) + "\n")
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow(MEASURED_COLUMNS)
+    table.writerows(sorted((s.group, s.index, s.row, s.answer, "yes" if s.wrong_name else "")
+                           for s in scores if not s.right))
+    write_whole(MEASURED_MISSES, out.getvalue())
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Keep the counts of a folder, if one is given; print every table."""
-    for folder in arguments:
-        keep(Path(folder))
+    """Keep the counts of the folders that are given, `bench diagnose`'s or a seed's of
+    `benchmarks.blind.measured`; print every table."""
+    for folder in map(Path, arguments):
+        (keep_measured if (folder / "report.txt").exists() else keep)(folder)
     seeds = kept()
     for seed, counts in seeds.items():
         print(f"seed {seed}: {counts['cases']} cases", *rates(counts), "", sep="\n")
