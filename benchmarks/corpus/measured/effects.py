@@ -205,9 +205,9 @@ OUTSIDE: dict[str, Outside] = {
     "end_stop_one_sided": Outside(
         lambda r, a, s: {"stop_gap": a.peak * r.uniform(0.4, 0.7), "stop_one_sided": 1.0,
                          "stop_stiffness": 8.0 * s * a.force / a.x},
-        frozenset({"cubic_stiffness", "quadratic_stiffness"}), "hardens, on one side",
-        remainder=False,
-        own=frozenset({"end_stop"})),
+        frozenset({"cubic_stiffness", "quadratic_stiffness"}), "hardens, on one side; without "
+        "loss it has the law of a cable", remainder=False,
+        own=frozenset({"end_stop", "one_sided_cable"})),
     "one_sided_cable": Outside(
         lambda _r, a, s: {"cable": 2.0 * s * a.force / a.x}, EVEN,
         "|x| is the even half of it", remainder=False,
