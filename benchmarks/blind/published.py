@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.rates import LARGE, large_effects, limits_of, shares_by_severity
 from benchmarks.blind.measured import read_measured
 from benchmarks.blind.measured_scoring import measured_figures
+from benchmarks.blind.rates import LARGE, large_effects, limits_of, shares_by_severity
 from benchmarks.blind.scoring import Score, wilson
 from benchmarks.diagnose import SEED, read_scores
 from dfm_stage.files import write_whole
