@@ -61,7 +61,7 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     trial.held_weights = weights_like(trial.held, search.weights)
     names, found = _largest(search, bare, [
         *_found_before(trial, h, bare), *((bare, *each) for each in _proposed(search, seen))],
-        frozenset(seen.best.names if seen is not None and not seen.cannot_tell else ()))
+        _paid(seen))
     if not _proposes_alone(seen, search):
         names, found = _further(search, names, found)
     dropped: dict[str, DropReason] = {}
@@ -102,6 +102,16 @@ def _proposed(search: Search,
                    {n: v for n, v in each.parameters.items() if "." not in n})
 
 
+def _paid(seen: Witness | None) -> set[frozenset[str]]:
+    """The sets of which the force domain has borne out every effect on held-out blocks: the best,
+    and those that explain nearly as much by as many effects."""
+    if seen is None or seen.cannot_tell:
+        return set()
+    return {frozenset(each.names) for each in (seen.best, *seen.pairs)
+            if len(each.names) == len(seen.best.names)
+            and each.share > RIVAL_GAIN * seen.best.share}
+
+
 def _parameters(told: Explained, name: str) -> Parameters:
     """What the force domain says of an effect, and defaults of what it cannot see."""
     return {p: told.parameters.get(f"{name}.{p}", value)
@@ -131,9 +141,9 @@ def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
 
 
 def _largest(search: Search, bare: Fit, begins: Sequence[Begin],
-             paid: frozenset[str]) -> tuple[Names, Fit]:
-    """The set that leaves the least power, a further effect paid for by what it must take; that
-    of `paid` has been, on held-out blocks in the force domain.
+             paid: set[frozenset[str]]) -> tuple[Names, Fit]:
+    """The set that leaves the least power, a further effect paid for by what it must take; those
+    of `paid` have been, on held-out blocks in the force domain.
 
     Sets with few parameters come first, and one that takes nearly all is the last: large ones
     become the small ones at an end of their range, and take the work of all that follow."""
@@ -141,7 +151,7 @@ def _largest(search: Search, bare: Fit, begins: Sequence[Begin],
     above = bare.chi2 - bare.white.size
 
     def score(names: Names, found: Fit) -> float:
-        return _score(names[:1] if set(names) == paid else names, found)
+        return _score(names[:1] if frozenset(names) in paid else names, found)
 
     for start, new, base in sorted(begins, key=_added_parameters):
         names = (*(use.name for use in start.model.effects

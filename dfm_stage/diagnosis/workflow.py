@@ -12,6 +12,7 @@ from dfm_stage.diagnosis.clear_force import by_force, clear_force
 from dfm_stage.diagnosis.decisions import (
     FAR_BEHIND,
     FIRST_SHARE,
+    FURTHER_PART,
     GROSS_GAP,
     GROSS_REMAINDER,
     LEAST_STEPS,
@@ -225,20 +226,39 @@ def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
 
 
 def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
-    """What the effects of the search explain; where they do not explain nearly all that can be
-    predicted, what these and the uncommon ones do, if that is clearly more. The force domain,
-    which takes seconds, may say that no uncommon one does."""
+    """What the effects of the search explain; where they leave a remainder, what these and the
+    uncommon ones do, if that is clearly more. Before that search a first look says whether it is
+    worth while."""
     found = _explained(trial, first, warnings, split)
     said = verdict(found[2])
-    if not trial.uncommon or said.complete or said.kind == "named":
+    if not trial.uncommon or said.complete:
         return found
     trial.search.step("looking for uncommon effects, too")
     search = trial.search.widened(trial.uncommon)
     first, wide = search.begin(), Trial(search, trial.held, trial.seed)
-    if wide.witness is not None and wide.witness.explained_by(trial.search.library):
+    worth_while = _leaves_less(wide, first, found) if said.kind == "named" else (
+        _may_explain(wide, found))
+    if not worth_while:
         return found
     among_all = _explained(wide, first, warnings, split)
     return among_all if is_clearly_more(among_all[2], found[2]) else found
+
+
+def _may_explain(wide: Trial, found: Judgement) -> bool:
+    """Whether the force domain, which takes seconds, has not said that the effects of a search
+    without the uncommon ones explain most."""
+    seen = wide.witness
+    return seen is None or not seen.explained_by(found[0].search.library)
+
+
+def _leaves_less(wide: Trial, first: Fit, found: Judgement) -> bool:
+    """Whether the first effects of a search among all leave clearly less above the noise than
+    named ones do."""
+    if found[0].search.runs[0].window:
+        return False
+    _, other = wide.search.grown((), first, rounds=1)
+    noise = found[2].noise.rms**2
+    return other.rms**2 - noise < (1.0 - FURTHER_PART) * (found[1].fit.rms**2 - noise)
 
 
 def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:

@@ -9,6 +9,8 @@ Source: Wouterse, IEE Proc. B 138 (1991) 153; Smythe, Trans. AIEE 61 (1942) 681.
 
 from __future__ import annotations
 
+import math
+
 from dfm_stage.model.effect import (
     SMALL,
     Conditions,
@@ -34,6 +36,15 @@ class EddyCurrentDamping(Effect):
         """From well below the RMS speed to well above it."""
         return [{"damping": SMALL * at.force / at.speed,
                  "critical_velocity": share * at.speed} for share in (0.2, 0.6, 1.5, 4.0)]
+
+    def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
+        """With a lower critical speed the rise of the force is over while the motion turns round:
+        what shows is a dry friction that falls with speed."""
+        return SLOWEST * at.speed if parameter == "critical_velocity" else -math.inf, math.inf
+
+
+SLOWEST = 0.1
+"""Critical speed over the RMS speed."""
 
 
 EFFECT = EddyCurrentDamping(

@@ -110,6 +110,21 @@ def test_damping_that_grows_with_travel_alone_is_at_most_a_part_of_a_relative():
     assert found.names in ((), ("quadratic_damping",))
 
 
+def told(share, *names):
+    return SimpleNamespace(names=names, share=share)
+
+
+def test_what_the_force_domain_bears_out_is_paid_for_with_its_near_rivals():
+    best = told(0.9, "quadratic_stiffness", "eddy_current_damping")
+    near = told(0.8, "quadratic_stiffness", "coulomb_friction")
+    far = told(0.1, "creep", "hysteresis")
+    seen = SimpleNamespace(best=best, pairs=(best, near, far), cannot_tell=False)
+    assert grading._paid(seen) == {frozenset(best.names), frozenset(near.names)}
+    alone = SimpleNamespace(best=told(0.9, "creep"), pairs=(near,), cannot_tell=False)
+    assert grading._paid(alone) == {frozenset({"creep"})}
+    assert grading._paid(None) == set()
+
+
 # -- a servo axis that nothing holds -------------------------------------------------------------
 
 MASS, VISCOUS, COULOMB, GAIN, FINE = 100.0, 200.0, 20.0, 35.0, 25

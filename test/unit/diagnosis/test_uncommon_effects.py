@@ -100,6 +100,8 @@ def test_the_effect_or_its_class_is_named(name: str) -> None:
 @pytest.mark.parametrize(("name", "values", "without", "named", "widened"), [
     ("dead_zone", {"width": 0.05}, (), ["dead_zone"], True),
     ("dead_zone", {"width": 0.05}, ("dead_zone",), [], True),
+    ("structural_damping", {"loss_stiffness": 0.02 * STIFFNESS}, (), ["structural_damping"],
+     True),
     ("cubic_stiffness", {"k3": 2e7}, (), ["cubic_stiffness"], False)])
 def test_uncommon_effects_are_looked_for_where_the_common_ones_do_not_suffice(
         name: str, values: dict[str, float], without: tuple[str, ...], named: list[str],
