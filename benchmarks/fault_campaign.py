@@ -142,18 +142,18 @@ class Campaign:
         begin = time.monotonic()
         since = len(self._ledger.heard["plant"])
         struck = _Struck(outcome, time.time_ns())
-        repaired = begin
+        scene.judging_s, repaired = 0.0, begin
         try:
             KINDS[fault.kind].strike(scene, fault)
             self._look(struck, begin, 0 if fault.node == RECORDER else since)
-            repaired = time.monotonic()
             scene.undo.close()
+            scene.judging_s, repaired = 0.0, time.monotonic()
             for node in scene.gone():
                 scene.start(node)
             outcome.recovered = scene.recover()
         finally:
             scene.undo.close()
-            outcome.took_s = time.monotonic() - repaired
+            outcome.took_s = time.monotonic() - repaired - scene.judging_s
             outcome.answered_s = max(scene.answers_s, default=0.0)
             struck.end_ns = time.time_ns()
             self._struck.append(struck)

@@ -64,6 +64,8 @@ class Scene:
         self.graph = StageGraph(model=str(self.model), bag=self._new_bag(),
                                 start_timeout_s=60.0, parameters=self.parameters)
         self._bag_ends = bag_ends
+        self.judging_s = 0.0
+        """What the bench itself took to judge bags before a recorder was started again."""
 
     def __enter__(self) -> Scene:
         self.graph.__enter__()
@@ -154,8 +156,10 @@ class Scene:
         """Start a node that has ended again; a recorder with a new bag."""
         bag = None
         if node == RECORDER:
+            begin = time.monotonic()
             self.graph.spin(DIES_LATE_S)
             self._bag_ends(self.ledger.ends_ns or time.time_ns())
+            self.judging_s += time.monotonic() - begin
             bag = {"bag": str(self._new_bag())}
         self.graph.restart_node(node, bag)
         if bag is not None:

@@ -22,7 +22,6 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from dfm_stage.nodes.base import PRIORITY
 from dfm_stage.nodes.wiring import LINKS
 
 LONG_NS = 2_000_000
@@ -93,13 +92,15 @@ def _be_tool(name: str) -> None:
     os._exit(0)
 
 
-def sleeper() -> None:
-    """Sleep for a millisecond at a time at the nodes' priority, and say when that took long.
+def sleeper(priority: str) -> None:
+    """Sleep for a millisecond at a time, at a priority of SCHED_RR or without one (0), and say
+    when that took long.
 
     When stdin ends, prints pairs of time since the epoch and gap, ns, one for each gap above 2 ms.
     """
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(PRIORITY.default))
+        if int(priority):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(int(priority)))
     gaps, before = [(time.time_ns(), 0)], time.monotonic_ns()
     while not select.select([sys.stdin], [], [], 1e-3)[0]:
         now = time.monotonic_ns()

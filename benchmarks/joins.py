@@ -25,9 +25,12 @@ from benchmarks.figure import Figure
 from benchmarks.private import run_module
 from dfm_stage.harness import StageGraph
 from dfm_stage.middleware.discovery import PROFILES, RANGE
+from dfm_stage.nodes.base import PRIORITY
 from dfm_stage.recording import Topic, read_bag
 
 FULL, QUICK, SEED = 200, 20, 1
+LAYOUTS = {"processes": "", "per_axis": "per_axis.", "composed": "composed."}
+"""What stands in the keys of the figures of each layout."""
 LOOP = ("measurement", "command", "amplifier")
 ENDS = (signal.SIGINT, signal.SIGKILL, signal.SIGTERM)
 EVERY_S, LIVES_S = 0.4, (0.3, 2.0)
@@ -36,36 +39,44 @@ BAR_MS = 20.0
 
 
 def figures(quick: bool = False, cases: int | None = None, seed: int = SEED) -> list[Figure]:
-    """Measure 200 tools (quick: 20, or `cases`), whose lives and ends are drawn with `seed`."""
+    """Measure 200 tools (quick: 20, or `cases`) beside each layout; `seed` draws their lives and
+    ends."""
     tools = cases or (QUICK if quick else FULL)
+    found = [figure for layout in LAYOUTS for figure in _of_layout(layout, tools, seed)]
+    return [*found, Figure("joins.tools", float(tools), "tools", how=(
+        f"beside each layout; plain rclpy, one each {EVERY_S:g} s, ended by SIGINT, SIGTERM or "
+        f"SIGKILL after {LIVES_S[0]:g} to {LIVES_S[1]:g} s"))]
+
+
+def _of_layout(layout: str, tools: int, seed: int) -> list[Figure]:
     with tempfile.TemporaryDirectory(prefix="dfm_joins_") as folder:
         answer = Path(folder) / "gaps.json"
         (bags := Path(folder) / "bags").mkdir()
-        run_module("benchmarks.joins", [str(bags), str(answer), str(tools), str(seed)], bags)
+        run_module("benchmarks.joins", [str(bags), str(answer), str(tools), str(seed), layout],
+                   bags)
         found = json.loads(answer.read_text("utf-8"))
     stall_ms = max(0.0, found["loop_ms"] - found["sleeper_ms"])
-    how = (f"{tools} tools of plain rclpy, one each {EVERY_S:g} s, ended by SIGINT, SIGTERM or "
-           f"SIGKILL after {LIVES_S[0]:g} to {LIVES_S[1]:g} s, during a raster in six processes")
+    key, how = f"joins.{LAYOUTS[layout]}", f"{tools} tools, during a raster, layout {layout}"
     return [
-        Figure("joins.longest_stall_ms", stall_ms, "ms", BAR_MS, bar_kind="at most",
+        Figure(f"{key}longest_stall_ms", stall_ms, "ms", BAR_MS, bar_kind="at most",
                how="largest gap of measurement, command or amplifier, less that of a bare sleeper "
                f"at the same priority; {how}"),
-        Figure("joins.loop_gap_ms", found["loop_ms"], "ms", None, "sleeper", found["sleeper_ms"],
+        Figure(f"{key}loop_gap_ms", found["loop_ms"], "ms", None, "sleeper", found["sleeper_ms"],
                how="the two largest gaps; of the loop before tools came: "
                f"{found['before_ms']:.1f} ms"),
-        Figure("joins.latched_off", found["off"], "messages", 0.0, bar_kind="at most",
+        Figure(f"{key}latched_off", found["off"], "messages", 0.0, bar_kind="at most",
                how="of amplifier, from the first tool to the last, with the output off"),
-        Figure("joins.tools", float(tools), "tools", how=how),
     ]
 
 
 def main() -> None:
     """Run the graph with tools; write the gaps, ms."""
-    folder, answer, tools, seed = sys.argv[1:]
+    folder, answer, tools, seed, layout = sys.argv[1:]
     bag = Path(folder) / "bag"
-    with StageGraph(bag=bag, parameters={
+    own = "0" if layout == "composed" else str(PRIORITY.default)  # composed is this process
+    with StageGraph(bag=bag, layout=layout, parameters={
             "trajectory_generator": {**GENERATOR, "autostart": True},
-            "controller": CONTROLLER}) as graph, _tool({}, "sleeper") as sleeper:
+            "controller": CONTROLLER}) as graph, _tool({}, "sleeper", own) as sleeper:
         graph.spin(SETTLES_S)
         begin_ns = time.time_ns()
         _come_and_go(graph, int(tools), random.Random(int(seed)))
