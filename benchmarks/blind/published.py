@@ -211,7 +211,7 @@ def main(arguments: Sequence[str]) -> int:
     """Keep the counts of the folders that are given, `bench diagnose`'s or a seed's of
     `benchmarks.blind.measured`; print every table."""
     for folder in map(Path, arguments):
-        (keep_measured if (folder / "report.txt").exists() else keep)(folder)
+        (keep_measured if folder.name.startswith("seed_") else keep)(folder)
     seeds = kept()
     for seed, counts in seeds.items():
         print(f"seed {seed}: {counts['cases']} cases", *rates(counts), "", sep="\n")

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks import formulas_found
 from benchmarks.blind import published
+from benchmarks.blind.measured_scoring import MeasuredScore
 from benchmarks.blind.published import by_severity, kept, kept_misses, measured_rates, rates
 from benchmarks.corpus import case_plan
 from benchmarks.diagnose import SEED
@@ -39,6 +40,28 @@ def test_the_shares_by_severity_are_those_of_the_kept_counts(counts):
 
 def test_the_rates_of_cases_that_look_like_measurements_are_those_kept():
     assert "\n".join(measured_rates()) in PAGE.read_text("utf-8")
+
+
+def test_a_run_of_measured_like_cases_is_kept_with_its_wrong_answers(monkeypatch, tmp_path):
+    kept_at = {"MEASURED": tmp_path / "rates.json", "MEASURED_MISSES": tmp_path / "misses.csv"}
+    for name, path in kept_at.items():
+        monkeypatch.setattr(published, name, path)
+    scores = [MeasuredScore(1, "remainder", "creep beside cogging", 0.1, "unknown", False, False,
+                            False),
+              MeasuredScore(2, "remainder", "creep beside cogging", 0.1, "named hysteresis",
+                            False, False, True),
+              MeasuredScore(3, "remainder", "creep beside cogging", 0.1, "named creep", True,
+                            True, False)]
+    monkeypatch.setattr(published, "read_measured", lambda _: scores)
+    published.keep_measured(tmp_path / "seed_7")
+    rates_of = json.loads(kept_at["MEASURED"].read_text("utf-8"))
+    values = {each["key"]: each["value"] for each in rates_of["figures"]}
+    assert (rates_of["seed"], rates_of["cases"]) == (7, 3)
+    assert values["measured.remainder_right_percent"] == pytest.approx(100 / 3, abs=1e-3)
+    assert "measured.outsider_wrong_percent" not in values
+    assert kept_at["MEASURED_MISSES"].read_text("utf-8").splitlines() == [
+        "group,case,kind,answer,wrong_name", "remainder,1,creep beside cogging,unknown,",
+        "remainder,2,creep beside cogging,named hysteresis,yes"]
 
 
 def test_the_table_of_formulas_that_are_found_is_that_of_the_kept_run():
