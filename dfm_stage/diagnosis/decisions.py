@@ -137,9 +137,10 @@ FURTHER_PART = decision(
     "effect must take of held-out power where a remainder stays; the main one, too, unless the "
     "force domain explains as much by it alone, clearly before all others. Of the predictable "
     "force, what the force domain must explain to name effects alone, and by common effects for "
-    "uncommon ones not to be tried. Of what named effects leave on fitted records, what a first "
-    "round of fits must take for the uncommon ones to be tried.", set_on=PARTS + "; alone: "
-    "answers to four seeds of the measured-like corpus, seen before: 17 names, all allowed")
+    "uncommon ones not to be tried. Of what common effects leave on fitted records, what a first "
+    "round of fits among all must take for the uncommon ones to be tried.",
+    set_on=PARTS + "; alone: answers to four seeds of the measured-like corpus, seen before: 17 "
+    "names, all allowed")
 PARAMETER_PART = decision(
     "PARAMETER_PART", 0.05, "1", meaning="Share of what is left that a further parameter of an "
     "effect must take where a remainder stays.", set_on="derivation: less is within the spread of "

@@ -236,9 +236,8 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
     trial.search.step("looking for uncommon effects, too")
     search = trial.search.widened(trial.uncommon)
     first, wide = search.begin(), Trial(search, trial.held, trial.seed)
-    worth_while = _leaves_less(wide, first, found) if said.kind == "named" else (
-        _may_explain(wide, found))
-    if not worth_while:
+    heard = said.kind != "named" and _may_explain(wide, found)
+    if not (heard or _leaves_less(wide, first, found)):
         return found
     among_all = _explained(wide, first, warnings, split)
     return among_all if is_clearly_more(among_all[2], found[2]) else found
@@ -252,8 +251,8 @@ def _may_explain(wide: Trial, found: Judgement) -> bool:
 
 
 def _leaves_less(wide: Trial, first: Fit, found: Judgement) -> bool:
-    """Whether the first effects of a search among all leave clearly less above the noise than
-    named ones do."""
+    """Whether the first effects of a search among all leave clearly less above the noise than what
+    was found."""
     if found[0].search.runs[0].window:
         return False
     _, other = wide.search.grown((), first, rounds=1)
