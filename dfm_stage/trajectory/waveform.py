@@ -163,7 +163,8 @@ def sine(values: Values, timing: Timing, suffix: str) -> Waveform:
 def chirp(values: Values, timing: Timing, suffix: str) -> Waveform:
     """A sin(phi(t)) with d phi/dt = 2 pi f(t); every sweep starts at phase zero.
 
-    Linear: f = f0 + (f1 - f0) t / T. Logarithmic: f = f0 (f1 / f0)^(t / T).
+    Linear: f = f0 + (f1 - f0) t / T. Logarithmic: f = f0 (f1 / f0)^(t / T). The crest factor is
+    that of one sweep, or of its part that fits into the run.
     """
     for name in ("low_hz", "high_hz"):
         _below_nyquist(values, name, timing)
@@ -175,13 +176,13 @@ def chirp(values: Values, timing: Timing, suffix: str) -> Waveform:
     if 2 * ramp > period:
         raise values.error("ramp_s", f"ramp_s = {values.number('ramp_s'):g} s is more than half "
                                      f"of period_s = {seconds:g} s")
-    t = np.arange(period, dtype=np.float64) * timing.sample_period_s
+    t = np.arange(min(period, timing.count), dtype=np.float64) * timing.sample_period_s
     two_pi = 2.0 * math.pi
     if values.word("sweep") == "linear" or low == high:
         slope = (high - low) / seconds
         angle = two_pi * (low * t + 0.5 * slope * t**2)
         omega = two_pi * (low + slope * t)
-        omega_rate = np.full(period, two_pi * slope)
+        omega_rate = np.full(t.size, two_pi * slope)
     else:
         growth = math.log(high / low) / seconds
         omega = two_pi * low * np.exp(growth * t)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -101,6 +102,21 @@ def test_sweeps_repeat_when_asked() -> None:
     assert e.period_samples == 4000
     assert e.crest_factor == pytest.approx(np.max(np.abs(e.voltage))
                                            / math.sqrt(np.mean(e.voltage**2)), rel=1e-9)
+
+
+@pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
+def test_a_sweep_longer_than_the_run_takes_memory_for_the_run_only(sweep: str) -> None:
+    tracemalloc.start()
+    try:
+        e = made("chirp", duration_s=1.0, low_hz=1.0, high_hz=70.0, amplitude_v=0.1,
+                 period_s=19_000.0, sweep=sweep)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    peer = scipy.signal.chirp(np.arange(1000) * DT, 1.0, 19_000.0, 70.0, method=sweep, phi=-90.0)
+    assert np.allclose(e.voltage, 0.1 * peer, atol=1e-9)
+    assert e.period_samples == 19_000_000
+    assert peak < 5e6      # 19 million samples take 150 MB
 
 
 def test_sine_period_is_known_only_if_whole() -> None:
