@@ -25,6 +25,7 @@ from benchmarks.figure import Figure
 from benchmarks.private import run_module
 from dfm_stage.harness import StageGraph
 from dfm_stage.middleware.discovery import PROFILES, RANGE
+from dfm_stage.middleware.scheduling import RealTime
 from dfm_stage.nodes.base import PRIORITY
 from dfm_stage.recording import Topic, read_bag
 
@@ -73,14 +74,19 @@ def main() -> None:
     """Run the graph with tools; write the gaps, ms."""
     folder, answer, tools, seed, layout = sys.argv[1:]
     bag = Path(folder) / "bag"
-    own = "0" if layout == "composed" else str(PRIORITY.default)  # composed is this process
     with StageGraph(bag=bag, layout=layout, parameters={
             "trajectory_generator": {**GENERATOR, "autostart": True},
-            "controller": CONTROLLER}) as graph, _tool({}, "sleeper", own) as sleeper:
+            "controller": CONTROLLER}) as graph, _tool(
+            {}, "sleeper", str(PRIORITY.default)) as sleeper, _tool(
+            _of_a_stranger(graph), "crowd") as crowd:
+        realtime = RealTime()
+        if layout == "composed":  # in this process: as the command `compose` does in its own
+            realtime.take(PRIORITY.default, time.monotonic())
         graph.spin(SETTLES_S)
         begin_ns = time.time_ns()
-        _come_and_go(graph, int(tools), random.Random(int(seed)))
+        _come_and_go(graph, crowd, int(tools), random.Random(int(seed)))
         end_ns = time.time_ns()
+        realtime.give_back()
         assert sleeper.stdin is not None
         assert sleeper.stdout is not None
         sleeper.stdin.close()
@@ -106,21 +112,25 @@ def _gap_ms(topics: Mapping[str, Topic], begin_ns: int, end_ns: int) -> float:
     return max(gaps)
 
 
-def _come_and_go(graph: StageGraph, count: int, rng: random.Random) -> None:
+def _of_a_stranger(graph: StageGraph) -> dict[str, str]:
     plain = {name: value for name, value in os.environ.items() if name not in {PROFILES, RANGE}}
-    with _tool({**plain, "ROS_DOMAIN_ID": str(graph.domain_id)}, "crowd") as crowd:
-        assert crowd.stdin is not None
-        assert crowd.stdout is not None
-        due: list[tuple[float, int, int]] = []
-        for _ in range(count):
-            crowd.stdin.write(b"\n")
-            crowd.stdin.flush()
-            pid = int(crowd.stdout.readline())
-            due.append((time.monotonic() + rng.uniform(*LIVES_S), pid, rng.choice(ENDS)))
-            graph.spin(EVERY_S)
-            due = _end_due(due, time.monotonic())
-        graph.spin(LIVES_S[1])
-        _end_due(due, time.monotonic())
+    return {**plain, "ROS_DOMAIN_ID": str(graph.domain_id)}
+
+
+def _come_and_go(graph: StageGraph, crowd: subprocess.Popen[bytes], count: int,
+                 rng: random.Random) -> None:
+    assert crowd.stdin is not None
+    assert crowd.stdout is not None
+    due: list[tuple[float, int, int]] = []
+    for _ in range(count):
+        crowd.stdin.write(b"\n")
+        crowd.stdin.flush()
+        pid = int(crowd.stdout.readline())
+        due.append((time.monotonic() + rng.uniform(*LIVES_S), pid, rng.choice(ENDS)))
+        graph.spin(EVERY_S)
+        due = _end_due(due, time.monotonic())
+    graph.spin(LIVES_S[1])
+    _end_due(due, time.monotonic())
 
 
 def _end_due(due: list[tuple[float, int, int]], now: float) -> list[tuple[float, int, int]]:
