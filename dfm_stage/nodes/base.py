@@ -144,6 +144,8 @@ class LoopNode(Node):
     settings_table: tuple[Setting, ...] = ()
     priority = PRIORITY.default
     """A node below the loop waits for it as a matter of course, and is not judged by that."""
+    niceness = 0
+    """By how much its process gives way to others, where it has the process to itself."""
     leaving_s = 0.0
     """How long a node that ends may wait until its last messages have arrived, s."""
     listens_to = ""

@@ -201,6 +201,7 @@ def _run(given: list[str], kinds: Callable[[], Sequence[Callable[[], LoopNode]]]
         make = kinds()
         if not make:
             return 0
+        _give_way(min(_class_of(each).niceness for each in make))
         _join(given)
         context = rclpy.get_default_context()
         executor = make_executor(context)
@@ -260,9 +261,19 @@ def _join(given: list[str]) -> None:
 
 def _made(kind: Callable[[], LoopNode]) -> LoopNode:
     """Make the node; DfmError where the middleware refuses it something."""
-    name = (kind.func if isinstance(kind, partial) else kind).kind  # type: ignore[union-attr]
-    with refusals_told(name, sys.argv), avoiding_dead_ports():
+    with refusals_told(_class_of(kind).kind, sys.argv), avoiding_dead_ports():
         return kind()
+
+
+def _class_of(kind: Callable[[], LoopNode]) -> type[LoopNode]:
+    """Return the class of the node that this makes."""
+    return kind.func if isinstance(kind, partial) else kind  # type: ignore[return-value]
+
+
+def _give_way(niceness: int) -> None:
+    """Raise the niceness of this process to a value; one that began anew has it already."""
+    if niceness > os.getpriority(os.PRIO_PROCESS, 0):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
 def _in_one_line(error: Exception) -> str:

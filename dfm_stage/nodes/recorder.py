@@ -56,7 +56,6 @@ _SETTLED_S = 3.0
 _DRAIN_S = 0.05
 _REPAIR_S = 0.25
 """A message that got lost on its way is missed at the next heartbeat (config/fastdds.xml)."""
-_NICENESS = 5
 
 
 @dataclass
@@ -76,6 +75,8 @@ class Recorder(LoopNode):
     listens_to = "every topic whose full name `topics` matches and `exclude` does not"
     example = "-p bag:=bags/first -p exclude:='/parameter_events|.*/sim/.*'"
     priority = 10
+    niceness = 5
+    """It gives way to the loop it records: its buffers are deep."""
     settings_table = (
         Setting("bag", "", "folder of the new bag; empty: bags/<date and time>"),
         Setting("topics", ".*", "regular expression of the full topic names to record"),
@@ -300,6 +301,5 @@ def _offer(qos: QoSProfile) -> QosProfile:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node, giving way to the loop it records: its buffers are deep."""
-    os.nice(_NICENESS)
+    """Run the node."""
     return run_node(Recorder, args)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -121,6 +122,7 @@ def test_asking_starts_nothing(name, capsys, monkeypatch):
 
     monkeypatch.setattr(process.StopRequest, "install", lambda _: None)
     monkeypatch.setattr(process.rclpy, "init", lambda **_: pytest.fail("DDS was started"))
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
     assert main([name, "--help"]) == 0
     said = capsys.readouterr()
     assert said.out.strip() == help_text(node_class(name))
@@ -132,6 +134,7 @@ def test_asking_starts_nothing(name, capsys, monkeypatch):
     assert said.out == ""
     assert said.err.startswith("error: unknown arguments --hlep")
     assert said.err.count("\n") == 1
+    assert os.getpriority(os.PRIO_PROCESS, 0) == niceness
 
 
 def test_asking_does_not_wait_for_the_compiler():
