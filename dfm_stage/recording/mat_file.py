@@ -134,7 +134,7 @@ class _File:
 
     def _shape(self, content: memoryview, at: int) -> tuple[tuple[int, ...], int]:
         kind, sizes, at = self.element(content, at)
-        shape = tuple(int(n) for n in self._array(kind, sizes))
+        shape = tuple(int(n) for n in self._sizes(kind, sizes))
         if not 1 <= len(shape) <= 32 or min(shape) < 0:
             raise MatError("an array of impossible size")
         return shape, at
@@ -144,6 +144,12 @@ class _File:
             raise MatError(f"numbers of the unknown type {kind}")
         dtype = np.dtype(self.order + _TYPES[kind])
         return np.frombuffer(content[:len(content) // dtype.itemsize * dtype.itemsize], dtype)
+
+    def _sizes(self, kind: int, content: memoryview) -> np.ndarray[Any, Any]:
+        found = self._array(kind, content)
+        if found.dtype.kind == "f":
+            raise MatError("a size that is no whole number")
+        return found
 
     def _numbers(self, content: memoryview, at: int, shape: tuple[int, ...],
                  bits: int) -> np.ndarray[Any, Any]:
@@ -187,7 +193,7 @@ class _File:
 
     def _fields(self, content: memoryview, at: int) -> tuple[list[str], int]:
         kind, sizes, at = self.element(content, at)
-        width = self._array(kind, sizes)[:1].sum()
+        width = self._sizes(kind, sizes)[:1].sum()
         _, texts, at = self.element(content, at)
         if width < 1:
             return [], at

@@ -101,3 +101,14 @@ def test_other_versions() -> None:
         read_mat(bytes(data))
     with pytest.raises(MatError, match="header"):
         read_mat(b"MATLAB 5.0 MAT-file")
+
+
+@pytest.mark.parametrize("size", [np.nan, np.inf, 8.0])
+def test_a_size_is_a_whole_number(size: float) -> None:
+    structure = io.BytesIO()
+    scipy.io.savemat(structure, {"s": {"field": np.arange(3.0)}}, do_compression=False)
+    data = structure.getvalue()
+    width = struct.pack("<HHI", 5, 4, len("field") + 1)     # one number in the tag itself
+    assert width in data
+    with pytest.raises(MatError, match="no whole number"):
+        read_mat(data.replace(width, struct.pack("<HHf", 7, 4, size)))
