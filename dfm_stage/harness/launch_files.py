@@ -11,6 +11,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from dfm_stage.harness.stage_graph import AXIS_NODES, LAYOUTS
+from dfm_stage.middleware.security import enclave_for
 from launch import LaunchDescription
 
 
@@ -32,7 +33,7 @@ def nodes(context: Any, axes: tuple[str, ...]) -> list[Any]:
     def together(full_names: list[str]) -> Any:
         return Node(package="dfm_stage", executable="compose", arguments=full_names,
                     parameters=parameters, output="screen",
-                    ros_arguments=["--enclave", full_names[0]])
+                    ros_arguments=["--enclave", enclave_for(full_names)])
 
     layout = LaunchConfiguration("layout").perform(context)
     if layout == "composed":

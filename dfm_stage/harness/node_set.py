@@ -28,7 +28,13 @@ from dfm_stage.harness.domain import claim_domain
 from dfm_stage.harness.fork_server import SEVERAL, NodeProcess, shared_fork_server
 from dfm_stage.middleware.discovery import loopback_alone
 from dfm_stage.middleware.hand_over import handing_over
-from dfm_stage.middleware.security import OVERRIDE, require_what_was_asked
+from dfm_stage.middleware.security import (
+    OPERATOR,
+    OVERRIDE,
+    WHOLE_STAGE,
+    enclave_for,
+    require_what_was_asked,
+)
 from dfm_stage.middleware.shared_memory import PORT_LOOK_S, PortWatch, take_back_notes
 from dfm_stage.nodes.base import node_class
 from dfm_stage.nodes.process import (
@@ -107,6 +113,7 @@ class NodeSet:
         self._looked = 0.0
         self._deaf = False
         self._cleanup = contextlib.ExitStack()
+        self._ros_arguments = ["--ros-args", "--enclave", WHOLE_STAGE if composed else OPERATOR]
 
     @property
     def domain_id(self) -> int:
@@ -141,17 +148,17 @@ class NodeSet:
             self._domain_id = self._cleanup.enter_context(claim_domain()).number
         self.folder = Path(self._cleanup.enter_context(
             tempfile.TemporaryDirectory(prefix="dfm_stage_")))
-        require_what_was_asked()
+        require_what_was_asked(self._ros_arguments)
         # our participant leaves first: one that hears the others' endpoints go can lock up
         self._cleanup.callback(self._end_processes)
         self._context = rclpy.Context()
         with loopback_alone():
-            rclpy.init(context=self._context, domain_id=self._domain_id, args=[])
+            rclpy.init(context=self._context, domain_id=self._domain_id, args=self._ros_arguments)
         self._cleanup.callback(self._let_go)
         self._cleanup.callback(self._context.try_shutdown)
         self._executor = make_executor(self._context)
         self._cleanup.enter_context(handing_over(self._context, self._executor))
-        self._client_node = helper_node("harness", "/stage", self._context)
+        self._client_node = helper_node("harness", "/stage", self._context, self._ros_arguments)
         self._own_ports = PortWatch()
         self._client_node.create_subscription(DiagnosticArray, "/diagnostics",
                                               self._on_diagnostics, 50)
@@ -169,10 +176,10 @@ class NodeSet:
         if make is None:
             return self.launch_together([(kind, namespace, parameters)])[0]
         launched = Launched(kind, namespace, parameters=dict(parameters))
-        with refusals_told(launched.full_name):
+        with refusals_told(launched.full_name, self._ros_arguments):
             launched.node = make(context=self._context, cli_args=[
                 "--ros-args", "-r", f"__ns:={namespace}", "--params-file",
-                str(self._parameter_file([launched])), "--enclave", launched.full_name])
+                str(self._parameter_file([launched]))])
         self.launched.append(launched)
         self._executor.add_node(launched.node)
         launched.node.begin()
@@ -184,7 +191,8 @@ class NodeSet:
         group = [Launched(kind, namespace, parameters=dict(parameters))
                  for kind, namespace, parameters in nodes]
         file = self._parameter_file(group)
-        ros_args = ["--ros-args", "--params-file", str(file), "--enclave", group[0].full_name]
+        ros_args = ["--ros-args", "--params-file", str(file), "--enclave",
+                    enclave_for([each.full_name for each in group])]
         one = len(group) == 1
         process = shared_fork_server().start(
             group[0].kind if one else SEVERAL,

@@ -20,6 +20,8 @@ _ENCLAVE_FILES = ("identity_ca.cert.pem", "cert.pem", "key.pem", "permissions_ca
                   "governance.p7s", "permissions.p7s")
 """What every enclave of a keystore has (rmw_dds_common, `get_security_files`)."""
 OVERRIDE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
+OPERATOR, WHOLE_STAGE = "/stage/operator", "/stage"
+"""The enclave of programs beside the graph, and that of a process with all nodes."""
 _FAST_DDS = re.compile(r"/\S*/libfast(?:rtps|dds)\.so\S*")
 
 
@@ -66,6 +68,18 @@ def enclave_of(arguments: Sequence[str]) -> str:
     """Return the enclave of a process with these ROS arguments, as rcl chooses it."""
     named = [name for flag, name in pairwise(arguments) if flag in ("-e", "--enclave")]
     return os.environ.get(OVERRIDE) or (named[-1] if named else "/")
+
+
+def enclave_for(full_names: Sequence[str]) -> str:
+    """Return the enclave that a process of these nodes is to have.
+
+    One node has its own. Several have that of the namespace which all but the plant share: it
+    grants what each of them may do.
+    """
+    if len(full_names) == 1:
+        return full_names[0]
+    spaces = [name.rpartition("/")[0] for name in full_names if not name.endswith("/sim_plant")]
+    return os.path.commonpath(spaces or [WHOLE_STAGE])
 
 
 def _require_enclave(enclaves: Path, name: str) -> None:

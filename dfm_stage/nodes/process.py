@@ -28,7 +28,7 @@ from dfm_stage.errors import DfmError
 from dfm_stage.middleware import security
 from dfm_stage.middleware.discovery import loopback_alone
 from dfm_stage.middleware.hand_over import handing_over
-from dfm_stage.middleware.security import enclave_of, require_what_was_asked
+from dfm_stage.middleware.security import OPERATOR, enclave_of, require_what_was_asked
 from dfm_stage.middleware.shared_memory import (
     PORT_LOOK_S,
     PortWatch,
@@ -60,15 +60,17 @@ def make_executor(context: Any) -> Any:
     return EventsExecutor(context=context)
 
 
-def helper_node(name: str, namespace: str, context: Any) -> Node:
+def helper_node(name: str, namespace: str, context: Any, arguments: Sequence[str] = ()) -> Node:
     """Make a node for a program beside the graph: no parameters, arguments or rosout.
+
+    `arguments` are those that its context was initialised with.
 
     Raises
     ------
     DfmError
         If the middleware refuses it something.
     """
-    with refusals_told(name), avoiding_dead_ports():
+    with refusals_told(name, arguments), avoiding_dead_ports():
         return rclpy.create_node(name, namespace=namespace, context=context,
                                  use_global_arguments=False, enable_rosout=False,
                                  start_parameter_services=False)
@@ -90,12 +92,13 @@ class Helper:
     """A node beside the graph in a context of its own, which `executor` spins."""
 
     def __init__(self, name: str, namespace: str) -> None:
-        require_what_was_asked()
+        arguments = [_ROS_ARGUMENTS, "--enclave", OPERATOR]
+        require_what_was_asked(arguments)
         self._context = rclpy.Context()
         with loopback_alone():
-            rclpy.init(context=self._context, args=[],
+            rclpy.init(context=self._context, args=arguments,
                        signal_handler_options=SignalHandlerOptions.NO)
-        self.node = helper_node(name, namespace, self._context)
+        self.node = helper_node(name, namespace, self._context, arguments)
         self.executor = make_executor(self._context)
         self.executor.add_node(self.node)
 

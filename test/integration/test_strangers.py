@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import re
 import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +33,9 @@ from dfm_stage import __main__
 from dfm_stage.commands import NODES, module_of
 from dfm_stage.errors import DfmError
 from dfm_stage.harness import StageGraph
+from dfm_stage.harness.fork_server import ForkServer
+from dfm_stage.harness.taps import Taps
+from dfm_stage.middleware import security
 from dfm_stage.model import load_model
 from dfm_stage.nodes.process import Helper
 from dfm_stage.nodes.wiring import interface as get_message
@@ -40,6 +46,7 @@ POLICY = ROOT / "config" / "sros2" / "policy.xml"
 RIGHTS = ("publish", "subscribe", "reply", "request", "execute", "call")
 Rights = dict[str, set[str]]
 ACTION_PARTS = "/_action/"
+XINCLUDE = "{http://www.w3.org/2001/XInclude}include"
 LIFE_CYCLE = ((ChangeState, "change_state"), (GetState, "get_state"),
               (GetAvailableStates, "get_available_states"),
               (GetAvailableTransitions, "get_available_transitions"),
@@ -55,11 +62,33 @@ def signals_as_they_were():
         signal.signal(number, handler)
 
 
+def policy_in_full(file: Path) -> ET.Element:
+    """A policy with what it includes of itself, as `ros2 security` reads it."""
+    root = ET.parse(file).getroot()  # noqa: S314 a file of our own
+    for parent in list(root.iter("profiles")):
+        for place, each in reversed(list(enumerate(parent))):
+            if each.tag != XINCLUDE:
+                continue
+            what = re.fullmatch(r"xpointer\(/policy/(.+)\)", each.attrib["xpointer"])
+            assert what
+            found = root.findall(what[1])
+            assert len(found) >= 1, each.attrib
+            parent[place:place + 1] = copy.deepcopy(found)
+    return root
+
+
+@cache
+def enclaves() -> dict[str, list[ET.Element]]:
+    """The profiles of every enclave of the policy, those it includes among them."""
+    return {each.attrib["path"]: list(each.iter("profile"))
+            for each in policy_in_full(POLICY).iter("enclave")}
+
+
 def allowed() -> dict[str, Rights]:
     """The rights of every node in the policy, names written out."""
     out = {}
-    for enclave in ET.parse(POLICY).getroot().iter("enclave"):  # noqa: S314 a file of our own
-        for profile in enclave.iter("profile"):
+    for profiles in enclaves().values():
+        for profile in profiles:
             namespace, node = profile.attrib["ns"], profile.attrib["node"]
             rights: Rights = {right: set() for right in RIGHTS}
             for group in profile:
@@ -97,14 +126,14 @@ def on_the_wire(right: str, name: str) -> list[tuple[str, str]]:
 
 def permissions() -> dict[str, set[tuple[str, str]]]:
     """What every enclave may do in DDS; topics may have wildcards."""
-    profiles, out = allowed(), {}
-    for enclave in ET.parse(POLICY).getroot().iter("enclave"):  # noqa: S314 a file of our own
-        names = [f"{each.attrib['ns'].rstrip('/')}/{each.attrib['node']}"
-                 for each in enclave.iter("profile")]
-        out[enclave.attrib["path"]] = {
-            entry for name in names for right, granted in profiles[name].items()
-            for each in granted for entry in on_the_wire(right, each)}
-    return out
+    rights = allowed()
+    return {path: {entry for name in names_of(profiles) for right, granted in rights[name].items()
+                   for each in granted for entry in on_the_wire(right, each)}
+            for path, profiles in enclaves().items()}
+
+
+def names_of(profiles: list[ET.Element]) -> list[str]:
+    return [f"{each.attrib['ns'].rstrip('/')}/{each.attrib['node']}" for each in profiles]
 
 
 def refused(node: Any, granted: set[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -152,17 +181,27 @@ def test_the_policy_is_what_the_nodes_really_do_and_no_more(tmp_path):
                         parameters={"controller": {"amplifier_feedback": True}}) as graph:
             for each in graph.launched:
                 look(each.node)
-                assert refused(each.node, granted[each.full_name]) == []
+                for enclave in (each.full_name, enclave_of_axis(each), "/stage"):
+                    assert refused(each.node, granted[enclave]) == []
                 if each.kind == "recorder":
                     graph.spin_until(lambda tap=each.node._tap: "/diagnostics" in {
                         name for name, _ in tap.get_subscriber_names_and_types_by_node(
                             "recorder_tap", "/stage")}, 10.0, "a recorded topic of all nodes")
                     look(each.node._tap)
                     assert refused(each.node._tap, granted["/stage/recorder"]) == []
-            assert refused(graph._client_node, granted["/stage/operator"]) == []
+            taps = Taps(graph._client_node)
+            for node in (graph._client_node, taps._node):
+                for enclave in ("/stage/operator", "/stage"):
+                    assert refused(node, granted[enclave]) == []
+            taps.close()
+    with StageGraph(composed=True, model="current_stage", nodes=("sim_plant",)) as graph:
+        for axis in ("x", "y"):
+            plant = graph.launch("sim_plant", f"/stage/{axis}", {"model": "current_stage"}).node
+            look(plant)
+            assert refused(plant, granted[f"/stage/{axis}"]) == []
     policy = allowed()
     operator = policy.pop("/stage/harness")
-    for name in ("/stage/recorder_tap", "/stage/view", "/_ros2cli_*"):
+    for name in ("/stage/recorder_tap", "/stage/harness_tap", "/stage/view", "/_ros2cli_*"):
         assert policy.pop(name)["subscribe"] == {"/*"}
     assert seen.pop("/stage/recorder_tap")["publish"] == {"/parameter_events"}
     assert seen == policy
@@ -170,6 +209,36 @@ def test_the_policy_is_what_the_nodes_really_do_and_no_more(tmp_path):
                for right in RIGHTS}
     assert operator["request"] <= offered["reply"]
     assert operator["call"] == offered["execute"]
+
+
+def enclave_of_axis(launched: Any) -> str:
+    """The enclave of a process with the nodes of its axis; the recorder is never in one."""
+    return {"/stage": "/stage/x"}.get(launched.namespace, launched.namespace) if (
+        launched.kind != "recorder") else "/stage/recorder"
+
+
+def test_a_process_of_several_nodes_has_their_rights_and_no_more():
+    full = {path: set(names_of(profiles)) for path, profiles in enclaves().items()}
+    assert len({path.lower() for path in full}) == len(full)
+    for axis in ("x", "y"):
+        alone = {path for path in full if path.startswith(f"/stage/{axis}/")}
+        assert len(alone) == 4
+        assert full[f"/stage/{axis}"] == alone | {"/stage/sim_plant", f"/stage/{axis}/sim_plant"}
+    others = {"/stage/recorder_tap", "/stage/harness", "/stage/harness_tap"}
+    assert full["/stage"] == others | {path for path in full if path not in (
+        "/stage", "/stage/x", "/stage/y", "/stage/operator")}
+
+
+@pytest.mark.parametrize(("nodes", "enclave"), [
+    (["/stage/x/controller"], "/stage/x/controller"),
+    (["/stage/sim_plant"], "/stage/sim_plant"),
+    (["/stage/sim_plant", "/stage/x/encoder_driver", "/stage/x/controller"], "/stage/x"),
+    (["/stage/y/sim_plant", "/stage/y/encoder_driver"], "/stage/y"),
+    (["/stage/recorder", "/stage/sim_plant", "/stage/x/controller"], "/stage"),
+    (["/stage/sim_plant", "/stage/x/controller", "/stage/y/controller"], "/stage")])
+def test_every_process_has_an_enclave_of_the_policy(nodes, enclave):
+    assert security.enclave_for(nodes) == enclave
+    assert set(nodes) <= set(names_of(enclaves()[enclave]))
 
 
 def test_an_operator_may_do_what_the_ros2_command_does_and_nothing_on_the_loop():
@@ -206,8 +275,6 @@ def test_an_operator_may_do_what_the_ros2_command_does_and_nothing_on_the_loop()
 @pytest.fixture
 def keystore(tmp_path, monkeypatch):
     """Keys for two enclaves, and a Fast DDS that looks as if it had security."""
-    from dfm_stage.middleware import security
-
     for name in ("stage/x/controller", "stage/recorder"):
         folder = tmp_path / "keys" / "enclaves" / name
         folder.mkdir(parents=True)
@@ -247,6 +314,34 @@ def test_a_wrong_or_absent_enclave_is_one_line(keystore, monkeypatch, capfd):
         Helper("view", "/stage")
 
 
+def test_every_layout_asks_for_the_enclaves_that_the_policy_has(keystore):
+    for graph, missing in ((StageGraph(composed=True), "/stage"),
+                           (StageGraph(layout="per_axis"), "/stage/operator")):
+        with pytest.raises(DfmError, match=f"the enclave {missing} has no"):
+            graph.bring_up()
+    with pytest.raises(DfmError, match="the enclave /stage/operator has no"):
+        Helper("view", "/stage")
+
+
+@pytest.mark.parametrize(("layout", "expected"), [
+    ("per_axis", ["/stage/recorder", "/stage/x", "/stage/y"]),
+    ("processes", ["/stage/recorder", "/stage/sim_plant", "/stage/x/encoder_driver",
+                   "/stage/y/encoder_driver"])])
+def test_every_process_is_started_with_an_enclave_of_the_policy(layout, expected, tmp_path,
+                                                                monkeypatch):
+    start, started = ForkServer.start, []
+
+    def note(server: Any, kind: str, arguments: list[str], *rest: Any) -> Any:
+        started.append(security.enclave_of(arguments))
+        return start(server, kind, arguments, *rest)
+
+    monkeypatch.setattr(ForkServer, "start", note)
+    kinds = None if layout == "per_axis" else ("recorder", "sim_plant", "encoder_driver")
+    with StageGraph(axes=("x", "y"), layout=layout, nodes=kinds, bag=tmp_path / "bag"):
+        assert sorted(started) == expected
+    assert set(expected) <= set(enclaves())
+
+
 def test_a_right_that_its_enclave_lacks_is_one_line(keystore, monkeypatch, capfd):
     from dfm_stage.nodes import process
 
@@ -274,7 +369,7 @@ def test_keys_of_another_domain_are_one_line_for_programs_beside_the_graph(monke
     monkeypatch.setattr(rclpy, "create_node", refuse)
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/stage/operator")
-    monkeypatch.setattr("dfm_stage.nodes.process.require_what_was_asked", lambda: None)
+    monkeypatch.setattr("dfm_stage.nodes.process.require_what_was_asked", lambda _: None)
     with pytest.raises(DfmError, match=r"^view: .* could not create data writer; has its enclave "
                        r"/stage/operator the right to it, in this ROS_DOMAIN_ID\?$"):
         Helper("view", "/stage")
@@ -283,7 +378,6 @@ def test_keys_of_another_domain_are_one_line_for_programs_beside_the_graph(monke
 @pytest.mark.parametrize("name", ["controller", "recorder"])
 def test_a_graph_asked_to_be_secure_refuses_where_it_cannot(name, tmp_path, monkeypatch, capfd):
     from dfm_stage.__main__ import main
-    from dfm_stage.middleware import security
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
@@ -292,9 +386,10 @@ def test_a_graph_asked_to_be_secure_refuses_where_it_cannot(name, tmp_path, monk
     assert main([name]) == 2
     assert "is no keystore" in capfd.readouterr().err
     folder = tmp_path / "keys" / "enclaves"
-    folder.mkdir(parents=True)
-    for file in security._ENCLAVE_FILES:
-        (folder / file).touch()
+    for place in (folder, folder / "stage"):
+        place.mkdir(parents=True)
+        for file in security._ENCLAVE_FILES:
+            (place / file).touch()
     monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(tmp_path / "keys"))
     library = tmp_path / "libfastrtps.so.2"
     monkeypatch.setattr(security, "_loaded_fast_dds", lambda: library)
