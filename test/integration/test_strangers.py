@@ -217,6 +217,14 @@ def enclave_of_axis(launched: Any) -> str:
         launched.kind != "recorder") else "/stage/recorder"
 
 
+def test_ros2_security_finds_nothing_but_enclaves():
+    """It takes all that stands in `enclaves` for one, a comment as well, and ends."""
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))  # noqa: S314 of our own
+    listed = ET.parse(POLICY, parser).getroot().find("enclaves")  # noqa: S314 of our own
+    assert listed is not None
+    assert {each.tag for each in listed} == {"enclave"}
+
+
 def test_a_process_of_several_nodes_has_their_rights_and_no_more():
     full = {path: set(names_of(profiles)) for path, profiles in enclaves().items()}
     assert len({path.lower() for path in full}) == len(full)
