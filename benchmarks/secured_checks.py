@@ -39,7 +39,8 @@ TOOLS_PERIOD_S = 0.004
 TOPICS = ("reference", "measurement", "command", "amplifier", "plant")
 STARTS_S, TOOL_ENDS_S, MEETS_S, FORGES_S = 60.0, 90.0, "5", 5.0
 SHORT_OF_A_RIGHT = "topic not found in allow rule"
-COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+NOISE = re.compile(r"\x1b\[[0-9;]*m| \(/\S+:\d+\)")
+"""Colours, and where in the sources of Fast DDS a line was written."""
 STILL_M = 1e-7
 """Two counts of the encoder."""
 
@@ -223,7 +224,7 @@ def refused_a_right(graph: StageGraph, keys: Path, prefix: str = "") -> Iterator
 
 
 def _said(what: str, code: int, out: str, expected: str) -> str:
-    plain = COLOUR.sub("", out).splitlines()
+    plain = NOISE.sub("", out).splitlines()
     lines = [line for line in plain if expected in line] or plain[-1:]
     return f"{what}: exit code {code}, {lines[0].strip()[:200] if lines else 'it said nothing'}"
 

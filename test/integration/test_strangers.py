@@ -225,6 +225,20 @@ def test_ros2_security_finds_nothing_but_enclaves():
     assert {each.tag for each in listed} == {"enclave"}
 
 
+def test_our_governance_lets_nobody_in_and_protects_every_message_once():
+    root = ET.parse(POLICY.with_name("governance.xml")).getroot()  # noqa: S314 of our own
+    said = {each.tag: each.text for each in root.iter() if each.text and each.text.strip()}
+    assert len(list(root.iter("domain_rule"))) == len(list(root.iter("topic_rule"))) == 1
+    assert said == {
+        "min": "0", "max": "232", "topic_expression": "*",
+        "allow_unauthenticated_participants": "false", "enable_join_access_control": "true",
+        "enable_discovery_protection": "true", "enable_liveliness_protection": "true",
+        "enable_read_access_control": "true", "enable_write_access_control": "true",
+        "discovery_protection_kind": "ENCRYPT", "liveliness_protection_kind": "ENCRYPT",
+        "rtps_protection_kind": "ENCRYPT", "metadata_protection_kind": "NONE",
+        "data_protection_kind": "NONE"}
+
+
 def test_a_process_of_several_nodes_has_their_rights_and_no_more():
     full = {path: set(names_of(profiles)) for path, profiles in enclaves().items()}
     assert len({path.lower() for path in full}) == len(full)
