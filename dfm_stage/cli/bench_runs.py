@@ -76,7 +76,7 @@ def merged(reports: Sequence[Plain]) -> dict[str, Any]:
     if len(reports) > 1 and loads:
         machine["load_range"] = [min(loads), max(loads)]
     return {"machine": machine,
-            **{name: value for each in reports for name in ("measured", "commit")
+            **{name: value for each in reports for name in ("measured", "commit", "versions")
                if (value := each.get(name))},
             "commands": list(dict.fromkeys(
                 command for each in reports for command in each.get("commands", ()))),

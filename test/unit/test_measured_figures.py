@@ -60,7 +60,9 @@ def test_a_bar_is_judged_where_more_than_half_of_the_runs_judged_it(judging, met
 
 
 def test_reports_are_merged_with_the_range_of_the_load():
-    both = merged([report(figure(1.0), load=0.2), report(figure(2.0), load=3.0)])
+    both = merged([{**report(figure(1.0), load=0.2), "versions": "Fast DDS 2.14.5"},
+                   report(figure(2.0), load=3.0)])
+    assert both["versions"] == "Fast DDS 2.14.5"
     assert both["machine"]["load_range"] == [0.2, 3.0]
     assert both["commands"] == ["./run bench loop"]
     assert both["figures"][0]["value"] == 1.5
