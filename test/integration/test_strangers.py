@@ -368,7 +368,7 @@ def test_a_right_that_its_enclave_lacks_is_one_line(keystore, monkeypatch, capfd
     from dfm_stage.nodes import process
 
     class Controller:
-        kind = "controller"
+        kind, niceness = "controller", 0
 
         def __init__(self) -> None:
             raise rclpy_implementation.RCLError(
