@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-import threading
 
 import pytest
 
@@ -97,18 +95,3 @@ def test_ready_knows_which_nodes_there_are():
         answer = ask("/stage/x/amplifier_driver", "/stage/nothing", "/other/amplifier_driver")
         assert not answer.ready
         assert answer.message == "there is no /stage/nothing, /other/amplifier_driver"
-
-
-@pytest.mark.real_time
-@pytest.mark.parametrize("after_s", [0.5, 1.9])
-def test_an_amplifier_that_is_killed_on_the_way_is_no_success(after_s):
-    """The second is killed in the last tenth of the run, and nothing but its silence tells."""
-    push = {**PUSH, "duration_s": 2.0}
-    with StageGraph() as graph:
-        graph.run(PUSH)
-        kill = threading.Timer(after_s, graph.signal_node, ("/stage/x/amplifier_driver",
-                                                            signal.SIGKILL))
-        kill.start()
-        with pytest.raises(RunFailedError, match="nothing is heard of the amplifier for"):
-            graph.run(push)
-        kill.join()
