@@ -27,9 +27,9 @@ def record(name: str, current: str, last: int) -> Record:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("current", "last", "library"), [
-    ("iq", 20_000, WITHOUT_LOOPS), ("iq_ref", 50_000, None)])
+    ("iq", 12_500, WITHOUT_LOOPS), ("iq_ref", 10_000, None)])
 def test_the_coupling_is_named_and_nothing_else(current, last, library):
-    """Seven seconds of measured current, and all of the commanded with the whole library."""
+    """Four periods of measured current, and three of the commanded with the whole library."""
     rigid = Model("motor", PERIOD_S, drive="current", position_unit="rad", base={
         "mass": 1.0, "damping": 10.0, "force_constant": 100.0, "amplifier_time_constant": 1e-4,
         "delay": 3e-4})
