@@ -28,7 +28,7 @@ from benchmarks.corpus.plan import EFFECTS, class_of
 @pytest.mark.parametrize("group", GROUPS)
 def test_a_case_is_the_same_whatever_number_is_asked_for(group: str) -> None:
     assert measured_plan(group, 5, 4) == measured_plan(group, 200, 4)[:5]
-    spec = measured_plan(group, 5, 4)[2]
+    spec = measured_plan(group, 5, 4)[1]
     one, two = make_case(spec), make_case(spec)
     assert json.dumps(one.label) == json.dumps(two.label)
     assert one.model == two.model
@@ -87,7 +87,7 @@ def test_a_remainder_makes_the_share_that_was_asked_for(share: float) -> None:
 
 def test_a_remainder_of_a_closed_loop_is_a_share_of_the_force() -> None:
     made = (make_setup(MeasuredSpec(i, 6, "remainder", "coulomb_friction", "root_drag", 0.1))[0]
-            for i in range(20))
+            for i in range(2, 20))
     setup = next(s for s in made if s.judged == "force")
     # least squares of the force along the motion, by the plant's own rows
     rows = np.hstack([setup.simulate(i).rows for i in range(len(setup.train))])
