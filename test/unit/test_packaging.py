@@ -131,7 +131,7 @@ def test_a_bare_environment_names_the_effect_of_the_example(wheel: Path, tmp_pat
     venv.create(tmp_path / "venv", with_pip=True)
     programs = tmp_path / "venv" / ("Scripts" if os.name == "nt" else "bin")
     before = {each.stem for each in programs.iterdir()}
-    _pip(programs / "python", "install", "--no-compile", wheel)   # what is imported compiles itself
+    _pip(programs / "python", "install", "--no-compile", wheel)  # what is imported compiles itself
     assert "dfm-stage" in {each.stem for each in programs.iterdir()} - before
     assert not {*NODES, *TOOLS} & {each.stem for each in programs.iterdir()}
     own = {**BARE, "XDG_CACHE_HOME": str(tmp_path / "cache")}     # as on a new machine
