@@ -85,7 +85,7 @@ def _apply_metadata(path: Path, bag: BagFiles) -> None:
 
 
 def _apply(information: dict[str, Any], path: Path, bag: BagFiles) -> None:
-    storage = information.get("storage_identifier")
+    storage = str(information.get("storage_identifier"))
     if storage not in STORAGES:
         raise BagReadError(f"{path}: is stored as {storage}; convert it to MCAP first "
                            f"(ros2 bag convert)")
@@ -100,7 +100,7 @@ def _apply(information: dict[str, Any], path: Path, bag: BagFiles) -> None:
         start = int(information["starting_time"]["nanoseconds_since_epoch"])
         duration = int(information["duration"]["nanoseconds"])
         bag.end_ns = start + duration if information["message_count"] else None
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         bag.losses.append(Loss(f"{path / METADATA_FILE}: is damaged and was used in part"))
         return
     custom = information.get("custom_data")
