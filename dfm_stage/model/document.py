@@ -168,10 +168,10 @@ def _effect(node: _Node) -> EffectUse:
     name = node.data.get("name")
     if any(key in node.data for key in _FORMULA_KEYS):
         return _formula(node)
-    if name not in EFFECTS:
+    if not isinstance(name, str) or name not in EFFECTS:
         node.fail(unknown_name("effect", name, library_of([ALL])), "name")
-    values = _values(node.child("parameters"), str(name)) if "parameters" in node.data else {}
-    return node.build(lambda: EffectUse(str(name), values, _origin(node)))
+    values = _values(node.child("parameters"), name) if "parameters" in node.data else {}
+    return node.build(lambda: EffectUse(name, values, _origin(node)))
 
 
 def _formula(node: _Node) -> EffectUse:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _RECORD = struct.Struct("<BQHIQQ")      # opcode, length, channel, sequence, log and publish time
 _MESSAGE, _HEAD_BYTES = 5, 22
 _BATCH = 4096                           # messages that are decoded at a time
+_DAMAGED = (sqlite3.DatabaseError, UnicodeDecodeError)     # the latter in its own message, too
 _SOUND = ("FROM messages WHERE typeof(timestamp) = 'integer' AND timestamp >= 0 "
           "AND typeof(data) = 'blob'")      # a table of SQLite takes values of any type
 
@@ -102,7 +103,7 @@ def _survey(connection: sqlite3.Connection, file: Path, found: dict[str, _Topic]
         texts = dict(connection.execute(
             "SELECT topic_type, CAST(encoded_message_definition AS TEXT) "
             "FROM message_definitions WHERE encoding = 'ros2msg'").fetchall()) if has else {}
-    except sqlite3.DatabaseError as error:
+    except _DAMAGED as error:
         raise BagReadError(f"{file}: is no readable SQLite bag ({error})") from error
     for number, name, type_name, encoding in rows:
         topic = found.setdefault(str(name), _Topic(str(type_name), str(encoding), []))
@@ -129,23 +130,31 @@ def _fill(arrays: TopicArrays, topic: _Topic) -> list[Loss]:
     for connection, number, count in topic.places:
         end = row + count
         try:
-            for data, offsets in _batches(connection, number, row):
+            for data, offsets in _batches(connection, number, row, count):
                 arrays.decode(data, offsets, row)
                 row += len(offsets)
-        except sqlite3.DatabaseError as error:
-            losses.append(Loss(f"{arrays.name}: {end - row} messages are not readable ({error})",
-                               messages=end - row))
+            reason = "their index contradicts them"
+        except _DAMAGED as error:
+            reason = str(error)
         if row < end:
+            losses.append(Loss(f"{arrays.name}: {end - row} messages are not readable ({reason})",
+                               messages=end - row))
             arrays.empty_rows.append((row, end))
         row = end
     return losses
 
 
-def _batches(connection: sqlite3.Connection, topic: int, row: int) -> Iterator[tuple[Any, Any]]:
-    """Yield messages in the order of their times, as (records of MCAP, where each begins)."""
+def _batches(connection: sqlite3.Connection, topic: int, row: int, count: int
+             ) -> Iterator[tuple[Any, Any]]:
+    """Yield messages in the order of their times, as (records of MCAP, where each begins).
+
+    In a damaged file the index by which SQLite chooses may contradict the table.
+    """
     cursor = connection.execute(f"SELECT timestamp, data {_SOUND} "
-                                "AND topic_id = ? ORDER BY timestamp, id", (topic,))
-    while messages := cursor.fetchmany(_BATCH):
+                                "AND topic_id = ? ORDER BY timestamp, id LIMIT ?", (topic, count))
+    while fetched := cursor.fetchmany(_BATCH):
+        messages = [(stamp, data) for stamp, data in fetched
+                    if isinstance(stamp, int) and stamp >= 0 and isinstance(data, bytes)]
         sizes = [_RECORD.size + len(data) for _, data in messages]
         records = b"".join(part for k, (stamp, data) in enumerate(messages, row) for part in (
             _RECORD.pack(_MESSAGE, _HEAD_BYTES + len(data), 0, k & 0xFFFFFFFF, stamp, stamp),
