@@ -1,6 +1,7 @@
 """The corpus's own plant: every effect written out, integrated by Runge-Kutta in fine steps.
 
-State: modes (x1, v1, x2, v2), amplifier, second amplifier lag, coil, creep, Bouc-Wen and bristle.
+State: modes (x1, v1, x2, v2), amplifier, second amplifier lag, coil, creep, Bouc-Wen and bristle;
+behind them, where one of the uncommon effects is there, their states (`uncommon`).
 The held command changes at t_k + delay; each piece between changes is integrated by classical
 RK4 with steps of at most `finest`. Dry friction is an event-driven switch between sliding and
 sticking: the instant of each reversal and breakaway is found by regula falsi on the RK4 step.
@@ -13,6 +14,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+
+from benchmarks.corpus import uncommon
 
 FIELDS = (
     "mass", "damping", "stiffness", "force_constant", "lag", "delay", "resistance",
@@ -32,20 +35,26 @@ FIELDS = (
 X1, V1, X2, V2, AMP, AMP2, COIL, CREEP, WEN, BRISTLE = range(10)
 STATES = 10
 OTHER_PER_SAMPLE = 20
+COMMON = len(FIELDS)
+FINER = 16
+"""Parts of a step within which a piecewise force changes its piece."""
 
 
 def numbers(values: dict[str, float]) -> Any:
     """The parameters as the plant's array; what is not named is zero (no limit: infinite).
 
-    Of two lags in a row, which commute, the faster one comes first.
+    Of two lags in a row, which commute, the faster one comes first. The array is longer if one of
+    the uncommon effects is there.
     """
     filled = np.zeros(len(FIELDS))
     filled[LIMIT] = math.inf
     for name, value in values.items():
-        filled[FIELDS.index(name)] = value
+        if name in FIELDS:
+            filled[FIELDS.index(name)] = value
     lags = sorted(lag for lag in filled[[LAG, SECOND_LAG]] if lag > 0.0)
     filled[[LAG, SECOND_LAG]] = [*lags, 0.0, 0.0][:2]
-    return filled
+    further = uncommon.packed({n: v for n, v in values.items() if n not in FIELDS})
+    return np.concatenate([filled, further]) if np.any(further) else filled
 
 
 @njit(cache=True)
@@ -62,18 +71,21 @@ def _neighbour(t: float, period: float, other: Any) -> float:
 
 @njit(cache=True)
 def _slopes(t: float, y: Any, p: Any, command: float, direction: int, near: float,
-            d: Any) -> float:
-    """Fill the derivatives d; return the friction force that would hold the stage still (N).
+            d: Any) -> tuple[float, float]:
+    """Fill the derivatives d; return the friction force that would hold the stage still, and the
+    level of dry friction (N).
 
     direction: +1 and -1 sliding, 0 sticking, 2 no dry friction.
     """
     share = p[SHARE]
     x = (1.0 - share) * y[X1] + share * y[X2]
     v = (1.0 - share) * y[V1] + share * y[V2]
-    amplified = command
+    amplified, level, more = command, p[COULOMB], p.size > COMMON
+    if more:
+        amplified = uncommon.commanded(command, y[STATES:], p[COMMON:], d[STATES:])
     if p[LAG] > 0.0:
+        d[AMP] = (amplified - y[AMP]) / p[LAG]
         amplified = y[AMP]
-        d[AMP] = (command - y[AMP]) / p[LAG]
     if p[SECOND_LAG] > 0.0:
         d[AMP2] = (amplified - y[AMP2]) / p[SECOND_LAG]
         amplified = y[AMP2]
@@ -82,6 +94,9 @@ def _slopes(t: float, y: Any, p: Any, command: float, direction: int, near: floa
         d[COIL] = (driven - y[COIL]) * p[RESISTANCE] / p[INDUCTANCE]
         driven = y[COIL]
     force = p[FORCE_CONSTANT] * driven * (1.0 + p[SLOPE] * x - p[DROOP] * x * x) + p[OFFSET]
+    if more:
+        level += uncommon.level(x, v, force - p[OFFSET], p[COMMON:])
+        force += uncommon.forces(t, x, v, y[STATES:], p[COMMON:], d[STATES:])
     force -= (p[K3] * x + p[K2]) * x * x + p[DRAG] * abs(v) * v
     if p[EDDY] != 0.0:
         force -= p[EDDY] * v / (1.0 + (v / p[EDDY_SPEED]) ** 2)
@@ -112,12 +127,12 @@ def _slopes(t: float, y: Any, p: Any, command: float, direction: int, near: floa
     if direction == 0:
         force += still
     elif direction != 2:
-        force -= p[COULOMB] * direction
+        force -= level * direction
     d[X1] = y[V1]
     d[V1] = force / p[MASS] - first
     d[X2] = y[V2]
     d[V2] = force / p[MASS] - second if share != 0.0 else 0.0
-    return still
+    return still, level
 
 
 @njit(cache=True)
@@ -130,16 +145,16 @@ def _rk4(t: float, h: float, y: Any, p: Any, command: float, direction: int, per
         middle = _neighbour(t + 0.5 * h, period, other)
         end = _neighbour(t + h, period, other)
     _slopes(t, y, p, command, direction, start, k[0])
-    for i in range(STATES):
+    for i in range(y.size):
         trial[i] = y[i] + 0.5 * h * k[0, i]
     _slopes(t + 0.5 * h, trial, p, command, direction, middle, k[1])
-    for i in range(STATES):
+    for i in range(y.size):
         trial[i] = y[i] + 0.5 * h * k[1, i]
     _slopes(t + 0.5 * h, trial, p, command, direction, middle, k[2])
-    for i in range(STATES):
+    for i in range(y.size):
         trial[i] = y[i] + h * k[2, i]
     _slopes(t + h, trial, p, command, direction, end, k[3])
-    for i in range(STATES):
+    for i in range(y.size):
         after[i] = y[i] + h / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
 
@@ -149,14 +164,15 @@ def _event(t: float, y: Any, p: Any, command: float, direction: int, period: flo
     """What changes sign when the mode ends: the speed, or the reserve of static friction."""
     if direction != 0:
         return direction * ((1.0 - p[SHARE]) * y[V1] + p[SHARE] * y[V2])
-    return p[COULOMB] - abs(_slopes(t, y, p, command, 0, _neighbour(t, period, other), k[0]))
+    still, level = _slopes(t, y, p, command, 0, _neighbour(t, period, other), k[0])
+    return level - abs(still)
 
 
 @njit(cache=True)
 def _stopped(t: float, y: Any, p: Any, command: float, period: float, other: Any, k: Any) -> int:
     """The mode of a stage at rest: 0 sticks, else the direction in which it breaks away."""
-    still = _slopes(t, y, p, command, 0, _neighbour(t, period, other), k[0])
-    if abs(still) <= p[COULOMB]:
+    still, level = _slopes(t, y, p, command, 0, _neighbour(t, period, other), k[0])
+    if abs(still) <= level:
         return 0
     return -1 if still > 0.0 else 1
 
@@ -174,7 +190,7 @@ def _dry(t: float, h: float, y: Any, p: Any, command: float, direction: int, per
         _rk4(t, left, y, p, command, direction, period, other, k, trial, after)
         value = _event(t + left, after, p, command, direction, period, other, k)
         if value >= 0.0:
-            for i in range(STATES):
+            for i in range(y.size):
                 y[i] = after[i]
             break
         low, high, at_low, at_high = 0.0, left, 0.0, value
@@ -200,7 +216,7 @@ def _dry(t: float, h: float, y: Any, p: Any, command: float, direction: int, per
             if abs(value) < 1e-13:
                 break
         _rk4(t, middle, y, p, command, direction, period, other, k, trial, after)
-        for i in range(STATES):
+        for i in range(y.size):
             y[i] = after[i]
         t += middle
         left -= middle
@@ -208,8 +224,46 @@ def _dry(t: float, h: float, y: Any, p: Any, command: float, direction: int, per
             y[V1] -= (1.0 - share) * y[V1] + share * y[V2]
             direction = _stopped(t, y, p, command, period, other, k)
         else:
-            still = _slopes(t, y, p, command, 0, _neighbour(t, period, other), k[0])
+            still, _ = _slopes(t, y, p, command, 0, _neighbour(t, period, other), k[0])
             direction = -1 if still > 0.0 else 1
+    return direction
+
+
+@njit(cache=True)
+def _step(t: float, h: float, y: Any, p: Any, command: float, direction: int, period: float,
+          other: Any, k: Any, trial: Any, after: Any) -> int:
+    """Advance y by one step of length h; return the mode."""
+    if direction != 2:
+        return _dry(t, h, y, p, command, direction, period, other, k, trial, after)
+    _rk4(t, h, y, p, command, direction, period, other, k, trial, after)
+    for j in range(y.size):
+        y[j] = after[j]
+    return direction
+
+
+@njit(cache=True)
+def _place(y: Any, p: Any) -> tuple[float, float]:
+    """Position (m) and speed (m/s)."""
+    share = p[SHARE]
+    return (1.0 - share) * y[X1] + share * y[X2], (1.0 - share) * y[V1] + share * y[V2]
+
+
+@njit(cache=True)
+def _pieces(t: float, h: float, y: Any, p: Any, command: float, direction: int, period: float,
+            other: Any, k: Any, trial: Any, after: Any) -> int:
+    """The same with uncommon effects: finer where a force changes its piece; the sensor's lag."""
+    q, first, mode = p[COMMON:], y.copy(), direction
+    x, v = _place(y, p)
+    direction = _step(t, h, y, p, command, direction, period, other, k, trial, after)
+    if uncommon.zone(x, v, q) != uncommon.zone(*_place(y, p), q):
+        y[:] = first
+        direction = mode
+        for i in range(FINER):
+            direction = _step(t + i * h / FINER, h / FINER, y, p, command, direction, period,
+                              other, k, trial, after)
+    if q[uncommon.SENSOR_LAG] > 0.0:
+        y[STATES + uncommon.LAGGED] = uncommon.followed(
+            first[STATES + uncommon.LAGGED], h, q[uncommon.SENSOR_LAG], x, v, *_place(y, p))
     return direction
 
 
@@ -220,14 +274,30 @@ def _advance(t: float, length: float, longest: float, y: Any, p: Any, command: f
     steps = math.ceil(length / longest - 1e-9)
     for i in range(steps):
         h = length / steps
-        if direction != 2:
-            direction = _dry(t + i * h, h, y, p, command, direction, period, other, k, trial,
-                             after)
+        if p.size > COMMON:
+            direction = _pieces(t + i * h, h, y, p, command, direction, period, other, k, trial,
+                                after)
         else:
-            _rk4(t + i * h, h, y, p, command, direction, period, other, k, trial, after)
-            for j in range(STATES):
-                y[j] = after[j]
+            direction = _step(t + i * h, h, y, p, command, direction, period, other, k, trial,
+                              after)
     return direction
+
+
+@njit(cache=True)
+def _slewing(t: float, length: float, longest: float, y: Any, p: Any, command: float,
+             direction: int, period: float, other: Any, k: Any, trial: Any,
+             after: Any) -> tuple[int, float]:
+    """Advance y while the amplifier's output runs after the command; the mode and the time."""
+    rate, output = p[COMMON + uncommon.SLEW_RATE], STATES + uncommon.SLEWED
+    gap = command - y[output]
+    taken = min(abs(gap) / rate, length)
+    y[STATES + uncommon.SLOPE] = math.copysign(rate, gap)
+    direction = _advance(t, taken, longest, y, p, command, direction, period, other, k, trial,
+                         after)
+    y[STATES + uncommon.SLOPE] = 0.0
+    if taken < length:
+        y[output] = command
+    return direction, taken
 
 
 @njit(cache=True)
@@ -262,6 +332,10 @@ def _longest(v: float, finest: float, period: float, p: Any) -> float:
         longest = min(longest, 0.25 * p[LUGRE_FORCE] / (p[LUGRE_STIFFNESS] * abs(v)))
     if p[WEN_STIFFNESS] != 0.0 and v != 0.0:
         longest = min(longest, 0.1 * p[WEN_YIELD] / abs(v))
+    if p.size > COMMON:
+        longest = min(longest, uncommon.longest(v, p[COMMON:]))
+        if uncommon.moves_command(p[COMMON:]) and p[LAG] > 0.0:
+            longest = min(longest, 0.5 * p[LAG])
     return max(longest, min(finest, period / 2000.0))
 
 
@@ -275,12 +349,18 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
     reading without noise and rounding (m), current (A; the drive in V without a resistance),
     position (m), speed (m/s).
     """
-    y, k, trial, after = start.copy(), np.zeros((4, STATES)), np.zeros(STATES), np.zeros(STATES)
+    more = p.size > COMMON
+    size = STATES + uncommon.STATES if more else STATES
+    y, k, trial, after = np.zeros(size), np.zeros((4, size)), np.zeros(size), np.zeros(size)
+    y[:STATES] = start
+    plays, shaped = np.zeros(uncommon.PLAYS), 0.0
+    if more:
+        uncommon.begin(_place(y, p)[0], y[STATES:])
     whole = math.floor(p[DELAY] / period + 1e-12)
     late = max(p[DELAY] - whole * period, 0.0)
     if late < 1e-12:
         late = 0.0
-    dry = p[COULOMB] > 0.0
+    dry = p[COULOMB] > 0.0 or (more and uncommon.is_dry(p[COMMON:]))
     direction = 0 if dry else 2
     if dry and abs((1.0 - p[SHARE]) * y[V1] + p[SHARE] * y[V2]) > 0.0:
         direction = 1 if (1.0 - p[SHARE]) * y[V1] + p[SHARE] * y[V2] > 0.0 else -1
@@ -291,7 +371,8 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
         x = (1.0 - share) * y[X1] + share * y[X2]
         v = (1.0 - share) * y[V1] + share * y[V2]
         arrived = min(max(_held(out, n - whole - 1, past), -p[LIMIT]), p[LIMIT])
-        reading = _reading(t, x, _neighbour(t, period, other), p)
+        sensed = uncommon.seen(x, y[STATES:], p[COMMON:]) if more else x
+        reading = _reading(t, sensed, _neighbour(t, period, other), p)
         seen = reading + noise[n] + v * jitter[n]
         seen = _rounded(_rounded(seen, p[STEP]), p[RESOLUTION])
         command = feed[n]
@@ -304,7 +385,12 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
             command += gains[0] * error + integral + gains[2] * filtered / period
         out[0, n] = command
         new = min(max(_held(out, n - whole, past), -p[LIMIT]), p[LIMIT])
+        if more:
+            arrived, shaped = shaped, uncommon.shaped(new, plays, p[COMMON:])
+            new = shaped
         amplified = arrived
+        if more:
+            amplified = uncommon.commanded(arrived, y[STATES:], p[COMMON:], k[0, STATES:])
         if p[LAG] > 0.0:
             amplified = y[AMP]
         if p[SECOND_LAG] > 0.0:
@@ -320,6 +406,11 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
                 continue
             held = arrived if piece == 0 else new
             begin = t if piece == 0 else t + late
+            if more and p[COMMON + uncommon.SLEW_RATE] > 0.0:
+                direction, taken = _slewing(begin, length, longest, y, p, held, direction, period,
+                                            other, k, trial, after)
+                begin += taken
+                length -= taken
             if 0.0 < p[LAG] < longest:  # a fast lag settles first; then it stays on the command
                 settling = min(30.0 * p[LAG], length)
                 direction = _advance(begin, settling, 0.5 * p[LAG], y, p, held, direction, period,

@@ -143,7 +143,8 @@ def plant_values(base: dict[str, float], effects: dict[str, Parameters]) -> dict
     values: dict[str, float] = {}
     pairs = [(BASE_NAMES[n], v) for n, v in base.items() if n in BASE_NAMES]
     for name, parameters in effects.items():
-        pairs += [(PLANT_NAMES[name][n], v) for n, v in parameters.items()]
+        theirs = PLANT_NAMES.get(name, {})  # the uncommon ones are called as in the documents
+        pairs += [(theirs.get(n, f"{name}.{n}"), v) for n, v in parameters.items()]
     for field, value in pairs:
         values[field] = values.get(field, 0.0) + value
     return values
