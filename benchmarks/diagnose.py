@@ -22,6 +22,7 @@ from benchmarks.blind.scoring import Score, judge
 from benchmarks.blind.trial import Job, diagnosed, one_thread_each, run_case
 from benchmarks.corpus import case_plan, make_case
 from benchmarks.corpus.case_files import write_whole
+from benchmarks.corpus.plan import CaseSpec
 from benchmarks.figure import Figure
 
 SEED = 20_261_121
@@ -31,10 +32,10 @@ LONG_SAMPLES = 60_000
 BASELINES = ("pysindy", "stepwise_bic")
 
 
-def run_all(cases: int, seed: int, folder: Path, resume: bool, jobs: int,
+def run_all(specs: Sequence[CaseSpec], folder: Path, resume: bool, jobs: int,
             baselines: bool = True) -> list[Path]:
-    """Run the first `cases` cases of a seed in processes; return the files of the answers."""
-    todo = [Job(spec, folder, baselines, resume) for spec in case_plan(cases, seed)]
+    """Run cases in processes; return the files of the answers."""
+    todo = [Job(spec, folder, baselines, resume) for spec in specs]
     one_thread_each()
     begin = time.monotonic()
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -43,7 +44,7 @@ def run_all(cases: int, seed: int, folder: Path, resume: bool, jobs: int,
             for number, done in enumerate(as_completed(waiting), start=1):
                 done.result()
                 if number % 10 == 0 or number == len(todo):
-                    print(f"seed {seed}: {number} of {len(todo)} cases, "
+                    print(f"seed {specs[0].seed}: {number} of {len(todo)} cases, "
                           f"{time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -68,7 +69,7 @@ def measured(cases: int, seed: int, keep: Path, resume: bool, jobs: int,
     """Figures of one seed; its report is printed and kept as `report.txt`."""
     folder = keep / f"seed_{seed}"
     begin = time.monotonic()
-    answers = run_all(cases, seed, folder, resume, jobs)
+    answers = run_all(case_plan(cases, seed), folder, resume, jobs)
     scores = read_scores(answers)
     others = {name: read_scores(answers, name) for name in BASELINES}
     text = report(scores, others)
@@ -104,11 +105,12 @@ def figures(quick: bool = False, *, cases: int | None = None, seed: int | None =
     workers = jobs or len(os.sched_getaffinity(0))
     found = [] if quick else [long_record()]
     found += measured(count, SEED if seed is None else seed, folder, resume, workers, "")
-    return found + measured(count, _fresh_seed(folder, resume), folder, resume, workers,
+    return found + measured(count, fresh_seed(folder, resume), folder, resume, workers,
                             ".fresh")
 
 
-def _fresh_seed(folder: Path, resume: bool) -> int:
+def fresh_seed(folder: Path, resume: bool) -> int:
+    """A seed drawn for this folder, or with `resume` the one drawn before."""
     path = folder / "fresh_seed.json"
     if resume and path.exists():
         return int(json.loads(path.read_text("utf-8")))

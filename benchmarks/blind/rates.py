@@ -16,8 +16,9 @@ LARGE = 3.0
 ERASED = ("none", "trap")
 
 
-def _rate(key: str, hits: Iterable[bool], bar: float | None, kind: BarKind, what: str,
+def rate(key: str, hits: Iterable[bool], bar: float | None, kind: BarKind, what: str,
           bar_to: float | None = None) -> Figure:
+    """The share of hits with its Wilson interval, as figure `diagnose.<key>`."""
     found = list(hits)
     low, high = wilson(sum(found), len(found))
     value = 100.0 * sum(found) / len(found) if found else float("nan")
@@ -42,28 +43,28 @@ def accuracy(scores: Sequence[Score]) -> list[Figure]:
     left = [s for s in scores if s.kind == "left_out" and s.counted]
     skipped = sum(s.kind == "left_out" and not s.counted for s in scores)
     return [
-        _rate("exact_percent", (s.exact for s in large), 95.0, "at least",
+        rate("exact_percent", (s.exact for s in large), 95.0, "at least",
               "single effects at severity 3 and 10 named exactly"),
-        _rate("class_percent", (s.right_class for s in large), 99.0, "at least",
+        rate("class_percent", (s.right_class for s in large), 99.0, "at least",
               "of the same in the right class; beside them "
               f"{sum(s.exact for s in others)} of {len(others)} that the data cannot tell apart "
               "answered as expected"),
-        _rate("false_name_percent", (s.false_name for s in nothing), 1.0, "at most",
+        rate("false_name_percent", (s.false_name for s in nothing), 1.0, "at most",
               "cases with nothing missing were given a name; "
               f"verdict none in {sum(s.exact for s in nothing)}"),
-        _rate("trap_name_percent", (s.false_name for s in traps), None, "at most",
+        rate("trap_name_percent", (s.false_name for s in traps), None, "at most",
               f"traps were given a name ({_by_trap(traps)})"),
-        _rate("retune_percent", (s.exact for s in retune), 95.0, "at least",
+        rate("retune_percent", (s.exact for s in retune), 95.0, "at least",
               "models with wrong numbers answered by retune; "
               f"{sum(s.false_name for s in retune)} were given a name"),
-        _rate("pair_percent", (s.exact for s in pairs), 85.0, "at least",
+        rate("pair_percent", (s.exact for s in pairs), 85.0, "at least",
               "pairs at severity 10 with both named"),
-        _rate("spurious_third_percent", (s.spurious for s in pairs), 2.0, "at most",
+        rate("spurious_third_percent", (s.spurious for s in pairs), 2.0, "at most",
               "pairs with a name that is not there"),
-        _rate("unknown_percent", (s.exact for s in left), 90.0, "at least",
+        rate("unknown_percent", (s.exact for s in left), 90.0, "at least",
               f"left out of the library answered by unknown; {skipped} more not counted, as a "
               "remaining candidate comes to 1.05 of the noise on held-out data"),
-        _rate("confident_wrong_percent", (s.spurious for s in left), 3.0, "at most",
+        rate("confident_wrong_percent", (s.spurious for s in left), 3.0, "at most",
               "left out of the library given a name"),
     ]
 
@@ -88,7 +89,7 @@ def figures_of(scores: Sequence[Score], suffix: str = "") -> list[Figure]:
                 f"{statistics.median(ratios):.3f}, at most 1.2 in "
                 f"{sum(r <= 1.2 for r in ratios)}"), bar_kind="at most"))
     cases = sum(bool(s.covered) for s in scores)
-    found.append(_rate("interval_coverage_percent", (hit for s in scores for hit in s.covered),
+    found.append(rate("interval_coverage_percent", (hit for s in scores for hit in s.covered),
                        92.0, "between", f"parameter intervals of {cases} correctly named cases "
                        "hold the truth", 98.0))
     times = [s.seconds for s in scores if s.seconds is not None]

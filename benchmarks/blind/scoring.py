@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-NAMED, AMBIGUOUS, ERROR = "named", "ambiguous", "error"
+NAMED, PARTIAL, AMBIGUOUS, ERROR = "named", "partial", "ambiguous", "error"
 FLOOR_SLACK = 1.05
 
 
@@ -19,6 +19,7 @@ class Score:
     the class. counted: whether the case belongs in the denominator of its kind. names: what was
     named. spurious: a name beyond the true ones. covered: per parameter, whether the interval
     holds the truth. held_out_over_floor: gap left on held-out data over the noise's RMS.
+    class_size: how many effects the answer leaves in question, where it is in the right class.
     """
 
     index: int
@@ -36,6 +37,7 @@ class Score:
     covered: tuple[bool, ...] = ()
     held_out_over_floor: float | None = None
     seconds: float | None = None
+    class_size: int | None = None
     notes: tuple[str, ...] = field(default=())
 
 
@@ -57,6 +59,8 @@ def judge(label: Mapping[str, Any], answer: Mapping[str, Any],
         false_name=claims and kind in ("none", "trap", "retune"), spurious=spurious,
         covered=_covered(label, found) if solved else (),
         held_out_over_floor=_held_out(label, answer) if solved else None, seconds=seconds,
+        class_size=max((len(set(e.get("class", [])) | {e["name"]}) for e in found), default=None)
+        if right and kind == "effect" and claims else None,
         notes=(str(answer["error"]),) if "error" in answer else ())
 
 
@@ -85,6 +89,12 @@ def _by_kind(label: Mapping[str, Any], verdict: str, names: tuple[str, ...], lis
     expected = [str(v) for v in label["expected"]]
     kind = label["kind"]
     separable = bool(label.get("separable", True))
+    if kind == "left_out" and "relatives" in label:
+        told = {str(e["name"]) for e in answer.get("effects", []) if isinstance(e, Mapping)}
+        strange = bool((told | listed) - set(label["relatives"]))
+        exact = verdict == "unknown" or (verdict == PARTIAL and not strange)
+        wrong = verdict == NAMED or (verdict in (PARTIAL, AMBIGUOUS) and strange)
+        return exact, exact, separable, wrong
     if kind == "left_out":
         exact = verdict == "unknown"
         return exact, exact, not _stand_in(label, answer), verdict == NAMED

@@ -17,6 +17,7 @@ from benchmarks.corpus.case import Case, make_truth, shown
 from benchmarks.corpus.case_files import write_label, write_whole
 from benchmarks.corpus.plan import CaseSpec
 from benchmarks.corpus.rivals import pair_separability, separability
+from benchmarks.corpus.uncommon import PARAMETERS
 
 Answerer = Callable[[Case], dict[str, Any]]
 LONGEST_S = 120
@@ -50,9 +51,14 @@ def diagnosed(case: Case) -> dict[str, Any]:
     from dfm_stage.diagnosis import diagnose
     from dfm_stage.model import EFFECTS
 
-    library = [name for name in EFFECTS if name not in case.remove] if case.remove else None
+    library: list[str] | None = None
+    without: tuple[str, ...] = ()
+    if any(name in PARAMETERS for name in case.remove):
+        without = case.remove  # of all effects: the uncommon ones follow the common ones
+    elif case.remove:
+        library = [name for name in EFFECTS if name not in case.remove]
     result = diagnose(records_of(case, "run"), model_of(case),
-                      holdout=records_of(case, "holdout"), library=library)
+                      holdout=records_of(case, "holdout"), library=library, without=without)
     answer: dict[str, Any] = json.loads(json.dumps(result.to_dict()))
     return answer
 
@@ -70,7 +76,8 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
     kept["generation_s"] = time.perf_counter() - begin
     answered = answerer or diagnosed
     kept["answer"], kept["seconds"] = timed(lambda: answered(case))
-    if job.spec.kind == "effect" and job.spec.severity >= SEPARATED_FROM:
+    if (job.spec.kind == "effect" and job.spec.severity >= SEPARATED_FROM) or (
+            "relatives" in case.label):
         case.label.update(separability(truth).to_dict())
     elif job.spec.kind == "pair":
         case.label.update(pair_separability(truth))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.corpus import plant
+from benchmarks.corpus import plant, uncommon
 from benchmarks.corpus.linear import response
 from benchmarks.corpus.plan import CaseSpec, class_of
 from benchmarks.corpus.severity import Refit, left_by_refit, rms, scale_for
@@ -26,6 +26,8 @@ from benchmarks.corpus.stage import (
     open_loop,
 )
 from benchmarks.corpus.truth import Draw, Parameters, draw, plant_values
+from benchmarks.corpus.wide.draws import draw_uncommon
+from benchmarks.corpus.wide.labels import expected_of_uncommon, left_out, said_of
 
 FINEST, SEARCH = 50e-6, 100e-6
 LINEAR_BASE = {"amplifier_bandwidth": "amplifier_time_constant", "transport_delay": "delay",
@@ -87,7 +89,7 @@ def make_truth(spec: CaseSpec, samples: int = SAMPLES) -> Truth:
 
     Raises ValueError if twelve draws in a row gave no usable case.
     """
-    source = np.random.SeedSequence(spec.seed, spawn_key=(0, spec.index))
+    source = np.random.SeedSequence(spec.seed, spawn_key=(spec.stream, spec.index))
     reason = ""
     for attempt in source.spawn(12):
         rng = np.random.default_rng(attempt)
@@ -122,7 +124,7 @@ def shown(truth: Truth) -> Case:
     spec, setup, rng = truth.spec, truth.setup, truth.rng
     runs = [_record(setup, i, out, rng) for i, out in enumerate(truth.outputs)]
     cut = len(setup.train)
-    remove = tuple(sorted(class_of(spec.effects[0]))) if spec.kind == "left_out" else ()
+    remove = tuple(sorted(left_out(spec.effects[0]))) if spec.kind == "left_out" else ()
     return Case(spec, PERIOD, runs[:cut], runs[cut:], _believed(spec, setup, rng), remove,
                 _label(spec, setup, truth.severities, remove))
 
@@ -214,6 +216,8 @@ def _start(p: Any, values: dict[str, float]) -> Any:
     start = np.zeros(plant.STATES)
     if "offset" in values:
         start[plant.X1] = values["offset"] / values["stiffness"]
+    if p.size > plant.COMMON:
+        start[plant.X1] += uncommon.at_rest(p[plant.COMMON:], values["stiffness"])
     start[plant.CREEP] = start[plant.X1]
     if p[plant.SHAKE] != 0.0 and p[plant.COULOMB] == 0.0:
         w = 2.0 * math.pi * p[plant.SHAKE_HZ]
@@ -234,7 +238,8 @@ def _fit_severities(spec: CaseSpec, setup: Setup, rng: np.random.Generator) -> d
         target = 10.0
     for name in names:
         largest = perform(setup, 0, {}, finest=SEARCH)
-        drawn = draw(name, rng, setup.stage, largest[4], largest[0])
+        drawing = draw_uncommon if name in uncommon.PARAMETERS else draw
+        drawn = drawing(name, rng, setup.stage, largest[4], largest[0])
         by_scale = _linear_severity if name in LINEAR_BASE else _severity
         scale, value = scale_for(by_scale(setup, drawn), target)
         setup.effects[name] = drawn.of(scale)
@@ -349,11 +354,13 @@ def _label(spec: CaseSpec, setup: Setup, severities: dict[str, float],
         "true_effects": setup.effects, "true_base": setup.stage.base,
         "noise": setup.stage.noise, "current_noise": setup.stage.current_noise,
         "jitter_s": setup.jitter_s, "train": [run.kind for run in setup.train],
-        "held_out": [run.kind for run in setup.held], "note": note}
+        "held_out": [run.kind for run in setup.held], "note": note, **said_of(spec)}
 
 
 def _expected(spec: CaseSpec, setup: Setup) -> tuple[list[str], list[str], str]:
     """Verdicts that are right, the class that may be named as ambiguous, and why."""
+    if spec.effects and spec.effects[0] in uncommon.PARAMETERS:
+        return expected_of_uncommon(spec, setup.stage)
     if spec.kind == "left_out":
         return ["unknown"], [], "the effect's class is not in the library"
     if spec.kind == "retune":

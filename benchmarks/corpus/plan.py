@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -34,8 +34,11 @@ NONE_PER_BLOCK, RETUNE_PER_BLOCK, PAIRS_PER_BLOCK, LEFT_OUT_PER_BLOCK = 15, 6, 6
 class CaseSpec:
     """What a case is about; with it `make_case` draws everything else.
 
-    kind: none, retune, effect, pair, left_out, or trap (then `trap` says which).
+    kind: none, retune, effect, pair, left_out, or trap (then `trap` says which). stream: of the
+    random numbers, another one for each corpus.
     """
+
+    stream: ClassVar[int] = 0
 
     index: int
     seed: int

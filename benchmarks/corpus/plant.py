@@ -70,6 +70,20 @@ def _neighbour(t: float, period: float, other: Any) -> float:
 
 
 @njit(cache=True)
+def _amplified(command: float, y: Any, p: Any, d: Any) -> float:
+    """What comes out of the amplifier; fills the derivatives of its states."""
+    if p.size > COMMON:
+        command = uncommon.commanded(command, y[STATES:], p[COMMON:], d[STATES:])
+    if p[LAG] > 0.0:
+        d[AMP] = (command - y[AMP]) / p[LAG]
+        command = y[AMP]
+    if p[SECOND_LAG] > 0.0:
+        d[AMP2] = (command - y[AMP2]) / p[SECOND_LAG]
+        command = y[AMP2]
+    return command
+
+
+@njit(cache=True)
 def _slopes(t: float, y: Any, p: Any, command: float, direction: int, near: float,
             d: Any) -> tuple[float, float]:
     """Fill the derivatives d; return the friction force that would hold the stage still, and the
@@ -80,16 +94,8 @@ def _slopes(t: float, y: Any, p: Any, command: float, direction: int, near: floa
     share = p[SHARE]
     x = (1.0 - share) * y[X1] + share * y[X2]
     v = (1.0 - share) * y[V1] + share * y[V2]
-    amplified, level, more = command, p[COULOMB], p.size > COMMON
-    if more:
-        amplified = uncommon.commanded(command, y[STATES:], p[COMMON:], d[STATES:])
-    if p[LAG] > 0.0:
-        d[AMP] = (amplified - y[AMP]) / p[LAG]
-        amplified = y[AMP]
-    if p[SECOND_LAG] > 0.0:
-        d[AMP2] = (amplified - y[AMP2]) / p[SECOND_LAG]
-        amplified = y[AMP2]
-    driven = amplified - p[EMF] * v
+    level, more = p[COULOMB], p.size > COMMON
+    driven = _amplified(command, y, p, d) - p[EMF] * v
     if p[INDUCTANCE] > 0.0:
         d[COIL] = (driven - y[COIL]) * p[RESISTANCE] / p[INDUCTANCE]
         driven = y[COIL]
@@ -288,6 +294,8 @@ def _slewing(t: float, length: float, longest: float, y: Any, p: Any, command: f
              direction: int, period: float, other: Any, k: Any, trial: Any,
              after: Any) -> tuple[int, float]:
     """Advance y while the amplifier's output runs after the command; the mode and the time."""
+    if p.size == COMMON or p[COMMON + uncommon.SLEW_RATE] == 0.0:
+        return direction, 0.0
     rate, output = p[COMMON + uncommon.SLEW_RATE], STATES + uncommon.SLEWED
     gap = command - y[output]
     taken = min(abs(gap) / rate, length)
@@ -340,6 +348,29 @@ def _longest(v: float, finest: float, period: float, p: Any) -> float:
 
 
 @njit(cache=True)
+def _begun(start: Any, p: Any) -> Any:
+    """All states at the beginning; those of uncommon effects are at rest."""
+    if p.size == COMMON:
+        return start.copy()
+    y = np.zeros(STATES + uncommon.STATES)
+    y[:STATES] = start
+    uncommon.begin(_place(y, p)[0], y[STATES:])
+    return y
+
+
+@njit(cache=True)
+def _is_dry(p: Any) -> bool:
+    """Whether there is dry friction."""
+    return p[COULOMB] > 0.0 or (p.size > COMMON and uncommon.is_dry(p[COMMON:]))
+
+
+@njit(cache=True)
+def _sensed(x: float, y: Any, p: Any) -> float:
+    """The position as the sensor has it (m)."""
+    return uncommon.seen(x, y[STATES:], p[COMMON:]) if p.size > COMMON else x
+
+
+@njit(cache=True)
 def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: Any, noise: Any,
         jitter: Any, other: Any, start: Any, past: float, out: Any) -> None:
     """Simulate a record; with gains all zero `feed` is the input, else it is added to the loop's.
@@ -349,18 +380,14 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
     reading without noise and rounding (m), current (A; the drive in V without a resistance),
     position (m), speed (m/s).
     """
-    more = p.size > COMMON
-    size = STATES + uncommon.STATES if more else STATES
-    y, k, trial, after = np.zeros(size), np.zeros((4, size)), np.zeros(size), np.zeros(size)
-    y[:STATES] = start
+    more, y = p.size > COMMON, _begun(start, p)
+    k, trial, after = np.zeros((4, y.size)), np.zeros(y.size), np.zeros(y.size)
     plays, shaped = np.zeros(uncommon.PLAYS), 0.0
-    if more:
-        uncommon.begin(_place(y, p)[0], y[STATES:])
     whole = math.floor(p[DELAY] / period + 1e-12)
     late = max(p[DELAY] - whole * period, 0.0)
     if late < 1e-12:
         late = 0.0
-    dry = p[COULOMB] > 0.0 or (more and uncommon.is_dry(p[COMMON:]))
+    dry = _is_dry(p)
     direction = 0 if dry else 2
     if dry and abs((1.0 - p[SHARE]) * y[V1] + p[SHARE] * y[V2]) > 0.0:
         direction = 1 if (1.0 - p[SHARE]) * y[V1] + p[SHARE] * y[V2] > 0.0 else -1
@@ -371,8 +398,7 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
         x = (1.0 - share) * y[X1] + share * y[X2]
         v = (1.0 - share) * y[V1] + share * y[V2]
         arrived = min(max(_held(out, n - whole - 1, past), -p[LIMIT]), p[LIMIT])
-        sensed = uncommon.seen(x, y[STATES:], p[COMMON:]) if more else x
-        reading = _reading(t, sensed, _neighbour(t, period, other), p)
+        reading = _reading(t, _sensed(x, y, p), _neighbour(t, period, other), p)
         seen = reading + noise[n] + v * jitter[n]
         seen = _rounded(_rounded(seen, p[STEP]), p[RESOLUTION])
         command = feed[n]
@@ -385,11 +411,10 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
             command += gains[0] * error + integral + gains[2] * filtered / period
         out[0, n] = command
         new = min(max(_held(out, n - whole, past), -p[LIMIT]), p[LIMIT])
+        amplified = arrived
         if more:
             arrived, shaped = shaped, uncommon.shaped(new, plays, p[COMMON:])
             new = shaped
-        amplified = arrived
-        if more:
             amplified = uncommon.commanded(arrived, y[STATES:], p[COMMON:], k[0, STATES:])
         if p[LAG] > 0.0:
             amplified = y[AMP]
@@ -406,11 +431,10 @@ def run(p: Any, period: float, finest: float, reference: Any, feed: Any, gains: 
                 continue
             held = arrived if piece == 0 else new
             begin = t if piece == 0 else t + late
-            if more and p[COMMON + uncommon.SLEW_RATE] > 0.0:
-                direction, taken = _slewing(begin, length, longest, y, p, held, direction, period,
-                                            other, k, trial, after)
-                begin += taken
-                length -= taken
+            direction, taken = _slewing(begin, length, longest, y, p, held, direction, period,
+                                        other, k, trial, after)
+            begin += taken
+            length -= taken
             if 0.0 < p[LAG] < longest:  # a fast lag settles first; then it stays on the command
                 settling = min(30.0 * p[LAG], length)
                 direction = _advance(begin, settling, 0.5 * p[LAG], y, p, held, direction, period,

@@ -15,17 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.corpus import plant
+from benchmarks.corpus import plant, uncommon
 from benchmarks.corpus.case import NOTHING, Truth
 from benchmarks.corpus.linear import response, sensitivities
 from benchmarks.corpus.plan import class_of
 from benchmarks.corpus.severity import FREE
 from benchmarks.corpus.stage import NO_LOOP, PERIOD
-from benchmarks.corpus.truth import Parameters, plant_values
+from benchmarks.corpus.truth import Parameters, draw, plant_values
+from benchmarks.corpus.wide.draws import draw_uncommon
+from benchmarks.corpus.wide.kin import relatives, rivals_of
 
 COARSE = 1e-4
 DISTANCE = 38.2
 BEYOND_DOUBT = 2000.0
+PART, DRAWS = 8000, 3
+"""Samples of which D is a lower bound, too, and first guesses, for rivals of uncommon effects."""
 LIMITS_OF = {"coulomb_friction": ("presliding_friction", "hysteresis")}
 """Effects that are limits of richer ones: the richer ones fit as well and are no rivals."""
 
@@ -49,13 +53,18 @@ class Separability:
 
 
 def separability(truth: Truth) -> Separability:
-    """The nearest rival of a case with a single effect."""
+    """The nearest rival of a case with a single effect; of an uncommon one that is left out, the
+    nearest of its relatives that the library keeps."""
     nearest = Separability(None, math.inf)
-    if truth.spec.kind != "effect":
+    if not truth.spec.effects:
         return nearest
-    name = truth.spec.effects[0]
-    base = truth.setup.stage.base
-    for rival in sorted(class_of(name) - {name}):
+    name, rare = truth.spec.effects[0], truth.spec.effects[0] in uncommon.PARAMETERS
+    if truth.spec.kind not in (("effect", "left_out") if rare else ("effect",)):
+        return nearest
+    base, rivals = truth.setup.stage.base, class_of(name) - {name}
+    if rare:
+        rivals = rivals_of(name) if truth.spec.kind == "effect" else relatives(name)
+    for rival in sorted(rivals):
         if rival in LIMITS_OF.get(name, ()) or (
                 rival == "coil_inductance" and "coil_resistance" not in base) or (
                 rival == "transport_delay" and "delay" in base):
@@ -71,9 +80,10 @@ def distance(truth: Truth, rival: str) -> float:
 
     D of one run alone is a lower bound: where it is beyond all doubt, the others are not asked.
     """
-    starts = _starts(truth, rival)
-    alone = _Fit(truth, rival, truth.outputs[:1])
-    found = min(alone.best(start, 3) for start in starts)
+    rare = truth.spec.effects[0] in uncommon.PARAMETERS
+    starts = _drawn_starts(truth, rival) if rare else _starts(truth, rival)
+    alone = _Fit(truth, rival, [truth.outputs[0][:, :PART]] if rare else truth.outputs[:1])
+    found = min(alone.best(start, 8 if rare else 3) for start in starts)
     if found > BEYOND_DOUBT or len(truth.outputs) == 1:
         return found
     fit = _Fit(truth, rival, truth.outputs)
@@ -91,7 +101,7 @@ class _Fit:
                        for i in range(len(outputs))]
         self.free = [name for name in FREE if self.stage.base.get(name, 0.0) > 0.0]
         self.electric = self.stage.current_noise is not None and (
-            rival != "" and "coil_inductance" in (rival, *setup.effects))
+            rival != "" and bool({"coil_inductance", "sensor_lag"} & {rival, *setup.effects}))
         self.wanted = self.outputs(self.stage.base, setup.effects)
         self.nuisance = self._nuisance()
         self.base_slopes = None if self.electric else self._linear_slopes()
@@ -102,6 +112,8 @@ class _Fit:
         lags = [p[plant.SECOND_LAG], p[plant.INDUCTANCE] / max(p[plant.RESISTANCE], 1e-9)]
         finest = max(min([COARSE, *(lag for lag in lags if lag > 0.0)]), 2e-6)
         start = np.zeros(plant.STATES)
+        if p.size > plant.COMMON:
+            start[plant.X1] = uncommon.at_rest(p[plant.COMMON:], base["stiffness"])
         readings, currents = [], []
         for command, other in zip(self.commands, self.others, strict=True):
             none = np.zeros(command.size)
@@ -260,3 +272,12 @@ def _starts(truth: Truth, rival: str) -> list[Parameters]:
         "creep": lambda: [{"stiffness": k * size / position, "time_constant": 5.0}],
         "thermal_drift": lambda: [{"rate": s * size / 7.0, "decay": 0.05} for s in (1.0, -1.0)]}
     return guesses[rival]()
+
+
+def _drawn_starts(truth: Truth, rival: str) -> list[Parameters]:
+    """First guesses of the parameters of a rival of an uncommon effect: draws of its own."""
+    stage, out, scale = truth.setup.stage, truth.outputs[0], truth.spec.severity / 10.0
+    drawing = draw_uncommon if rival in uncommon.PARAMETERS else draw
+    found = [drawing(rival, np.random.default_rng([17, i]), stage, out[4], out[0]).of(scale)
+             for i in range(DRAWS)]
+    return [{n: v for n, v in each.items() if v != 0.0} for each in found]

@@ -107,8 +107,7 @@ def _by_share(name: str, values: Any, parameter: str, fixed: Parameters,
 
 def _clipped(motion: Any, centre: float) -> Draw:
     """A range around a centre that a share of the motion leaves."""
-    found = _by_share("sensor_clipping", np.abs(motion - centre), "limit", {"centre": centre})
-    return found
+    return _by_share("sensor_clipping", np.abs(motion - centre), "limit", {"centre": centre})
 
 
 __all__ = ["draw_uncommon"]

@@ -1,4 +1,4 @@
-"""Which cases the wide corpus has: an endless sequence in blocks, the most telling stages first."""
+"""Which cases the wide corpus has: an endless sequence in blocks, the same for any number."""
 
 from __future__ import annotations
 

@@ -6,6 +6,8 @@ import pytest
 from benchmarks.corpus import plant
 from benchmarks.corpus.case import Truth, make_truth, shown
 from benchmarks.corpus.plan import EFFECTS, CaseSpec
+from benchmarks.corpus.uncommon import UNCOMMON
+from benchmarks.corpus.wide import WideSpec
 from dfm_stage.model import EffectUse, Model, Simulator, model_from_dict
 
 SHARE_OF_NOISE, TIMING_S = 0.002, 0.02e-6
@@ -28,9 +30,10 @@ def by_simulator(truth: Truth, number: int) -> object:
     return simulator.run(first[0], initial=start, **more)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", [*EFFECTS, *UNCOMMON])
 def test_simulator_and_corpus_agree(name: str) -> None:
-    truth = make_truth(CaseSpec(1, 77, "effect", (name,), 10.0), 6000)
+    kind = WideSpec if name in UNCOMMON else CaseSpec
+    truth = make_truth(kind(1, 77, "effect", (name,), 10.0), 6000)
     noise = truth.setup.stage.noise
     share, timing = WIDER.get(name, (SHARE_OF_NOISE, TIMING_S))
     for number, out in enumerate(truth.outputs):

@@ -1,0 +1,74 @@
+"""Blind trials of the diagnosis with the uncommon effects: alone, in pairs, and left out.
+
+The cases come from `benchmarks.corpus.wide`. Answers and labels are kept as those of `diagnose`.
+
+    ./run bench diagnose_wide --cases 180 --keep DIR --resume
+    ./run exec python -m benchmarks.diagnose_wide DIR/seed_S    # prints and keeps the tables
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.blind.wide_rates import (
+    MISSES,
+    RATES,
+    effect_rows,
+    kept,
+    misses,
+    rate_rows,
+    summary,
+    wide_figures,
+)
+from benchmarks.corpus.case_files import write_whole
+from benchmarks.corpus.wide import wide_plan
+from benchmarks.corpus.wide.plan import BLOCK
+from benchmarks.diagnose import fresh_seed, read_scores, run_all
+from benchmarks.figure import Figure
+
+KEEP = Path(__file__).resolve().parents[1] / ".dfm" / "bench" / "diagnose_wide"
+QUICK_CASES = 4
+
+
+def figures(quick: bool = False, *, cases: int | None = None, seed: int | None = None,
+            resume: bool = False, keep: Path | None = None,
+            jobs: int | None = None) -> list[Figure]:
+    """Rates of the first cases of a seed, a fresh one if none is given.
+
+    `keep` is the folder of the answers. With `resume` cases answered there are not run again, and
+    the fresh seed is the one drawn there before.
+    """
+    home = keep or KEEP
+    chosen = fresh_seed(home, resume) if seed is None else seed
+    specs = wide_plan(cases or (QUICK_CASES if quick else BLOCK), chosen)
+    folder = home / f"seed_{chosen}"
+    answers = run_all(specs, folder, resume, jobs or len(os.sched_getaffinity(0)),
+                      baselines=False)
+    scores = read_scores(answers)
+    found = summary(chosen, scores)
+    text = "\n".join([*rate_rows(found["figures"]), "", *effect_rows(found["by_effect"]), "",
+                      misses(scores)])
+    write_whole(folder / "report.txt", text)
+    print(text, flush=True)
+    return wide_figures(scores)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Keep rates and misses of the folder of a seed, if one is given; print the kept tables."""
+    for folder in map(Path, arguments):
+        scores = read_scores(sorted(folder.glob("answers/*.json")))
+        found = summary(int(folder.name.removeprefix("seed_")), scores)
+        write_whole(RATES, json.dumps(found, indent=1) + "\n")
+        write_whole(MISSES, misses(scores))
+    found = kept()
+    print(f"{found['cases']} cases of seed {found['seed']}", *rate_rows(found["figures"]), "",
+          *effect_rows(found["by_effect"]), sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
