@@ -53,13 +53,13 @@ def _single(scores: Sequence[Score], which: str, exact: float | None, right: flo
     """Of single effects: the name, the class, and how many effects an answer leaves open."""
     counted = [s for s in scores if s.counted]
     others = [s for s in scores if not s.counted]
-    sizes = [s.class_size for s in counted if s.class_size is not None]
+    sizes = [s.class_size for s in scores if s.class_size is not None]
     return [
         rate(f"exact{which}_percent", (s.exact for s in counted), exact, "at least",
              f"uncommon effects at severity {size} named exactly; beside them {len(others)} that "
              f"have an equivalent, {sum(s.right_class for s in others)} of these in the class"),
-        rate(f"class{which}_percent", (s.right_class for s in counted), right, "at least",
-             "of the same in the right class"),
+        rate(f"class{which}_percent", (s.right_class for s in scores), right, "at least",
+             f"of all at severity {size} in the right class"),
         Figure(f"diagnose.class{which}_size", statistics.fmean(sizes) if sizes else float("nan"),
                "1", None if exact is None else 1.3, bar_kind=None if exact is None else "at most",
                how=f"effects that an answer leaves in question, mean of {len(sizes)} answers in "
