@@ -64,7 +64,7 @@ OPTIONS = (
            help="run each N times in turn: a figure is the median, with its range"),
     option("--quick", action="store_true", help="shorter runs, rougher figures"),
     option("--list", action="store_true", help="print the names and stop"),
-    ("for benchmarks of many cases (diagnose)", CASE_OPTIONS),
+    ("for benchmarks of many cases (diagnose, diagnose_wide)", CASE_OPTIONS),
     ("for records that others measured (real)", RECORD_OPTIONS),
     option("--folder", type=Path, default=ROOT / "benchmarks", help=argparse.SUPPRESS),
     option("--child", nargs=2, help=argparse.SUPPRESS),

@@ -30,7 +30,7 @@ def _block(number: int, seed: int) -> list[WideSpec]:
     drawn: list[tuple[str, tuple[str, ...], float]] = []
     for kind, size in (("effect", 10.0), ("left_out", 10.0), ("pair", 10.0), ("effect", 3.0)):
         for name in rng.permutation(UNCOMMON):
-            effects = (str(name),)
+            effects: tuple[str, ...] = (str(name),)
             if kind == "pair":
                 beside = [common for common in EFFECTS if can_pair(str(name), common)]
                 effects += (str(rng.choice(beside)),)
