@@ -28,8 +28,9 @@ from benchmarks.corpus.wide.kin import relatives, rivals_of
 COARSE = 1e-4
 DISTANCE = 38.2
 BEYOND_DOUBT = 2000.0
-PART, DRAWS = 8000, 3
-"""Samples of which D is a lower bound, too, and first guesses, for rivals of uncommon effects."""
+PART, DRAWS, SCALES, STARTS = 8000, 5, (0.5, 3.0, 20.0), 3
+"""Of rivals of uncommon effects: samples of which D is a lower bound, too; guesses at several
+sizes, of which the best ones are fitted."""
 LIMITS_OF = {"coulomb_friction": ("presliding_friction", "hysteresis")}
 """Effects that are limits of richer ones: the richer ones fit as well and are no rivals."""
 
@@ -81,9 +82,10 @@ def distance(truth: Truth, rival: str) -> float:
     D of one run alone is a lower bound: where it is beyond all doubt, the others are not asked.
     """
     rare = truth.spec.effects[0] in uncommon.PARAMETERS
-    starts = _drawn_starts(truth, rival) if rare else _starts(truth, rival)
     alone = _Fit(truth, rival, [truth.outputs[0][:, :PART]] if rare else truth.outputs[:1])
-    found = min(alone.best(start, 8 if rare else 3) for start in starts)
+    starts = sorted(_drawn_starts(truth, rival), key=alone.at_first)[:STARTS] if rare \
+        else _starts(truth, rival)
+    found = min(alone.best(start, 12 if rare else 3) for start in starts)
     if found > BEYOND_DOUBT or len(truth.outputs) == 1:
         return found
     fit = _Fit(truth, rival, truth.outputs)
@@ -170,6 +172,16 @@ class _Fit:
         slopes = np.concatenate(parts)[:, :len(self.free)] / self.stage.noise
         slopes = slopes * [self.stage.base[name] for name in self.free]
         return self.free_of_states(slopes)
+
+    def at_first(self, start: Parameters) -> float:
+        """Squares left at a start after one step of the base alone."""
+        names = list(start)
+        z = np.concatenate([np.zeros(len(self.free)), [math.log(abs(start[n])) for n in names]])
+        left = self.residual(z, names, [math.copysign(1.0, start[n]) for n in names])
+        slopes = self._linear_slopes() if self.base_slopes is None else self.base_slopes
+        if len(slopes) == len(left):
+            left = left - slopes @ np.linalg.lstsq(slopes, left, rcond=1e-8)[0]
+        return float(left @ left)
 
     def best(self, start: Parameters, steps: int) -> float:
         """Squares left after at most so many damped Gauss-Newton steps from `start`."""
@@ -278,6 +290,6 @@ def _drawn_starts(truth: Truth, rival: str) -> list[Parameters]:
     """First guesses of the parameters of a rival of an uncommon effect: draws of its own."""
     stage, out, scale = truth.setup.stage, truth.outputs[0], truth.spec.severity / 10.0
     drawing = draw_uncommon if rival in uncommon.PARAMETERS else draw
-    found = [drawing(rival, np.random.default_rng([17, i]), stage, out[4], out[0]).of(scale)
-             for i in range(DRAWS)]
+    found = [drawing(rival, np.random.default_rng([17, i]), stage, out[4], out[0]).of(
+        scale * size) for i in range(DRAWS) for size in SCALES]
     return [{n: v for n, v in each.items() if v != 0.0} for each in found]

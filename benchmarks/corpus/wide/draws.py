@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.corpus.stage import Stage
-from benchmarks.corpus.truth import Draw, Parameters
+from benchmarks.corpus.truth import Draw
 
 STIFF_STOP = (4.0, 20.0)
 """Stiffness of a stop over the stage's; the documents call it a stop from 3 on."""
@@ -46,15 +46,17 @@ def draw_uncommon(name: str, rng: np.random.Generator, stage: Stage, motion: Any
             min(abs(value) * s**power, most), value) for n, (value, power) in shape.items()})
 
     stop = between(0, *STIFF_STOP) * k
+    centre = 0.4 * (w[0] - 0.5) * x if w[1] < 0.5 else 0.0
     dissipation = 0.0 if w[2] < 0.5 else 10.0 ** (2.0 * w[1] - 1.0)
     lines: dict[str, Callable[[], Draw]] = {
         "dead_zone": lambda: linear(width=(gain * u, 1)),
-        "slew_limit": lambda: _by_share(name, np.abs(np.diff(command)) / 1e-3, "rate", {}),
+        "slew_limit": lambda: _below(
+            name, float(np.max(np.abs(np.diff(command)))) / 1e-3, "rate"),
         "supply_sag": lambda: linear(sag=(gain / u, 1), time_constant=(between(0, 0.01, 3.0), 0)),
         "coil_heating": lambda: linear(
             rise=(gain / u**2, 1), time_constant=(between(0, 0.5, 60.0), 0)),
-        "end_stop": lambda: _by_share(name, sign * motion, "position", {
-            "stiffness": stop, "dissipation": dissipation}, sign),
+        "end_stop": lambda: _below(name, float(np.max(sign * motion)), "position", sign,
+                                   stiffness=stop, dissipation=dissipation),
         "backlash": lambda: linear(
             8.0 * k, stiffness=(force / x, 1), gap=(between(0, 0.6, 3.0) * x, 0),
             centre=(0.3 * (w[1] - 0.5) * x * (w[2] < 0.5), 0)),
@@ -78,7 +80,8 @@ def draw_uncommon(name: str, rng: np.random.Generator, stage: Stage, motion: Any
             slack=((2.0 * w[0] - 1.0) * x, 0)),
         "structural_damping": lambda: linear(loss_stiffness=(force / x, 1)),
         "stiffness_drift": lambda: linear(rate=(sign * force / x / 8.0, 1)),
-        "sensor_clipping": lambda: _clipped(motion, 0.4 * (w[0] - 0.5) * x * (w[1] < 0.5)),
+        "sensor_clipping": lambda: _below(
+            name, float(np.max(np.abs(motion - centre))), "limit", centre=centre),
         "sensor_lag": lambda: linear(time_constant=(size / v, 1)),
         "sensor_mount": lambda: linear(
             frequency=(hertz * math.sqrt(x / size), -0.5),
@@ -92,22 +95,10 @@ def draw_uncommon(name: str, rng: np.random.Generator, stage: Stage, motion: Any
     return lines[name]()
 
 
-def _by_share(name: str, values: Any, parameter: str, fixed: Parameters,
-              sign: float = 1.0) -> Draw:
-    """A limit, with a sign, that a share of the values, 1 % at scale 1, exceeds."""
-    ordered = np.sort(values)
-
-    def of(scale: float) -> Parameters:
-        place = 1.0 - min(0.01 * scale, 0.4)
-        limit = float(np.interp(place, np.linspace(0.0, 1.0, ordered.size), ordered))
-        return {parameter: sign * max(limit, 1e-3 * float(ordered[-1])), **fixed}
-
-    return Draw(name, of)
-
-
-def _clipped(motion: Any, centre: float) -> Draw:
-    """A range around a centre that a share of the motion leaves."""
-    return _by_share("sensor_clipping", np.abs(motion - centre), "limit", {"centre": centre})
+def _below(name: str, largest: float, parameter: str, sign: float = 1.0,
+           **fixed: float) -> Draw:
+    """A limit, with a sign, that comes down from the largest value as the scale grows."""
+    return Draw(name, lambda s: {parameter: sign * largest / (1.0 + 0.05 * s), **fixed})
 
 
 __all__ = ["draw_uncommon"]

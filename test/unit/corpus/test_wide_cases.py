@@ -108,7 +108,7 @@ def test_labels_of_what_is_left_out(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_generator_finds_what_is_the_same() -> None:
-    # a weak cogging is no curved spring; a lag of the reading is one of the amplifier
+    # a lag of the reading is one of the amplifier; a pendulum above the noise is no cubic spring
     truth = next(t for t in (make_truth(WideSpec(i, 8, "effect", ("sensor_lag",), 10.0), 3000)
                              for i in range(9)) if t.setup.stage.current_noise is None)
     assert separability(truth).distance < DISTANCE
