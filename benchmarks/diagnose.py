@@ -105,12 +105,11 @@ def figures(quick: bool = False, *, cases: int | None = None, seed: int | None =
     workers = jobs or len(os.sched_getaffinity(0))
     found = [] if quick else [long_record()]
     found += measured(count, SEED if seed is None else seed, folder, resume, workers, "")
-    return found + measured(count, fresh_seed(folder, resume), folder, resume, workers,
+    return found + measured(count, _fresh_seed(folder, resume), folder, resume, workers,
                             ".fresh")
 
 
-def fresh_seed(folder: Path, resume: bool) -> int:
-    """A seed drawn for this folder, or with `resume` the one drawn before."""
+def _fresh_seed(folder: Path, resume: bool) -> int:
     path = folder / "fresh_seed.json"
     if resume and path.exists():
         return int(json.loads(path.read_text("utf-8")))
