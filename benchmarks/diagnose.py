@@ -12,7 +12,7 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -22,7 +22,6 @@ from benchmarks.blind.scoring import Score, judge
 from benchmarks.blind.trial import Job, diagnosed, one_thread_each, run_case
 from benchmarks.corpus import case_plan, make_case
 from benchmarks.corpus.case_files import write_whole
-from benchmarks.corpus.plan import CaseSpec
 from benchmarks.figure import Figure
 
 SEED = 20_261_121
@@ -32,19 +31,17 @@ LONG_SAMPLES = 60_000
 BASELINES = ("pysindy", "stepwise_bic")
 
 
-def run_all(specs: Sequence[CaseSpec], folder: Path, resume: bool, jobs: int,
-            baselines: bool = True) -> list[Path]:
+def run_all(todo: Sequence[Job], jobs: int, run: Callable[[Job], Path] = run_case) -> list[Path]:
     """Run cases in processes; return the files of the answers."""
-    todo = [Job(spec, folder, baselines, resume) for spec in specs]
     one_thread_each()
     begin = time.monotonic()
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting = [pool.submit(run_case, job) for job in todo]
+        waiting = [pool.submit(run, job) for job in todo]
         try:
             for number, done in enumerate(as_completed(waiting), start=1):
                 done.result()
                 if number % 10 == 0 or number == len(todo):
-                    print(f"seed {specs[0].seed}: {number} of {len(todo)} cases, "
+                    print(f"seed {todo[0].spec.seed}: {number} of {len(todo)} cases, "
                           f"{time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -69,7 +66,7 @@ def measured(cases: int, seed: int, keep: Path, resume: bool, jobs: int,
     """Figures of one seed; its report is printed and kept as `report.txt`."""
     folder = keep / f"seed_{seed}"
     begin = time.monotonic()
-    answers = run_all(case_plan(cases, seed), folder, resume, jobs)
+    answers = run_all([Job(spec, folder, resume=resume) for spec in case_plan(cases, seed)], jobs)
     scores = read_scores(answers)
     others = {name: read_scores(answers, name) for name in BASELINES}
     text = report(scores, others)

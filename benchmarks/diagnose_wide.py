@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.blind.trial import Job, add_rivals
 from benchmarks.blind.wide_rates import (
     MISSES,
     RATES,
@@ -44,10 +45,11 @@ def figures(quick: bool = False, *, cases: int | None = None, seed: int | None =
     `keep` is the folder of the answers. With `resume` cases answered there are not run again.
     """
     home, chosen = keep or KEEP, SEED if seed is None else seed
-    specs = wide_plan(cases or (QUICK_CASES if quick else BLOCK), chosen)
-    folder = home / f"seed_{chosen}"
-    answers = run_all(specs, folder, resume, jobs or len(os.sched_getaffinity(0)),
-                      baselines=False)
+    folder, workers = home / f"seed_{chosen}", jobs or len(os.sched_getaffinity(0))
+    todo = [Job(spec, folder, baselines=False, resume=resume, rivals=False)
+            for spec in wide_plan(cases or (QUICK_CASES if quick else BLOCK), chosen)]
+    answers = run_all(todo, workers)
+    run_all(todo, workers, add_rivals)
     scores = read_scores(answers)
     found = summary(chosen, scores)
     text = "\n".join([*rate_rows(found["figures"]), "", *effect_rows(found["by_effect"]), "",

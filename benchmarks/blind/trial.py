@@ -6,14 +6,14 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from benchmarks.corpus.case import Case, make_truth, shown
+from benchmarks.corpus.case import Case, Truth, make_truth, shown
 from benchmarks.corpus.case_files import write_label, write_whole
 from benchmarks.corpus.plan import CaseSpec
 from benchmarks.corpus.rivals import pair_separability, separability
@@ -27,12 +27,14 @@ SEPARATED_FROM = 3.0
 
 @dataclass(frozen=True)
 class Job:
-    """A case to run, the folder its answer goes to, and who answers besides the diagnosis."""
+    """A case to run, the folder its answer goes to, and who answers besides the diagnosis. Without
+    `rivals` the label does not yet say what the data can tell apart."""
 
     spec: CaseSpec
     folder: Path
     baselines: bool = True
     resume: bool = True
+    rivals: bool = True
 
     @property
     def answer_path(self) -> Path:
@@ -76,11 +78,8 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
     kept["generation_s"] = time.perf_counter() - begin
     answered = answerer or diagnosed
     kept["answer"], kept["seconds"] = timed(lambda: answered(case))
-    if (job.spec.kind == "effect" and job.spec.severity >= SEPARATED_FROM) or (
-            "relatives" in case.label):
-        case.label.update(separability(truth).to_dict())
-    elif job.spec.kind == "pair":
-        case.label.update(pair_separability(truth))
+    if job.rivals:
+        case.label.update(told_apart(truth, case.label))
     write_label(case, job.folder / "labels")
     if job.baselines:
         from benchmarks.blind.baselines import pysindy_answer, stepwise_answer
@@ -90,6 +89,23 @@ def run_case(job: Job, answerer: Answerer | None = None) -> Path:
                 continue
             kept[name], kept[f"{name}_seconds"] = timed(partial(baseline, case))
     write_whole(job.answer_path, json.dumps(kept, indent=1) + "\n")
+    return job.answer_path
+
+
+def told_apart(truth: Truth, label: Mapping[str, Any]) -> dict[str, Any]:
+    """What the generator's rivals say of a case, for its label."""
+    if (truth.spec.kind == "effect" and truth.spec.severity >= SEPARATED_FROM) or (
+            "relatives" in label):
+        return separability(truth).to_dict()
+    return pair_separability(truth) if truth.spec.kind == "pair" else {}
+
+
+def add_rivals(job: Job) -> Path:
+    """Add to the label of an answered case what the generator's rivals say, if it is not there."""
+    label = json.loads(job.label_path.read_text("utf-8"))
+    if "separable" not in label and job.spec.effects:
+        label.update(told_apart(make_truth(job.spec), label))
+        write_whole(job.label_path, json.dumps(label, indent=1) + "\n")
     return job.answer_path
 
 

@@ -8,7 +8,9 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
+from benchmarks.blind import trial
 from benchmarks.blind.scoring import judge
+from benchmarks.blind.trial import Job, add_rivals
 from benchmarks.blind.wide_rates import by_effect, effect_rows, misses, rate_rows, summary
 from benchmarks.corpus import case_plan, make_case
 from benchmarks.corpus.case import make_truth
@@ -166,3 +168,15 @@ def test_figures_rows_and_misses() -> None:
     assert "| `diagnose.class_size.wide` | 1.50 **missed** | at most 1.3 |" in "\n".join(
         rate_rows(found["figures"]))
     assert len(misses(scores).splitlines()) == 5
+
+
+def test_what_rivals_say_is_added_to_a_label_once(tmp_path, monkeypatch) -> None:
+    job = Job(WideSpec(5, 3, "effect", ("dead_zone",), 10.0), tmp_path, rivals=False)
+    job.label_path.parent.mkdir()
+    job.label_path.write_text(json.dumps(label("effect")))
+    asked = []
+    monkeypatch.setattr(trial, "make_truth", asked.append)
+    monkeypatch.setattr(trial, "told_apart", lambda truth, label: {"separable": False})
+    assert add_rivals(job) == add_rivals(job) == job.answer_path
+    assert json.loads(job.label_path.read_text()) == {**label("effect"), "separable": False}
+    assert asked == [job.spec]
