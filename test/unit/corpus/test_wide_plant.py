@@ -77,6 +77,13 @@ def agree(found: np.ndarray, expected: np.ndarray, within: float = 2e-5) -> None
     assert np.max(np.abs(found - expected)) < within * added
 
 
+def test_a_hard_stop_is_met_within_a_step() -> None:
+    # without finer steps where the contact begins and ends the error is 1.6e-6
+    u = command(140)
+    expected = by_dop853(u, stage(lambda t, x, v: -6e4 * max(x - 4e-4, 0.0)), (0.0, 0.0))
+    agree(simulate(named("end_stop", 6e4, 4e-4, 0.0), u)[2], expected[0], 2e-7)
+
+
 def test_a_cable_on_the_other_side() -> None:
     out = simulate(named("one_sided_cable", -900.0, -2e-4), command())
     expected = by_dop853(command(), stage(
