@@ -66,6 +66,9 @@ def main(arguments: Sequence[str]) -> int:
         found = summary(int(folder.name.removeprefix("seed_")), scores)
         write_whole(RATES, json.dumps(found, indent=1) + "\n")
         write_whole(MISSES, misses(scores))
+    if not RATES.exists():
+        print("no rates are kept yet; give the folder of a seed", file=sys.stderr)
+        return 1
     found = kept()
     print(f"{found['cases']} cases of seed {found['seed']}", *rate_rows(found["figures"]), "",
           *effect_rows(found["by_effect"]), sep="\n")
