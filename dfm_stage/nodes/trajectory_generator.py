@@ -111,6 +111,7 @@ class TrajectoryGenerator(LoopNode):
         self._hold = 0.0
         self._asked_s = time.monotonic()
         self._said: dict[str, Any] = {}
+        self._sound: tuple[dict[str, Any], set[str]] | None = None
         self._output_heard_s = -math.inf
         self._output_off = ""
         self._reference = self.link_publisher("reference")
@@ -140,10 +141,13 @@ class TrajectoryGenerator(LoopNode):
     # Parameters
 
     def check_settings(self, values: dict[str, Any]) -> None:
-        """Refuse a signal that cannot be made."""
-        if not values["experiment"]:
-            self._signals(values, self.settings.given | {
-                name for name, value in values.items() if value != self.settings[name]})
+        """Refuse a signal that cannot be made. What was found sound is not made again: settings
+        that come faster than they are checked would keep an operator waiting."""
+        given = self.settings.given | {
+            name for name, value in values.items() if value != self.settings[name]}
+        if not values["experiment"] and (values, given) != self._sound:
+            self._signals(values, given)
+            self._sound = dict(values), given
 
     def _signals(self, values: dict[str, Any], given: set[str],
                  experiment: str = "") -> Signals:

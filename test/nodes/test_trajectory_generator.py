@@ -32,6 +32,19 @@ def test_a_movement_beyond_the_travel_is_refused_at_start_and_at_run_time(make):
     assert "coil_resistance" in refused(node, limits__current_a=1.0, limits__model="paper_stage")
 
 
+def test_a_signal_found_sound_is_not_made_again(make, monkeypatch):
+    node = make(TrajectoryGenerator, **SINE, reference__amplitude_m=5e-3)
+    made = []
+    monkeypatch.setattr(node, "_signals", lambda *_: made.append(1))
+    for duration_s, times in ((4.0, 1), (4.0, 1), (5.0, 2), (5.0, 2), (4.0, 3)):
+        node.set_parameters([Parameter("duration_s", value=duration_s)])
+        assert node.settings["duration_s"] == duration_s
+        assert len(made) == times
+    monkeypatch.undo()
+    assert "position of" in refused(node, reference__amplitude_m=8e-3)
+    assert "position of" in refused(node, reference__amplitude_m=8e-3)
+
+
 def test_an_experiment_that_leaves_a_limit_is_refused_before_its_first_sample(make, tmp_path):
     file = tmp_path / "e.yaml"
     file.write_text("name: swing\nmode: open_loop\nduration_s: 4\naxes:\n  x:\n    excitation: "
