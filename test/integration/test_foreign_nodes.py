@@ -17,7 +17,7 @@ from dfm_stage.recording import read_bag, read_record
 
 pytestmark = pytest.mark.real_time
 NODES = Path(__file__).with_name("plain_nodes.py")
-SECONDS = 8
+SECONDS = 12
 FREQUENCY_HZ, DAMPING_RATIO, GAIN = 3.0, 0.05, 0.02     # as in plain_nodes.py
 
 
@@ -27,7 +27,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorder = subprocess.Popen([sys.executable, "-m", "dfm_stage", "recorder", "--ros-args", "-p",
                                  f"bag:={path}"])
     try:
-        subprocess.run([sys.executable, str(NODES), str(SECONDS)], check=True, timeout=90)
+        subprocess.run([sys.executable, str(NODES), str(SECONDS + 3)], check=True, timeout=90)
     finally:
         recorder.send_signal(signal.SIGINT)
         recorder.wait(20.0)
