@@ -155,6 +155,8 @@ def _batches(connection: sqlite3.Connection, topic: int, row: int, count: int
     while fetched := cursor.fetchmany(_BATCH):
         messages = [(stamp, data) for stamp, data in fetched
                     if isinstance(stamp, int) and stamp >= 0 and isinstance(data, bytes)]
+        if not messages:
+            continue
         sizes = [_RECORD.size + len(data) for _, data in messages]
         records = b"".join(part for k, (stamp, data) in enumerate(messages, row) for part in (
             _RECORD.pack(_MESSAGE, _HEAD_BYTES + len(data), 0, k & 0xFFFFFFFF, stamp, stamp),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,14 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys.store import Typestore
 
-from dfm_stage.recording import NotInBagError, RecordError, RecordingError, read_bag, read_record
+from dfm_stage.recording import (
+    NotInBagError,
+    RecordError,
+    RecordingError,
+    read_bag,
+    read_record,
+    sqlite_bag,
+)
 from dfm_stage.recording.arrivals import counted
 from dfm_stage.recording.bag_fields import FieldPath, numeric_fields
 
@@ -338,3 +346,13 @@ def test_definitions_that_a_bag_lacks_are_those_of_installed_messages(
     assert "/pair" in absent.left_out or absent["/pair"].message_count == 0
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
     assert read_bag(path)["/pair"]["b"].tolist() == [0, -1, -2, -3, -4]
+
+
+def test_rows_of_a_batch_that_the_index_hid_are_no_message() -> None:
+    """SQLite chooses by an index; of a damaged file the rows themselves may be something else."""
+    rows = [[(-1, b"late"), (3, "text")], [(5, b"sound")], []]
+    connection = SimpleNamespace(execute=lambda *_: SimpleNamespace(
+        fetchmany=lambda _: rows.pop(0)))
+    (records, offsets), = sqlite_bag._batches(connection, 1, 0, 3)  # type: ignore[arg-type]
+    assert bytes(records).endswith(b"sound")
+    assert offsets.tolist() == [0]
