@@ -5,17 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.hosts import Hosts, NoHostsError
 from benchmarks.machines import HOSTS, STALE_S, TOPICS, missing, run, zero_after_s
 
-
-@pytest.fixture(scope="module", autouse=True)
-def permitted():
-    try:
-        with Hosts(("one",)):
-            return
-    except NoHostsError as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("hosts_permitted")
 
 
 @pytest.mark.slow

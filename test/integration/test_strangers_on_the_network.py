@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.hosts import Hosts, NoHostsError
+from benchmarks.hosts import Hosts
 from dfm_stage.share import config_folder
 
 LOOK = """
@@ -19,16 +19,7 @@ while time.monotonic() < until and "sim_plant" not in node.get_node_names():
 print("seen:", "sim_plant" in node.get_node_names())
 """
 
-
-@pytest.fixture(scope="module", autouse=True)
-def permitted():
-    try:
-        with Hosts(("one",)):
-            return
-    except NoHostsError as error:
-        pytest.skip(str(error))
-
-
+pytestmark = pytest.mark.usefixtures("hosts_permitted")
 STRANGER = {"ROS_STATIC_PEERS": "10.77.0.1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_folder() / "fastdds.xml")}
 """What was set here for this machine only does not reach another one."""
