@@ -1,10 +1,18 @@
-"""Faults of nodes and of what they live on, during a scan: safe, explained, recovered."""
+"""Faults of nodes and of what they live on, during a scan: safe, explained, recovered.
+
+    ./run exec python -m benchmarks.faults FOLDER SUM RESULT...
+
+adds up the runs of several seeds, whose outcomes `--keep FOLDER` and results `--json RESULT` are
+there, into one result, SUM.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import json
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -18,7 +26,9 @@ from benchmarks.fault_outcome import Fault, Outcome, Tally
 from benchmarks.fault_sight import TRAVEL_M
 from benchmarks.figure import Figure
 from benchmarks.private import PRIVATE, private_mounts
+from dfm_stage.cli.bench_runs import merged
 from dfm_stage.errors import DfmError
+from dfm_stage.files import write_whole
 
 FULL, QUICK, SEED, BLOCK = 200, 20, 1, 25
 PR_SET_CHILD_SUBREAPER = 36
@@ -49,9 +59,28 @@ def figures(quick: bool = False, cases: int | None = None, seed: int = SEED,
             left += 0 if tally else _orphans()
     tally = Tally.of_all(tallies)
     _print(tally)
-    return [*_outcomes(tally, f"seed {seed}{why}"), *_operator(tally), *_messages(tally),
-            Figure("faults.orphans", float(left), "processes", 0.0, bar_kind="at most",
+    return _figures(tally, f"seed {seed}{why}", left)
+
+
+def _figures(tally: Tally, seeds: str, left: float) -> list[Figure]:
+    return [*_outcomes(tally, seeds), *_operator(tally), *_messages(tally),
+            Figure("faults.orphans", left, "processes", 0.0, bar_kind="at most",
                    how="after each block of faults was over")]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Add up runs of several seeds: a median would hide what happened once."""
+    folder, out, *results = map(Path, arguments)
+    reports = [json.loads(path.read_text("utf-8")) for path in results]
+    seeds = sorted(folder.glob("seed_*"))
+    tally = Tally.of_all([Tally.from_dict(json.loads(path.read_text("utf-8")))
+                          for seed in seeds for path in sorted(seed.glob("*.json"))])
+    left = sum(each["value"] for report in reports for each in report["figures"]
+               if each["key"] == "faults.orphans")
+    names = ", ".join(seed.name.removeprefix("seed_") for seed in seeds)
+    write_whole(out, json.dumps({**merged(reports), "figures": [
+        each.to_dict() for each in _figures(tally, f"seeds {names}", left)]}, indent=1) + "\n")
+    return 0
 
 
 def _possible(faults: Sequence[Fault]) -> tuple[list[Fault], str]:
@@ -174,3 +203,7 @@ def _command(pid: str) -> str:
         return Path(f"/proc/{pid}/cmdline").read_text("utf-8", "replace")
     except OSError:
         return ""
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

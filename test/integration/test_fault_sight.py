@@ -137,3 +137,22 @@ def test_blocks_of_faults_are_kept_and_taken_up_again(tmp_path, monkeypatch):
     assert run == ["block_pause_001.json", "block_pause_002.json"]
     values(6, resume=True, seed=2)
     assert len(run) == 2
+
+
+def test_runs_of_several_seeds_are_added_up(tmp_path):
+    for seed, safe, lost in ((7, True, 2), (8, False, 1)):
+        (folder := tmp_path / "kept" / f"seed_{seed}").mkdir(parents=True)
+        tally = Tally([Outcome(Fault("/stage/recorder", "kill"), safe=safe, recovered=True)])
+        tally.lost = lost
+        (folder / "block_000.json").write_text(json.dumps(tally.to_dict()))
+        (tmp_path / f"{seed}.json").write_text(json.dumps({
+            "machine": {}, "commands": [f"seed {seed}"], "failed": [], "figures": [
+                {"key": "faults.orphans", "value": 1.0}]}))
+    faults.main([str(tmp_path / name) for name in ("kept", "sum.json", "7.json", "8.json")])
+    found = json.loads((tmp_path / "sum.json").read_text())
+    told = {each["key"]: (each["value"], each["met"]) for each in found["figures"]}
+    assert told["faults.injected"] == (2.0, None)
+    assert told["faults.unsafe"] == (1.0, False)       # the median would be 0.5, of three seeds 0
+    assert told["faults.messages_lost"] == (3.0, False)
+    assert told["faults.orphans"] == (2.0, False)
+    assert found["commands"] == ["seed 7", "seed 8"]
