@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException
@@ -20,6 +21,7 @@ from dfm_stage.nodes.process import Helper
 from dfm_stage.nodes.wiring import PUBLISHER_QOS
 
 _STEADY_GAP_S = 0.5
+_LOOK_S = 0.01
 
 
 class StageLink:
@@ -47,6 +49,7 @@ class StageLink:
         self._heard_s = 0.0
         self._seq = 0
         self._drive: Any = None
+        self._peers: Callable[[], int] = int
         self._encode = codec(Drive, namespace.rpartition("/")[2]).encode
         self._stopping = False
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -54,6 +57,13 @@ class StageLink:
     def start(self) -> None:
         """Run the ROS side in a thread of its own."""
         self._thread.start()
+
+    def met(self, timeout_s: float) -> bool:
+        """Wait until this side and sim_plant know each other; return whether they do."""
+        deadline = time.monotonic() + timeout_s
+        while not self._peers() and time.monotonic() < deadline:
+            time.sleep(_LOOK_S)
+        return bool(self._peers())
 
     def _spin(self) -> None:
         try:
@@ -67,9 +77,10 @@ class StageLink:
     def read_scale(self) -> None:
         """Listen to the simulated scale."""
         decode = codec(PositionCounts).decode
-        self._ros.node.create_subscription(
+        scale = self._ros.node.create_subscription(
             PositionCounts, "sim/position_counts", lambda data: self._on_counts(decode(data)),
             PUBLISHER_QOS, raw=True)
+        self._peers = scale.get_publisher_count
 
     def _on_counts(self, sample: Any) -> None:
         now = time.monotonic()
@@ -96,6 +107,7 @@ class StageLink:
     def drive_coil(self) -> None:
         """Become the one who drives the simulated coil."""
         self._drive = self._ros.node.create_publisher(Drive, "sim/drive", PUBLISHER_QOS)
+        self._peers = self._drive.get_subscription_count
 
     def output(self, _now_s: float, current_a: float, enabled: bool) -> None:
         """Put a current into the simulated coil."""

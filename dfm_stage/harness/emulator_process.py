@@ -24,6 +24,8 @@ from dfm_stage.drivers.emulators.qsb_d import QsbDEmulator
 from dfm_stage.errors import DfmError
 
 DEVICES = ("qsb_d", "copley_ascii")
+PLANT_S = 5.0
+"""How long sim_plant is waited for before the port is there; an announcement takes 0.5 s."""
 OPTIONS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     (("device",), {"choices": DEVICES}),
     (("--link",), {"type": Path, "metavar": "PATH",
@@ -96,6 +98,9 @@ def _connect(options: argparse.Namespace) -> Any:
     else:
         link.drive_coil()
     link.start()
+    if not link.met(PLANT_S):
+        print(f"emulate: no sim_plant heard in {options.stage} within {PLANT_S:g} s; it is waited "
+              "for", file=sys.stderr, flush=True)
     return link
 
 

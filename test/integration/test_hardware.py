@@ -11,9 +11,12 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 
 from benchmarks.zero_current import ZeroCurrentRig, moving_stage
-from dfm_interfaces.msg import Measurement
+from dfm_interfaces.msg import Drive, Measurement
 from dfm_stage.harness import HarnessError
 from dfm_stage.harness.emulated import EmulatedDevice, EmulatedGraph
+from dfm_stage.harness.emulator_link import StageLink
+from dfm_stage.nodes.process import Helper
+from dfm_stage.nodes.wiring import PUBLISHER_QOS
 from dfm_stage.recording import read_bag
 
 pytestmark = pytest.mark.real_time
@@ -186,3 +189,17 @@ def test_emulate_takes_faults_by_line(tmp_path):
     assert not (tmp_path / "port").exists()
     with pytest.raises(HarnessError, match="did not start"):
         EmulatedDevice("copley_ascii", tmp_path / "no" / "port")
+
+
+def test_an_emulated_device_has_met_the_plant_before_it_offers_its_port():
+    link = StageLink("/stage/x", "copley_ascii_emulator", 1e-3)
+    plant = None
+    try:
+        link.drive_coil()
+        assert not link.met(0.05), "nobody is there yet"
+        plant = Helper("sim_plant", "/stage/x")
+        plant.node.create_subscription(Drive, "sim/drive", lambda _: None, PUBLISHER_QOS)
+        assert link.met(20.0)
+    finally:
+        for each in filter(None, (link._ros, plant)):
+            each.close()
