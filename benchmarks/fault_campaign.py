@@ -126,6 +126,9 @@ class Campaign:
             elif not outcome.safe and all(each.ages["plant"] < RECENT_S and each.safe_after(node)
                                           for each in doubts):
                 outcome.safe = outcome.by_bag = True
+            elif not outcome.safe:
+                doubted = "; ".join(f"in the bag, at the doubt, {each}" for each in doubts)
+                outcome.words = f"{doubted}; {outcome.words}"
             if not outcome.recovered and at_last.works:
                 outcome.recovered = outcome.recovered_by_bag = True
             if outcome.explained is False and outcome.fault.kind != "kill" and not (

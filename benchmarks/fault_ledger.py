@@ -23,10 +23,10 @@ class Ledger:
     """The messages of one bag: heard, paused, killed; counted in `tally` when the bag ends.
 
     `heard` lists what the witness heard by topic, `paused` when the recorder was stopped,
-    `killed` names and times of killed nodes (ns), `seconds` when second nodes of a name came and
-    the newest numbers of the first ones, by topic. `ends_ns` is up to when the recorder, which has
-    ended, must have what was heard; None while it works. All of these are times of the witness,
-    `ahead_ns` behind the clock of the nodes.
+    `killed` names of killed nodes and between which times each died (ns), `seconds` when second
+    nodes of a name came and the newest numbers of the first ones, by topic. `ends_ns` is up to
+    when the recorder, which has ended, must have what was heard; None while it works. All of these are
+    times of the witness, `ahead_ns` behind the clock of the nodes.
     """
 
     def __init__(self, tally: Tally, ahead_ns: int = 0) -> None:
@@ -34,7 +34,7 @@ class Ledger:
         self.ahead_ns = ahead_ns
         self.heard: dict[str, list[Any]] = {}
         self.paused: list[tuple[int, int]] = []
-        self.killed: list[tuple[str, int]] = []
+        self.killed: list[tuple[str, int, int]] = []
         self.seconds: list[tuple[int, dict[str, int]]] = []
         self.ends_ns: int | None = None
         self.began_ns = 0
@@ -97,9 +97,10 @@ class Ledger:
                 f"{topic}: {len(lost)} of {heard}, {-at[0]:.3f} to {-at[-1]:.3f} s before the "
                 f"end, of {(until_ns - self.began_ns) * 1e-9:.1f} s in {where}; kills "
                 + ", ".join(f"{node} {(until_ns - then) * 1e-9:.3f}"
-                            for node, then in self.killed))
+                            for node, _, then in self.killed))
 
     def _at_kill(self, topic: str, stamp_ns: int) -> bool:
         publisher = LINKS[topic].publisher
         return any(node.rpartition("/")[2] == publisher
-                   and 0 <= at_ns - stamp_ns <= AT_KILL_S * 1e9 for node, at_ns in self.killed)
+                   and sent_ns - AT_KILL_S * 1e9 <= stamp_ns <= ended_ns
+                   for node, sent_ns, ended_ns in self.killed)

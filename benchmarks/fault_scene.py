@@ -130,14 +130,15 @@ class Scene:
         dead = [each.full_name for each in self.graph.launched
                 if each.process is not None and not each.ended and each.process.poll() is not None]
         for name in dead:
-            self._killed(name, self.ledger.newest_ns(name) or time.time_ns())
+            last_ns = self.ledger.newest_ns(name) or time.time_ns()
+            self._killed(name, last_ns, last_ns)
             self.graph.signal_node(name, signal.SIGKILL)
         return bool(dead)
 
-    def _killed(self, node: str, at_ns: int) -> None:
-        self.ledger.killed.append((node, at_ns))
+    def _killed(self, node: str, sent_ns: int, ended_ns: int) -> None:
+        self.ledger.killed.append((node, sent_ns, ended_ns))
         if node == RECORDER:
-            self.ledger.ends(time.time_ns() - int(RECORDER_MAY_LOSE_S * 1e9))
+            self.ledger.ends(sent_ns - int(RECORDER_MAY_LOSE_S * 1e9))
 
     def pid(self, node: str) -> int:
         """Return the number of a node's process."""
@@ -146,11 +147,12 @@ class Scene:
 
     def end(self, node: str, number: int) -> None:
         """End a node with a signal."""
-        if number == signal.SIGKILL:
-            self._killed(node, time.time_ns())
-        elif node == RECORDER:
-            self.ledger.ends(time.time_ns())
+        sent_ns = time.time_ns()
         self.graph.signal_node(node, number)
+        if number == signal.SIGKILL:
+            self._killed(node, sent_ns, time.time_ns())
+        elif node == RECORDER:
+            self.ledger.ends(sent_ns)
 
     def start(self, node: str) -> None:
         """Start a node that has ended again; a recorder with a new bag."""

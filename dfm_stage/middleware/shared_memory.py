@@ -52,7 +52,9 @@ _LOOPBACK, _ANY_PORT = "127.0.0.1", 32768
 """From the second on a port is one that the system chose, of a socket that only sends."""
 LEASE_S = 14.0
 PORT_LOOK_S = 1.0
-_NOTE, _SEEN_DEAD = "dfm_stage_port", b"killed"
+_NOTE, _SEEN_DEAD = "dfm_stage_port", b"\nkilled"
+_NOTE_SIZE = 1024
+"""More than a note holds: an identifier, the names of nodes, and that they were killed."""
 _PARTICIPANT = 12
 """Length of what the global identifiers of all endpoints of a participant begin with, bytes."""
 EMPTY_S = 0.5
@@ -84,32 +86,35 @@ def avoiding_dead_ports() -> Iterator[None]:
     put_off_checks()
 
 
-def sign_notes(endpoint: Sequence[int]) -> None:
-    """Write into this process's notes whose they are, by the identifier of any endpoint here."""
+def sign_notes(endpoint: Sequence[int], nodes: Sequence[str]) -> None:
+    """Write into this process's notes whose they are: the identifier of any endpoint here, and
+    the full names of the nodes."""
+    words = bytes(endpoint[:_PARTICIPANT]) + " and ".join(nodes).encode()
     for descriptor in _own.values():
         with contextlib.suppress(OSError):
-            os.pwrite(descriptor, bytes(endpoint[:_PARTICIPANT]), 0)
+            os.pwrite(descriptor, words[:_NOTE_SIZE - len(_SEEN_DEAD)], 0)
 
 
-def neighbour_killed() -> bool:
-    """Whether a node of a domain that this process is in was killed within its lease."""
-    return any(_neighbours_killed())
+def killed_neighbours() -> tuple[str, ...]:
+    """Return the nodes of the domains of this process that were killed within their lease.
+
+    Names of nodes that shared a process are one text; a process that had not signed is `a node`.
+    """
+    return tuple(sorted({words[_PARTICIPANT:].decode("utf-8", "replace") or "a node"
+                         for words in _notes_of_killed()}))
 
 
 def killed_endpoints() -> tuple[bytes, ...]:
     """Return what the identifiers of endpoints begin with that were killed within their lease."""
-    found = set()
-    for note in _neighbours_killed():
-        with contextlib.suppress(OSError):
-            found.add(note.read_bytes()[:_PARTICIPANT])
-    return tuple(found)
+    return tuple({words[:_PARTICIPANT] for words in _notes_of_killed()})
 
 
-def _neighbours_killed() -> Iterator[Path]:
+def _notes_of_killed() -> Iterator[bytes]:
     domains = {_domain(number) for number in _own} - {None}
     for note, number in _named(_NOTE):
         if number not in _own and _domain(number) in domains and _killed_lately(note):
-            yield note
+            with contextlib.suppress(OSError):
+                yield note.read_bytes().removesuffix(_SEEN_DEAD)
 
 
 def _named(beginning: str) -> Iterator[tuple[Path, str]]:
@@ -143,7 +148,7 @@ def _killed_lately(note: Path) -> bool:
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        if not os.read(descriptor, 64).endswith(_SEEN_DEAD):
+        if not os.read(descriptor, _NOTE_SIZE).endswith(_SEEN_DEAD):
             os.write(descriptor, _SEEN_DEAD)  # the lease ends this long after, at the latest
         if time.time() - os.fstat(descriptor).st_mtime < LEASE_S:
             return True

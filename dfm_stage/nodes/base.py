@@ -27,7 +27,7 @@ from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.hand_over import Receiver, Sender
 from dfm_stage.middleware.scheduling import RealTime
-from dfm_stage.middleware.shared_memory import killed_endpoints, neighbour_killed
+from dfm_stage.middleware.shared_memory import killed_endpoints, killed_neighbours
 from dfm_stage.middleware.watch import Input, Notices, Watch
 from dfm_stage.middleware.wire import codec
 from dfm_stage.nodes.parameters import Setting, Settings
@@ -408,7 +408,8 @@ class LoopNode(Node):
     def _broken(self) -> str:
         if self._watch.silent:
             return "a topic of the loop is silent"
-        return "a killed node is still written to" if neighbour_killed() else ""
+        killed = ", ".join(killed_neighbours())
+        return f"{killed} was killed and is still written to" if killed else ""
 
     def _every_second(self) -> None:
         now = time.monotonic()

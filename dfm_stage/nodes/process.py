@@ -287,7 +287,7 @@ def _in_one_line(error: Exception) -> str:
 def _spin(nodes: Sequence[LoopNode], executor: Any, stop: StopRequest) -> bool:
     """Spin until asked to stop; return True where the process has to begin anew instead."""
     leader = min(nodes, key=lambda node: node.priority < PRIORITY.default)
-    sign_notes(leader.an_endpoint())
+    sign_notes(leader.an_endpoint(), [node.get_fully_qualified_name() for node in nodes])
     for node in nodes:
         node.leaving_s = _LEAVING_S
         if node is not leader:

@@ -92,16 +92,18 @@ def message(stamp_ms: int) -> SimpleNamespace:
 def test_what_is_lost_is_counted_by_its_cause():
     ledger = Ledger(Tally())
     ledger.heard = {"command": [message(each) for each in range(1, 101)], "plant": [message(50)]}
-    ledger.killed = [("/stage/x/controller", NOW_NS + 60 * 10**6 + 1)]
+    sent_ns, ended_ns = NOW_NS + 60 * 10**6 + 1, NOW_NS + 61 * 10**6 + 1
+    ledger.killed = [("/stage/x/controller", sent_ns, ended_ns)]
     ledger.paused = [(NOW_NS + 80 * 10**6, NOW_NS + 82 * 10**6)]
     ledger.seconds = [(NOW_NS, {"command": 3})]
-    there = [each for each in range(1, 101) if each not in {2, 40, 54, 56, 58, 62, 80, 81, 90, 95}]
+    gone = {2, 40, 54, 56, 58, 61, 62, 80, 81, 90, 95}
+    there = [each for each in range(1, 101) if each not in gone]
     bag = {"/stage/x/command": {"header.stamp": NOW_NS + np.array(there) * 10**6,
                                 "seq": np.array(there)}}
     ledger.compare([bag], "bag", until_ns=NOW_NS + 95 * 10**6)
     tally = ledger.tally
     assert tally.witnessed == 95
-    assert tally.lost_at_kill == 2  # 56 and 58: 5 ms or less before the kill of the controller
+    assert tally.lost_at_kill == 3  # from 5 ms before the signal, until the controller had ended
     assert tally.lost_while_paused == 2
     assert tally.lost_of_seconds == 1  # 2, the first one of this name being at 3
     assert tally.lost == 5  # 40, 54, 62, 90, and that of the plant, which nobody killed

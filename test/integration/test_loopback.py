@@ -15,7 +15,7 @@ from dfm_stage.harness import StageGraph
 from dfm_stage.harness.domain import claim_domain
 from dfm_stage.middleware import shared_memory
 from dfm_stage.middleware.discovery import PROFILES, RANGE
-from dfm_stage.middleware.shared_memory import PORT_BASE, neighbour_killed
+from dfm_stage.middleware.shared_memory import PORT_BASE, killed_neighbours
 
 HEARS = """
 import rclpy, sys
@@ -63,7 +63,7 @@ def test_the_port_of_a_killed_node_is_left_alone_on_loopback_too(monkeypatch):
     with claim_domain() as claimed:
         first = notes_of_a_killed_node(claimed.number)
         monkeypatch.setattr(shared_memory, "_own", {str(max(first) + 2): 0})
-        assert neighbour_killed()
+        assert killed_neighbours()
         assert not first & notes_of_a_killed_node(claimed.number)
 
 

@@ -26,7 +26,7 @@ from dfm_stage.middleware.shared_memory import (
     SHARED_MEMORY,
     PortWatch,
     killed_endpoints,
-    neighbour_killed,
+    killed_neighbours,
 )
 from dfm_stage.nodes.process import helper_node
 from dfm_stage.share import config_folder
@@ -70,7 +70,7 @@ def running_node(domain: int, end: int = signal.SIGKILL, *command: str):
         time.sleep(SETTLED_S)  # while it starts it also looks into the ports of others
         (port,) = own_ports(node.pid)
         note = port.with_name(port.name.replace("fastrtps_port", "dfm_stage_port"))
-        while not note.exists():
+        while not note.exists() or not note.stat().st_size:  # not signed yet
             time.sleep(0.05)
         left = {path for path in mapped(node.pid) if "port" not in path.name}
         yield node.pid, port
@@ -123,10 +123,10 @@ def test_the_others_know_that_a_neighbour_was_killed(domain, monkeypatch):
     with running_node(domain) as (_, port):
         own = int(port.name.removeprefix("fastrtps_port")) + 2
         monkeypatch.setattr(shared_memory, "_own", {"7001": 0, str(own): 0})
-        assert not neighbour_killed()
-    assert neighbour_killed()
+        assert not killed_neighbours()
+    assert killed_neighbours() == killed_neighbours() == ("/stage/x/controller",)
     monkeypatch.setattr(shared_memory, "_own", {"7001": 0, str(own + DOMAIN_GAIN): 0})
-    assert not neighbour_killed()  # that is another domain
+    assert not killed_neighbours()  # that is another domain
 
 
 @pytest.mark.slow
@@ -160,7 +160,7 @@ def test_after_its_lease_it_is_taken_again(domain):
         pass
     for note in files_of(domain):
         if note.name.startswith("dfm_stage_port"):
-            note.write_text("killed")
+            note.write_text("\nkilled")
             os.utime(note, (0, time.time() - LEASE_S - 1.0))
     with running_node(domain) as (_, other):
         assert other == port
