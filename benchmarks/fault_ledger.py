@@ -25,8 +25,8 @@ class Ledger:
     `heard` lists what the witness heard by topic, `paused` when the recorder was stopped,
     `killed` names of killed nodes and between which times each died (ns), `seconds` when second
     nodes of a name came and the newest numbers of the first ones, by topic. `ends_ns` is up to
-    when the recorder, which has ended, must have what was heard; None while it works. All of these are
-    times of the witness, `ahead_ns` behind the clock of the nodes.
+    when the recorder, which has ended, must have what was heard; None while it works. All of these
+    are times of the witness, `ahead_ns` behind the clock of the nodes.
     """
 
     def __init__(self, tally: Tally, ahead_ns: int = 0) -> None:
