@@ -97,7 +97,7 @@ class Campaign:
             if "/stage/x/plant" in bag:
                 self.tally.travelled = max(self.tally.travelled, float(np.max(
                     np.abs(bag["/stage/x/plant"]["position"]), initial=0.0)))
-        stamps = bags[-1].get("/stage/x/plant", {}).get("header.stamp", ())
+        stamps = bags[-1].get("/stage/x/plant", {"header.stamp": np.empty(0)})["header.stamp"]
         self._plant_ended_ns = int(stamps[-1]) if len(stamps) else 0
         self._ledger.compare(bags, path.name, until_ns)
         self._struck.clear()
