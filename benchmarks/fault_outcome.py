@@ -44,9 +44,9 @@ class Tally:
 
     `deaf`: how often a fault cut off the witness itself, in whose process the operator sits. The
     bag shows that the graph went on, the fault is repeated on another. `travelled` is the furthest
-    in all bags, m. `lost_at_kill` were published within 5 ms before their publisher was killed,
-    `lost_while_paused` while the recorder was stopped, and `lost_of_seconds` by a second node of a
-    name, which the witness met before the recorder did; none of them are in `lost`.
+    in all bags, m. `lost_at_kill` were published from 5 ms before their publisher was killed until
+    it had ended, `lost_while_paused` while the recorder was stopped, and `lost_of_seconds` by a
+    second node of a name, which the witness met before the recorder did; none are in `lost`.
     """
 
     outcomes: list[Outcome] = field(default_factory=list)

@@ -175,7 +175,8 @@ def _messages(tally: Tally) -> list[Figure]:
                how=f"of {tally.witnessed} that a second subscriber heard, not in the bag; a "
                "killed recorder, or one whose disk is full, may lose its last second"),
         Figure("faults.lost_at_kill", float(tally.lost_at_kill), "messages",
-               how="of the same, published within 5 ms before their publisher was killed"),
+               how="of the same, published from 5 ms before their publisher was killed until it "
+               "had ended"),
         Figure("faults.lost_while_paused", float(tally.lost_while_paused), "messages",
                how="of the same, published while the recorder itself was stopped (history: 2 s)"),
         Figure("faults.lost_of_seconds", float(tally.lost_of_seconds), "messages",
