@@ -11,6 +11,7 @@ from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import (
     AKAIKE,
+    COARSER,
     EXCHANGES,
     FIRST,
     FULL_SHARE,
@@ -35,7 +36,7 @@ from dfm_stage.diagnosis.decisions import (
 from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
-from dfm_stage.diagnosis.spectra import read_off
+from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import weights_of
 from dfm_stage.model import EFFECTS, Model
@@ -103,15 +104,15 @@ class Search(Fits):
         return screen, found
 
     def _step_of(self, model: Model) -> float | None:
-        """The step in which the reading is known to count: the model's, or read off the data
-        where that effect may be named."""
+        """The step in which the reading is known to count: the model's, or read off the data where
+        it is the encoder's resolution, or the effect of a coarser one may be named."""
         step = rounding_step(model)
-        if step is not None:
+        if step is not None or self.runs[0].order:
             return step
-        if self.runs[0].order or not any(EFFECTS[n].rounds and n not in self.barred
-                                         for n in self.library):
-            return None
-        return read_off(self.runs[0].output, model.base.get("encoder_resolution", 0.0))
+        step = lattice(self.runs[0].output)
+        known = step is not None and step <= COARSER * model.base.get("encoder_resolution", 0.0)
+        return step if known or any(EFFECTS[n].rounds and n not in self.barred
+                                    for n in self.library) else None
 
     def extend(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
         """Add what helps most, one effect or two at once; None where nothing helps enough."""

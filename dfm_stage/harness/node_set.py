@@ -45,8 +45,8 @@ from dfm_stage.nodes.process import (
     steady_interpreter,
 )
 
-_ASK_AGAIN_S = 2.0
-_ASKED_BY_ONE = 3
+_ASK_AGAIN_S = 0.5
+_ASKED_BY_ONE = 12
 _LOOK_AGAIN_S = 0.01
 """Nodes that are asked without a pause have no processor left to get ready."""
 _ENDING_S = 10.0

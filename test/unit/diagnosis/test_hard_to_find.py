@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verification import SurrogateTest, weights_like
 from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Simulator
+from dfm_stage.recording import Record
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -211,6 +213,25 @@ def test_the_step_of_a_reading_that_is_rounded_once_more():
     counts = np.unique(np.rint(np.cumsum(rng.exponential(20.0, 400))))
     seen = lattice(np.repeat(np.rint(counts * step / 5e-9) * 5e-9, 3))
     assert seen == pytest.approx(step, rel=2e-6)  # a hundredth of a step over 4900
+
+
+@pytest.mark.parametrize("resolution", [4e-6, 1e-9])
+def test_what_rounding_adds_along_the_scale_is_no_error_of_the_encoder(resolution):
+    """The reading counts 4 um with a fifth of it as noise before: the mean error is a sine of
+    0.6 um over one count (Widrow and Kollar 2008), whether or not the model gives the step."""
+    step, rng = 4e-6, np.random.default_rng(61)
+
+    def counted(feed: np.ndarray, seed: int) -> Record:
+        before = truth.move(feed) + 0.2 * step * rng.standard_normal(feed.size)
+        made = truth.record(feed, before, seed)
+        return replace(made, axes={"x": replace(made.axes["x"],
+                                                position=step * np.rint(before / step))})
+
+    found = diagnose([counted(truth.multisine(7), 1)],
+                     truth.believed(encoder_resolution=resolution),
+                     library=["encoder_quantization", "encoder_periodic_error"],
+                     holdout=[counted(truth.scan(), 2)])
+    assert "encoder_periodic_error" not in found.names
 
 
 def test_the_screen_starts_from_the_fitted_motion():
