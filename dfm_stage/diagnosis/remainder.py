@@ -18,12 +18,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
+    COARSER,
     DRIFT,
     DRIFT_LINES,
     EXCESS,
     FEWEST_OF_OCTAVE,
     FLATNESS,
     FORETOLD_SHARE,
+    HELD_OUT_FLOOR,
     LINE,
     MEMORYLESS,
     ONE_PARITY,
@@ -38,7 +40,7 @@ from dfm_stage.diagnosis.decisions import (
 )
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.predictable import foretold
-from dfm_stage.diagnosis.spectra import position_peaks
+from dfm_stage.diagnosis.spectra import lattice, position_peaks
 from dfm_stage.identification.noise import fit_noise, whiten
 from dfm_stage.identification.periods import local_mean
 from dfm_stage.identification.weights import high_band_rms
@@ -66,8 +68,10 @@ class Finding:
 def findings(run: Observation, residual: Array, known_noise: float | None,
              model: Model | None = None) -> list[Finding]:
     """Look at what is left of one run's output (N - skip,) by a model with a linear part; without
-    one, all noise is taken to be white."""
+    one, all noise is taken to be white. There is nothing to find in what rounding leaves."""
     spread = float(np.std(residual))
+    if model is not None and spread <= HELD_OUT_FLOOR * rounding_rms(run, model):
+        return []
     found = [Finding("excess", spread / high_band_rms(residual), EXCESS,
                      "RMS over that of high frequencies: slow or resonant motion is left")]
     if known_noise:
@@ -80,6 +84,15 @@ def findings(run: Observation, residual: Array, known_noise: float | None,
     found += [*_repeating(run, residual), _drift(residual), _line(residual),
               _pattern(run, residual, white), _shape(white)]
     return found
+
+
+def rounding_rms(run: Observation, model: Model) -> float:
+    """RMS of the error of a reading that counts in the resolution that the model gives, over
+    motion of many counts: step / sqrt(12) (Widrow and Kollar, Quantization Noise, 2008); 0
+    elsewhere. It follows the motion and looks like a gap, but the model says all there is."""
+    resolution = model.base.get("encoder_resolution", 0.0)
+    step = lattice(run.output) if resolution > 0.0 and run.order == 0 else None
+    return step / math.sqrt(12.0) if step is not None and step <= COARSER * resolution else 0.0
 
 
 def _repeating(run: Observation, residual: Array) -> list[Finding]:

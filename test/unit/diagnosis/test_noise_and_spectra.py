@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import cont2discrete, lfilter, ss2tf, welch
 
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.remainder import describe, findings
+from dfm_stage.diagnosis.remainder import describe, findings, rounding_rms
 from dfm_stage.diagnosis.spectra import (
     denoised,
     density,
@@ -124,6 +124,26 @@ def test_what_is_more_than_noise_has_its_name(extra, name):
 
 STAGE = Model("stage", DT, {"mass": 1.0, "damping": 6.0, "stiffness": 4000.0,
                             "force_constant": 1.0})
+
+
+SLOW = 40.0 * np.sin(2 * np.pi * 0.31 * TIME)
+
+
+def found_in(left, resolution):
+    """What is real of `left` (SIZE,), beside SLOW, to a user who gives this resolution."""
+    model = replace(STAGE, base={**STAGE.base, "encoder_resolution": resolution})
+    return {f.name for f in findings(run(SLOW + left), left, None, model) if f.real}
+
+
+def test_what_rounding_leaves_of_slow_motion_is_no_gap():
+    left = np.rint(SLOW) - SLOW      # counts of 1
+    assert rounding_rms(run(SLOW + left), STAGE) == 0.0
+    told = replace(STAGE, base={**STAGE.base, "encoder_resolution": 1.0})
+    assert rounding_rms(run(SLOW + left), told) == pytest.approx(np.std(left), rel=0.02)
+    assert found_in(left, 1.0) == set()
+    assert "pattern" in found_in(left, 1e-3), "nobody knew of these counts"
+    moved = np.rint(SLOW + 0.4 * np.sin(2 * np.pi * 0.9 * TIME)) - SLOW
+    assert found_in(moved, 1.0), "more than rounding leaves"
 
 
 def shaped(colour, seed):
