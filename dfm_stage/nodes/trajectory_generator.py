@@ -246,10 +246,16 @@ class TrajectoryGenerator(LoopNode):
         self._run = run = self._make_run(experiment, goal)
         self.warnings_active.pop("run", None)
         self.publish_config()
-        if self.lockstep and self._pending is not None:
+        self._answer_pending()
+        return run.count
+
+    def _answer_pending(self) -> None:
+        """In lockstep, go on with the measurement that waits for a run, or for what the amplifier
+        says of its output: a short run would be over before that is heard."""
+        if self._pending is not None and self._run is not None and (
+                self._output_heard_s > -math.inf or not self.count_publishers("amplifier_health")):
             pending, self._pending = self._pending, None
             self._answer(pending.seq, pending.stamp_ns)
-        return run.count
 
     def _start_when_open(self) -> None:
         if self._run is None and not self._reference.missing(["controller"]):
@@ -290,6 +296,7 @@ class TrajectoryGenerator(LoopNode):
         self._output_off = "" if health.level == DiagnosticStatus.OK else str(health.message)
         if self._run is not None and self._run.first_seq is not None:
             self._run.outcome.output(self._output_off)
+        self._answer_pending()
 
     def _follow(self, measurement: Any) -> None:
         """Compare a measurement with the reference; the first one after the run ends it."""
@@ -338,10 +345,9 @@ class TrajectoryGenerator(LoopNode):
         if not self.lockstep:
             self._answer((measurement.seq + 1) & 0xFFFFFFFF,
                          measurement.stamp_ns + int(self.settings[SAMPLE_PERIOD.name] * 1e9))
-        elif self._run is not None:
-            self._answer(measurement.seq, measurement.stamp_ns)
         else:
             self._pending = measurement
+            self._answer_pending()
 
     def _answer(self, seq: int, stamp_ns: int) -> None:
         run = self._run

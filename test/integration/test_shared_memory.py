@@ -70,7 +70,7 @@ def running_node(domain: int, end: int = signal.SIGKILL, *command: str):
         time.sleep(SETTLED_S)  # while it starts it also looks into the ports of others
         (port,) = own_ports(node.pid)
         note = port.with_name(port.name.replace("fastrtps_port", "dfm_stage_port"))
-        while not note.exists() or not note.stat().st_size:  # not signed yet
+        while not note.exists():
             time.sleep(0.05)
         left = {path for path in mapped(node.pid) if "port" not in path.name}
         yield node.pid, port
@@ -124,6 +124,8 @@ def test_the_others_know_that_a_neighbour_was_killed(domain, monkeypatch):
         own = int(port.name.removeprefix("fastrtps_port")) + 2
         monkeypatch.setattr(shared_memory, "_own", {"7001": 0, str(own): 0})
         assert not killed_neighbours()
+        while not port.with_name(f"dfm_stage_port{own - 2}").stat().st_size:  # not signed yet
+            time.sleep(0.05)
     assert killed_neighbours() == killed_neighbours() == ("/stage/x/controller",)
     monkeypatch.setattr(shared_memory, "_own", {"7001": 0, str(own + DOMAIN_GAIN): 0})
     assert not killed_neighbours()  # that is another domain
