@@ -18,7 +18,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
-    COARSER,
     DRIFT,
     DRIFT_LINES,
     EXCESS,
@@ -40,7 +39,7 @@ from dfm_stage.diagnosis.decisions import (
 )
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.predictable import foretold
-from dfm_stage.diagnosis.spectra import lattice, position_peaks
+from dfm_stage.diagnosis.spectra import is_resolution, lattice, position_peaks
 from dfm_stage.identification.noise import fit_noise, whiten
 from dfm_stage.identification.periods import local_mean
 from dfm_stage.identification.weights import high_band_rms
@@ -92,7 +91,9 @@ def rounding_rms(run: Observation, model: Model) -> float:
     elsewhere. It follows the motion and looks like a gap, but the model says all there is."""
     resolution = model.base.get("encoder_resolution", 0.0)
     step = lattice(run.output) if resolution > 0.0 and run.order == 0 else None
-    return step / math.sqrt(12.0) if step is not None and step <= COARSER * resolution else 0.0
+    if step is None or not is_resolution(step, resolution):
+        return 0.0
+    return step / math.sqrt(12.0)
 
 
 def _repeating(run: Observation, residual: Array) -> list[Finding]:

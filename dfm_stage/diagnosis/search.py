@@ -11,7 +11,6 @@ from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import (
     AKAIKE,
-    COARSER,
     EXCHANGES,
     FIRST,
     FULL_SHARE,
@@ -36,7 +35,7 @@ from dfm_stage.diagnosis.decisions import (
 from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
-from dfm_stage.diagnosis.spectra import lattice
+from dfm_stage.diagnosis.spectra import is_resolution, lattice
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import weights_of
 from dfm_stage.model import EFFECTS, Model
@@ -110,9 +109,10 @@ class Search(Fits):
         if step is not None or self.runs[0].order:
             return step
         step = lattice(self.runs[0].output)
-        known = step is not None and step <= COARSER * model.base.get("encoder_resolution", 0.0)
-        return step if known or any(EFFECTS[n].rounds and n not in self.barred
-                                    for n in self.library) else None
+        if step is None or is_resolution(step, model.base.get("encoder_resolution", 0.0)):
+            return step
+        named = any(EFFECTS[n].rounds and n not in self.barred for n in self.library)
+        return step if named else None
 
     def extend(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
         """Add what helps most, one effect or two at once; None where nothing helps enough."""

@@ -113,7 +113,12 @@ def read_off(values: Array, resolution: float) -> float | None:
     """The step in which a reading (N,) counts, where it is coarser than the encoder's resolution:
     read off the data, not to be estimated."""
     step = lattice(values)
-    return step if step is not None and step > COARSER * resolution else None
+    return step if step is not None and not is_resolution(step, resolution) else None
+
+
+def is_resolution(step: float, resolution: float) -> bool:
+    """Whether a reading that counts in `step` counts in the encoder's resolution: 0 is none."""
+    return step <= COARSER * resolution
 
 
 def _peaks(power: Array, apart: int, count: int) -> list[int]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException
@@ -49,7 +49,7 @@ class StageLink:
         self._heard_s = 0.0
         self._seq = 0
         self._drive: Any = None
-        self._peers: Callable[[], int] = int
+        self._peers: Callable[[], int]
         self._encode = codec(Drive, namespace.rpartition("/")[2]).encode
         self._stopping = False
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -58,10 +58,11 @@ class StageLink:
         """Run the ROS side in a thread of its own."""
         self._thread.start()
 
-    def met(self, timeout_s: float) -> bool:
-        """Wait until this side and sim_plant know each other; return whether they do."""
+    def met(self, timeout_s: float, stop: Sequence[int] = ()) -> bool:
+        """Wait until this side has found sim_plant, or something is in `stop`; return whether it
+        has."""
         deadline = time.monotonic() + timeout_s
-        while not self._peers() and time.monotonic() < deadline:
+        while not self._peers() and not stop and time.monotonic() < deadline:
             time.sleep(_LOOK_S)
         return bool(self._peers())
 

@@ -86,7 +86,7 @@ def _make(options: argparse.Namespace, link: Any, log: TextIO | None) -> Emulato
     return CopleyAsciiEmulator(output, _flash(options.flash))
 
 
-def _connect(options: argparse.Namespace) -> Any:
+def _connect(options: argparse.Namespace, stop: Sequence[int]) -> Any:
     if not options.stage:
         return None
     from dfm_stage.harness.emulator_link import StageLink
@@ -98,7 +98,7 @@ def _connect(options: argparse.Namespace) -> Any:
     else:
         link.drive_coil()
     link.start()
-    if not link.met(PLANT_S):
+    if not link.met(PLANT_S, stop) and not stop:
         print(f"emulate: no sim_plant heard in {options.stage} within {PLANT_S:g} s; it is waited "
               "for", file=sys.stderr, flush=True)
     return link
@@ -155,7 +155,7 @@ def run(options: argparse.Namespace) -> int:
                 number, lambda signum, _frame: stop.append(signum)))
         log = cleanup.enter_context(
             options.log.open("w", encoding="utf-8")) if options.log else None
-        stage = _connect(options)
+        stage = _connect(options, stop)
         if stage is not None:
             cleanup.callback(stage.close)
         try:

@@ -46,7 +46,9 @@ from dfm_stage.nodes.process import (
 )
 
 _ASK_AGAIN_S = 0.5
+"""Nodes that lack each other meet at their next announcement (config/fastdds.xml)."""
 _ASKED_BY_ONE = 12
+"""Calls by one client, so 6 s: each further client is one more for the nodes to meet."""
 _LOOK_AGAIN_S = 0.01
 """Nodes that are asked without a pause have no processor left to get ready."""
 _ENDING_S = 10.0

@@ -409,7 +409,7 @@ class LoopNode(Node):
         if self._watch.silent:
             return "a topic of the loop is silent"
         killed = ", ".join(killed_neighbours())
-        return f"{killed} was killed and is still written to" if killed else ""
+        return f"killed and still written to: {killed}" if killed else ""
 
     def _every_second(self) -> None:
         now = time.monotonic()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 
 from dfm_stage.errors import DfmError
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
+from dfm_stage.nodes.wiring import TOPICS
 
 SINE = {"reference__kind": "sine", "reference__frequency_hz": 0.5}
 
@@ -43,6 +47,25 @@ def test_a_signal_found_sound_is_not_made_again(make, monkeypatch):
     monkeypatch.undo()
     assert "position of" in refused(node, reference__amplitude_m=8e-3)
     assert "position of" in refused(node, reference__amplitude_m=8e-3)
+
+
+def test_a_run_in_lockstep_begins_once_the_amplifier_was_heard(make):
+    node = make(TrajectoryGenerator, **SINE, reference__amplitude_m=5e-3, lockstep=True)
+    amplifier = TOPICS["amplifier_health"]
+    node.create_publisher(DiagnosticStatus, "amplifier_health", amplifier.qos)
+    node._begin_run()
+    node._on_measurement(SimpleNamespace(seq=7, stamp_ns=0, position=0.0))
+    assert node._run.first_seq is None, "it is not known yet whether the output is on"
+    node._on_output(DiagnosticStatus(level=DiagnosticStatus.WARN, message="the output is off"))
+    assert node._run.first_seq == 7
+    assert "the output is off" in node._run.outcome.complaint()
+
+
+def test_a_run_in_lockstep_waits_for_no_amplifier_that_says_nothing(make):
+    node = make(TrajectoryGenerator, **SINE, reference__amplitude_m=5e-3, lockstep=True)
+    node._begin_run()
+    node._on_measurement(SimpleNamespace(seq=7, stamp_ns=0, position=0.0))
+    assert node._run.first_seq == 7
 
 
 def test_an_experiment_that_leaves_a_limit_is_refused_before_its_first_sample(make, tmp_path):
