@@ -286,7 +286,7 @@ def design_lqr(model: Model, spec: LqrSpec | None = None,
     ControlError
         If the model cannot be controlled or observed, or the loop that results is not stable.
     """
-    import control
+    from scipy.linalg import LinAlgError, solve_discrete_are
 
     spec = spec or LqrSpec()
     stage = sample_model(model, sample_period_s)
@@ -299,9 +299,10 @@ def design_lqr(model: Model, spec: LqrSpec | None = None,
         b, q = np.append(b, 0.0), np.pad(q, (0, 1))
         q[n, n] = 1.0 / spec.lqr_integral_m_s**2
     try:
-        full = np.asarray(control.dlqr(a, b[:, None], q, [[1.0 / spec.lqr_effort_v**2]])[0])[0]
-    except (np.linalg.LinAlgError, ValueError, control.ControlArgument) as error:
+        p = solve_discrete_are(a, b[:, None], q, [[1.0 / spec.lqr_effort_v**2]])
+    except (LinAlgError, ValueError) as error:
         raise ControlError(f"lqr: no regulator for model {model.name}: {error}") from error
+    full = b @ p @ a / (b @ p @ b + 1.0 / spec.lqr_effort_v**2)
     observer = kalman(stage, noise_m=reading_noise_m(dict(model.base)),
                       force_n=spec.lqr_force_noise_n,
                       drift_n_per_root_s=spec.lqr_drift_n if spec.lqr_disturbance else 0.0)

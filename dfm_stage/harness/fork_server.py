@@ -153,6 +153,7 @@ def _made_for() -> dict[str, str]:
 def _load() -> None:
     """Import what nodes need, down to the middleware's libraries; no thread starts by that."""
     import rclpy
+    import scipy.linalg  # noqa: F401 a controller with a model designs its regulator
     from rclpy.type_support import check_for_type_support
 
     from dfm_stage.compile_all import compile_all

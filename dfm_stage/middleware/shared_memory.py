@@ -86,13 +86,16 @@ def avoiding_dead_ports() -> Iterator[None]:
     put_off_checks()
 
 
-def sign_notes(endpoint: Sequence[int], nodes: Sequence[str]) -> None:
+def sign_notes(endpoint: Sequence[int], nodes: Sequence[str]) -> bool:
     """Write into this process's notes whose they are: the identifier of any endpoint here, and
-    the full names of the nodes."""
+    the full names of the nodes. Return whether all are signed; /dev/shm may be full."""
     words = bytes(endpoint[:_PARTICIPANT]) + " and ".join(nodes).encode()
-    for descriptor in _own.values():
-        with contextlib.suppress(OSError):
+    try:
+        for descriptor in _own.values():
             os.pwrite(descriptor, words[:_NOTE_SIZE - len(_SEEN_DEAD)], 0)
+    except OSError:
+        return False
+    return True
 
 
 def killed_neighbours() -> tuple[str, ...]:
@@ -105,8 +108,12 @@ def killed_neighbours() -> tuple[str, ...]:
 
 
 def killed_endpoints() -> tuple[bytes, ...]:
-    """Return what the identifiers of endpoints begin with that were killed within their lease."""
-    return tuple({words[:_PARTICIPANT] for words in _notes_of_killed()})
+    """Return what the identifiers of endpoints begin with that were killed within their lease.
+
+    Those of a process that had not signed are not known.
+    """
+    return tuple({words[:_PARTICIPANT] for words in _notes_of_killed()
+                  if len(words) >= _PARTICIPANT})
 
 
 def _notes_of_killed() -> Iterator[bytes]:

@@ -211,6 +211,7 @@ def _run(given: list[str], kinds: Callable[[], Sequence[Callable[[], LoopNode]]]
         with handing_over(context, executor) if len(make) > 1 else contextlib.nullcontext():
             for kind in make:
                 nodes.append(_made(kind))
+                _sign(nodes)
                 executor.add_node(nodes[-1])
                 nodes[-1].begin()
             anew = _spin(nodes, executor, stop)
@@ -268,6 +269,11 @@ def _made(kind: Callable[[], LoopNode]) -> LoopNode:
         return kind()
 
 
+def _sign(nodes: Sequence[LoopNode]) -> bool:
+    """Say in the notes of this process whose it is; return whether that is written."""
+    return sign_notes(nodes[0].an_endpoint(), [each.get_fully_qualified_name() for each in nodes])
+
+
 def _class_of(kind: Callable[[], LoopNode]) -> type[LoopNode]:
     """Return the class of the node that this makes."""
     return kind.func if isinstance(kind, partial) else kind  # type: ignore[return-value]
@@ -287,7 +293,6 @@ def _in_one_line(error: Exception) -> str:
 def _spin(nodes: Sequence[LoopNode], executor: Any, stop: StopRequest) -> bool:
     """Spin until asked to stop; return True where the process has to begin anew instead."""
     leader = min(nodes, key=lambda node: node.priority < PRIORITY.default)
-    sign_notes(leader.an_endpoint(), [node.get_fully_qualified_name() for node in nodes])
     for node in nodes:
         node.leaving_s = _LEAVING_S
         if node is not leader:
@@ -296,6 +301,7 @@ def _spin(nodes: Sequence[LoopNode], executor: Any, stop: StopRequest) -> bool:
     if not isinstance(executor, SingleThreadedExecutor):  # that keeps the processors full
         leader.realtime.take(leader.settings[PRIORITY.name], time.monotonic())
     ports, look = PortWatch(), time.monotonic()
+    signed = False
     while rclpy.ok():
         # spin() of this executor forgets timers while no message comes
         for _ in range(_EVENTS_PER_LOOK):
@@ -304,6 +310,7 @@ def _spin(nodes: Sequence[LoopNode], executor: Any, stop: StopRequest) -> bool:
                 return False
         if time.monotonic() - look > PORT_LOOK_S:
             look = time.monotonic()
+            signed = signed or _sign(nodes)  # /dev/shm may have been full
             if ports.lost():
                 leader.get_logger().error("its port in shared memory is gone (was another "
                                           "process killed?): it hears nobody and begins anew")

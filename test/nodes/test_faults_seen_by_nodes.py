@@ -107,6 +107,15 @@ def test_nodes_of_one_name_say_so_and_one_that_was_killed_does_not_count(make, m
     assert "name" not in first.errors_active
 
 
+def test_a_node_signs_with_its_own_endpoint_beside_one_of_a_killed_namesake(make, monkeypatch):
+    node = make(EncoderDriver)
+    own = node.get_publishers_info_by_topic("encoder_driver/config")[0].endpoint_gid
+    of_another = [*own[:4], own[4] ^ 1, *own[5:]]
+    monkeypatch.setattr(node, "get_publishers_info_by_topic", lambda _topic: [
+        SimpleNamespace(endpoint_gid=each) for each in (of_another, own)])
+    assert node.an_endpoint() == list(own)
+
+
 @pytest.mark.parametrize("kind", [AmplifierDriver, Controller])
 def test_the_output_is_not_on_while_there_are_two_of_a_name(make, monkeypatch, kind):
     node = make(kind)

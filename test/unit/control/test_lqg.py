@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import control
@@ -45,6 +47,26 @@ def run(model: Model, controller: Lqg | Pid, samples: int, *, reference: float =
         u[k] = controller.step(reference, sample.reading_m)
         plant.advance(u[k], external_force_n=force)
     return y, u
+
+
+def test_the_gain_is_that_of_python_control() -> None:
+    spec = LqrSpec(lqr_integral=False)
+    design = design_lqr(load_model("raster_bench"), spec)
+    stage = design.stage
+    q = np.outer(stage.c, stage.c) / spec.lqr_error_m**2 + np.outer(
+        stage.velocity, stage.velocity) / spec.lqr_velocity_m_s**2
+    theirs = control.dlqr(stage.a, stage.b[:, None], q, [[1.0 / spec.lqr_effort_v**2]])[0][0]
+    np.testing.assert_allclose(design.gain, theirs, rtol=1e-9)
+
+
+def test_a_design_in_a_running_node_loads_no_plots() -> None:
+    """A controller designs when it starts and where an operator sets parameters."""
+    code = ("import sys; from dfm_stage.control import design_lqr; "
+            "from dfm_stage.model import load_model; design_lqr(load_model('paper_stage')); "
+            "print([name for name in ('control', 'matplotlib') if name in sys.modules])")
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                           check=True)
+    assert found.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize("spec", SPECS)
