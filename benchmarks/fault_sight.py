@@ -14,6 +14,9 @@ import numpy as np
 WITNESSED = ("measurement", "reference", "command", "amplifier", "plant")
 RECENT_S = 0.3
 TRAVEL_M = 7.7e-3
+NO_CURRENT = 1e-6
+"""Coil current (A, or V of a stage without a coil) that is none: behind the lag of the amplifier,
+1 ms, it is not exactly zero until 0.7 s after the output was put to zero."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Sight:
         if node.endswith("trajectory_generator"):
             return self.ages["command"] < RECENT_S
         if self.ages["plant"] < RECENT_S:
-            return self.current == 0.0
+            return abs(self.current) < NO_CURRENT
         return self.voltage == 0.0
 
     def __str__(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -41,6 +42,8 @@ def sights(age_s: float, **last):
     ({"voltage": 0.0}, 0.5, "x/controller", True),
     ({"enabled": False}, 0.01, "x/controller", False),
     ({"enabled": False, "current": 0.0}, 0.01, "x/controller", True),
+    ({"enabled": False, "current": 0.1 * math.exp(-170.0)}, 0.01, "x/controller", True),
+    ({"enabled": False, "current": -1e-3}, 0.01, "x/controller", False),
     ({}, 0.5, "recorder", True),
     ({"enabled": False}, 0.01, "x/trajectory_generator", True),
     ({}, 0.5, "x/trajectory_generator", False),
