@@ -15,8 +15,9 @@ WITNESSED = ("measurement", "reference", "command", "amplifier", "plant")
 RECENT_S = 0.3
 TRAVEL_M = 7.7e-3
 NO_CURRENT = 1e-6
-"""Coil current (A, or V of a stage without a coil) that is none: behind the lag of the amplifier,
-1 ms, it is not exactly zero until 0.7 s after the output was put to zero."""
+"""A current (A) or, without a coil, a voltage (V) that counts as none: it moves the stage by
+2 nm. The lag of the amplifier is 1 ms, so that the current is exactly zero only 0.7 s after the
+output was put to zero."""
 
 
 @dataclass(frozen=True)

@@ -90,12 +90,13 @@ def sign_notes(endpoint: Sequence[int], nodes: Sequence[str]) -> bool:
     """Write into this process's notes whose they are: the identifier of any endpoint here, and
     the full names of the nodes. Return whether all are signed; /dev/shm may be full."""
     words = bytes(endpoint[:_PARTICIPANT]) + " and ".join(nodes).encode()
-    try:
-        for descriptor in _own.values():
+    signed = True
+    for descriptor in _own.values():
+        try:
             os.pwrite(descriptor, words[:_NOTE_SIZE - len(_SEEN_DEAD)], 0)
-    except OSError:
-        return False
-    return True
+        except OSError:
+            signed = False
+    return signed
 
 
 def killed_neighbours() -> tuple[str, ...]:

@@ -334,8 +334,8 @@ class LoopNode(Node):
     def an_endpoint(self) -> Sequence[int]:
         """Return the global identifier of one of this node's endpoints.
 
-        A killed node of its name may have some, too: Fast DDS writes the number of the process
-        into bytes 4 and 5.
+        A killed node of the same name may still be listed. Fast DDS writes the number of the
+        process into bytes 4 and 5, which tells the two apart.
         """
         number = (os.getpid() & 0xFFFF).to_bytes(2, "little")
         found = [list(info.endpoint_gid) for info in

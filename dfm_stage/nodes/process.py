@@ -310,7 +310,7 @@ def _spin(nodes: Sequence[LoopNode], executor: Any, stop: StopRequest) -> bool:
                 return False
         if time.monotonic() - look > PORT_LOOK_S:
             look = time.monotonic()
-            signed = signed or _sign(nodes)  # /dev/shm may have been full
+            signed = signed or _sign(nodes)  # again: /dev/shm may have been full
             if ports.lost():
                 leader.get_logger().error("its port in shared memory is gone (was another "
                                           "process killed?): it hears nobody and begins anew")

@@ -49,14 +49,21 @@ def run(model: Model, controller: Lqg | Pid, samples: int, *, reference: float =
     return y, u
 
 
-def test_the_gain_is_that_of_python_control() -> None:
-    spec = LqrSpec(lqr_integral=False)
+@pytest.mark.parametrize("integral", [False, True])
+def test_the_gain_is_that_of_python_control(integral: bool) -> None:
+    spec = LqrSpec(lqr_integral=integral)
     design = design_lqr(load_model("raster_bench"), spec)
-    stage = design.stage
-    q = np.outer(stage.c, stage.c) / spec.lqr_error_m**2 + np.outer(
+    stage, n = design.stage, design.stage.b.size
+    a, b, q = np.eye(n + 1), np.append(stage.b, 0.0), np.zeros((n + 1, n + 1))
+    a[:n, :n], a[n, :n] = stage.a, -stage.sample_period_s * stage.c
+    q[:n, :n] = np.outer(stage.c, stage.c) / spec.lqr_error_m**2 + np.outer(
         stage.velocity, stage.velocity) / spec.lqr_velocity_m_s**2
-    theirs = control.dlqr(stage.a, stage.b[:, None], q, [[1.0 / spec.lqr_effort_v**2]])[0][0]
-    np.testing.assert_allclose(design.gain, theirs, rtol=1e-9)
+    q[n, n] = spec.lqr_integral_m_s**-2
+    used = n + integral
+    theirs = control.dlqr(a[:used, :used], b[:used, None], q[:used, :used],
+                          [[spec.lqr_effort_v**-2]])[0][0]
+    np.testing.assert_allclose(np.append(design.gain, -design.integral_gain)[:used], theirs,
+                               rtol=1e-9)
 
 
 def test_a_design_in_a_running_node_loads_no_plots() -> None:
