@@ -27,7 +27,7 @@ import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.hand_over import Receiver, Sender
-from dfm_stage.middleware.scheduling import RealTime
+from dfm_stage.middleware.scheduling import LOOK_S, LOOP_PRIORITY, RealTime
 from dfm_stage.middleware.shared_memory import killed_endpoints, killed_neighbours
 from dfm_stage.middleware.watch import Input, Notices, Watch
 from dfm_stage.middleware.wire import codec
@@ -52,9 +52,9 @@ COMMON = (
 )
 LOOP_HEALTH = "loop_health"
 PRIORITY = Setting(
-    "realtime_priority", 20, "SCHED_RR priority of the node's process (recorder: 10) where the "
-    "user has the right to it (rtprio in limits.conf); 0 = none; of nodes that share a process, "
-    "the first that is no recorder sets it; not in the process of a program", "", 0, 99)
+    "realtime_priority", LOOP_PRIORITY, "SCHED_RR priority of the node's process (recorder: 10) "
+    "where the user has the right to it (rtprio in limits.conf); 0 = none; of nodes that share a "
+    "process, the first that is no recorder sets it; not in the process of a program", "", 0, 99)
 
 
 class Publisher(Sender):
@@ -174,7 +174,9 @@ class LoopNode(Node):
         self.create_service(Ready, "~/ready", self._on_ready)
         self._watch = Watch(self.warnings_active, self.count, self.get_logger().warning,
                             time.monotonic())
+        self._broken = ""
         self.create_timer(1.0, self._every_second, clock=self.steady)
+        self.create_timer(LOOK_S, self._look_at_priority, clock=self.steady)
         self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
 
     def begin(self) -> None:
@@ -413,22 +415,25 @@ class LoopNode(Node):
         return (f"{alive} nodes are called {self.get_fully_qualified_name()}: end all but one"
                 if alive > 1 else "")
 
-    def _broken(self) -> str:
+    def _what_is_broken(self) -> str:
         if self._watch.silent:
             return "a topic of the loop is silent"
         killed = ", ".join(killed_neighbours())
         return f"killed and still written to: {killed}" if killed else ""
+
+    def _look_at_priority(self) -> None:
+        if (self.realtime.wanted and self.priority >= PRIORITY.default
+                and self.realtime.look(time.monotonic(), self._broken)):
+            self.get_logger().info(f"scheduling: {self.realtime.words}")
+            self.warnings_active.put("scheduling", "" if self.realtime.held else
+                                     f"no real-time priority: {self.realtime.words}")
 
     def _every_second(self) -> None:
         now = time.monotonic()
         if not self.lockstep:
             self._watch.look(now)
         self._look_for_namesakes()
-        if (self.realtime.wanted and self.priority >= PRIORITY.default
-                and self.realtime.look(now, self._broken())):
-            self.get_logger().info(f"scheduling: {self.realtime.words}")
-            self.warnings_active.put("scheduling", "" if self.realtime.held else
-                                     f"no real-time priority: {self.realtime.words}")
+        self._broken = self._what_is_broken() if self.realtime.wanted else ""
         waiting = self.waiting_for() if self.lockstep else None
         if waiting != self._waiting_since[0]:
             self._waiting_since = waiting, now

@@ -13,7 +13,7 @@ import pytest
 
 from dfm_stage.harness import StageGraph
 from dfm_stage.middleware import scheduling
-from dfm_stage.middleware.scheduling import RealTime
+from dfm_stage.middleware.scheduling import LOOK_S, RealTime
 
 LOOP = {"sim_plant", "encoder_driver", "controller", "amplifier_driver", "trajectory_generator"}
 
@@ -27,28 +27,31 @@ def allowed() -> bool:
 needs_the_right = pytest.mark.skipif(not allowed(), reason="this user has no right to SCHED_RR")
 
 
-def policies(pid: int, senders: bool = False) -> set[tuple[int, int]]:
-    """Policy and priority of every thread, as the kernel tells: those of Fast DDS's senders, which
-    spin on locks, or of all others."""
-    found = set()
+def policies(pid: int) -> dict[str, set[tuple[int, int]]]:
+    """Policy and priority of each thread, as the kernel tells: of Fast DDS's senders, which spin
+    on locks, of its other threads, and of the node's own."""
+    found: dict[str, set[tuple[int, int]]] = {}
     for thread in Path(f"/proc/{pid}/task").iterdir():
         with contextlib.suppress(OSError):
-            if (thread / "comm").read_text("ascii").startswith("dds.asyn") != senders:
-                continue
+            name = (thread / "comm").read_text("ascii")
+            whose = ("sends" if name.startswith("dds.asyn") else
+                     "dds" if name.startswith("dds.") else "own")
             number = int(thread.name)
-            found.add((os.sched_getscheduler(number), os.sched_getparam(number).sched_priority))
+            found.setdefault(whose, set()).add(
+                (os.sched_getscheduler(number), os.sched_getparam(number).sched_priority))
     return found
 
 
 @needs_the_right
 @pytest.mark.real_time     # a process that waits for a processor gives its priority back
 @pytest.mark.parametrize("lockstep", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, tmp_path):
+def test_the_loop_runs_before_other_work_and_what_a_recorder_writes_in_between(lockstep, tmp_path):
     with StageGraph(bag=tmp_path / "bag", lockstep=lockstep) as graph:
         for each in graph.launched:
             priority = 20 if each.kind in LOOP else 10
-            assert policies(each.process.pid) == {(os.SCHED_RR, priority)}, each.kind
-            assert policies(each.process.pid, senders=True) == {(os.SCHED_RR, 1)}, each.kind
+            assert policies(each.process.pid) == {
+                "own": {(os.SCHED_RR, priority)}, "dds": {(os.SCHED_RR, 20)},
+                "sends": {(os.SCHED_RR, 1)}}, each.kind
         niceness = {each.kind: os.getpriority(os.PRIO_PROCESS, each.process.pid)
                     for each in graph.launched}
     assert niceness.pop("recorder") == max(5, *niceness.values())
@@ -60,7 +63,7 @@ def test_the_loop_runs_before_other_work_and_the_recorder_in_between(lockstep, t
 def test_it_is_left_out_when_asked_to():
     with StageGraph(parameters={"sim_plant": {"realtime_priority": 0}}) as graph:
         plant = next(each for each in graph.launched if each.kind == "sim_plant")
-        assert policies(plant.process.pid) == {(os.SCHED_OTHER, 0)}
+        assert set().union(*policies(plant.process.pid).values()) == {(os.SCHED_OTHER, 0)}
 
 
 def test_a_process_that_the_nodes_share_keeps_its_own():
@@ -111,45 +114,85 @@ def test_threads_that_run_already_get_it_too(scheduler):
     assert (thread.native_id, os.SCHED_RR, 20) in scheduler[0]
 
 
-@pytest.mark.parametrize(("waits", "given_back"), [
-    ([0.01] * 9, False), ([0.3, 0.3, 0.0] * 3, False), ([0.0] + [0.1] * 5, True)])
-def test_it_is_given_back_where_the_processors_are_too_few(scheduler, waits, given_back):
+class Machine:
+    """Two processors, and real-time processes that each take `needs` of one, in the order in which
+    they began; this process is one of them."""
+
+    def __init__(self, monkeypatch, waited, needs, own):
+        self.waited, self.needs, self.used_s = waited, needs, [100.0] * len(needs)
+        self.own, self.now_s = own, 0.0
+        self.realtime = RealTime()
+        monkeypatch.setattr(os, "cpu_count", lambda: 2)
+        monkeypatch.setattr(scheduling, "_real_time_work", self._work)
+        self.realtime.take(20, 0.0)
+
+    def _work(self):
+        # numbers of processes say nothing of their age
+        return {(number, os.getpid() if number == self.own else 1000 - number): used_s
+                for number, used_s in enumerate(self.used_s)
+                if number != self.own or self.realtime.held}
+
+    def runs(self, seconds, waits=0.2):
+        """Return when `held` changed, and to what."""
+        changes = []
+        for _ in range(round(seconds / LOOK_S)):
+            self.now_s = round(self.now_s + LOOK_S, 3)
+            self.waited[0] += waits * LOOK_S
+            self.used_s = [used_s + LOOK_S * need
+                           for used_s, need in zip(self.used_s, self.needs, strict=True)]
+            if self.realtime.look(self.now_s):
+                changes.append((self.now_s, self.realtime.held))
+        return changes
+
+
+@pytest.mark.parametrize(("number", "given_back"), [(0, False), (6, False), (8, False),
+                                                    (9, True), (11, True)])
+def test_of_two_graphs_those_that_began_last_give_it_back(scheduler, monkeypatch, number,
+                                                          given_back):
     asked, waited = scheduler
-    realtime = RealTime()
-    realtime.take(20, 0.0)
-    looks = []
-    for second, wait in enumerate(waits, start=1):
-        waited[0] += wait
-        looks.append(realtime.look(float(second)))
-    assert any(looks) == given_back
-    assert realtime.held != given_back
+    machine = Machine(monkeypatch, waited, [0.16] * 12, number)
+    changes = machine.runs(3.0)
+    assert changes == ([(0.8, False)] if given_back else [])
     assert (asked[-1][1] == os.SCHED_OTHER) == given_back
     if given_back:
-        assert "waited 10% of the time" in realtime.words
+        assert f"it needs {0.16 * (number + 1):.1f} of 2 processors" in machine.realtime.words
 
 
-def test_where_it_waits_much_it_is_given_back_sooner(scheduler):
-    _, waited = scheduler
-    realtime = RealTime()
-    realtime.take(20, 0.0)
-    looks = []
-    for second in range(1, 4):
-        waited[0] += 0.35
-        looks.append(realtime.look(float(second)))
-    assert looks == [False, False, True]
-    assert "waited 35% of the time" in realtime.words
+@pytest.mark.parametrize(("needs", "waits"), [([0.7, 0.7], 0.2), ([0.9, 0.9], 0.04)])
+def test_where_there_is_room_or_it_hardly_waits_it_is_kept(scheduler, monkeypatch, needs, waits):
+    machine = Machine(monkeypatch, scheduler[1], needs, 1)
+    assert machine.runs(10.0, waits) == []
 
 
-def test_it_is_taken_again_after_a_while_which_doubles(scheduler):
-    _, waited = scheduler
-    realtime = RealTime()
-    realtime.take(20, 0.0)
-    changes = []
-    for second in range(1, 100):
-        waited[0] += 0.1
-        if realtime.look(float(second)):
-            changes.append((second, realtime.held))
-    assert changes == [(5, False), (25, True), (30, False), (70, True), (75, False)]
+def test_a_moment_of_much_work_is_no_reason(scheduler, monkeypatch):
+    machine = Machine(monkeypatch, scheduler[1], [0.9, 0.9], 1)
+    for _ in range(10):
+        assert machine.runs(0.4, 0.5) == []
+        assert machine.runs(0.4, 0.0) == []
+
+
+def test_it_is_taken_again_after_a_while_which_doubles(scheduler, monkeypatch):
+    machine = Machine(monkeypatch, scheduler[1], [0.9, 0.9], 1)
+    assert machine.runs(70.0) == [(0.8, False), (20.8, True), (21.6, False), (61.6, True),
+                                  (62.4, False)]
+
+
+@needs_the_right
+def test_work_of_other_processes_is_measured():
+    """Against what the process itself counts."""
+    code = ("import os, time\nos.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))\n"
+            "while time.process_time() < 0.5: pass\n"
+            "print(time.process_time(), flush=True)\ninput()")
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, text=True,
+                          stdout=subprocess.PIPE) as other:
+        used_s = float(other.stdout.readline())
+        work = {number: (began, cpu_s) for (began, number), cpu_s in
+                scheduling._real_time_work().items()}
+        other.communicate("\n")
+    began, cpu_s = work[other.pid]
+    assert cpu_s == pytest.approx(used_s, abs=0.05)
+    assert began > 0
+    assert os.getpid() not in work
 
 
 def test_it_is_given_back_while_the_loop_is_broken(scheduler):
