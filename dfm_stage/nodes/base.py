@@ -369,6 +369,11 @@ class LoopNode(Node):
 
     # Readiness and diagnostics
 
+    @property
+    def links_open(self) -> bool:
+        """Whether everyone who must not miss the first message was there, and it may go out."""
+        return self._opening.is_canceled()
+
     def _open_links(self) -> None:
         if all(publisher.release() for publisher in self.publishers_of_links):
             self._opening.cancel()

@@ -126,7 +126,8 @@ class TrajectoryGenerator(LoopNode):
         self.create_timer(0.2, self._report, clock=self.steady)
         self.side_subscription("amplifier_health", self._on_output)
         self._recorder_heard_s = math.inf
-        if self.settings["wait_for_recorder"] and not self.lockstep:
+        self._waits_for_recorder = self.settings["wait_for_recorder"] and not self.lockstep
+        if self._waits_for_recorder:
             self.side_subscription("/diagnostics", self._on_diagnostics, raw=True)
         self.begin()
 
@@ -392,6 +393,8 @@ class TrajectoryGenerator(LoopNode):
             self._recorder_heard_s = time.monotonic()
 
     def _every_second(self) -> None:
+        if self._waits_for_recorder and self.links_open and math.isinf(self._recorder_heard_s):
+            self._recorder_heard_s = time.monotonic()  # it was there: it may die unheard
         silent = time.monotonic() - self._recorder_heard_s
         self.warnings_active.put("recorder", "" if silent <= RECORDER_SILENT_S else
                                  f"nothing is heard of the recorder for {silent:.0f} s: this is "

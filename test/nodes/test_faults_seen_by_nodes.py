@@ -85,6 +85,23 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
     assert node.counters["inputs_lost"] == 1
 
 
+def test_a_recorder_that_dies_before_it_said_anything_is_missed(make, monkeypatch):
+    """In one of 1002 faults nobody said that nothing was recorded."""
+    now = [100.0]
+    monkeypatch.setattr(base.time, "monotonic", lambda: now[0])
+    node = make(TrajectoryGenerator, wait_for_recorder=True)
+    seen = []
+    for second in range(1, 15):
+        now[0] = 100.0 + second
+        if second == 5:
+            node._opening.cancel()  # as it does when the recorder's subscriptions are there
+        if second == 12:
+            node._on_diagnostics(b"/stage/recorder\0")
+        node._every_second()
+        seen.append("recorder" in node.warnings_active)
+    assert seen == [second in (8, 9, 10, 11) for second in range(1, 15)]
+
+
 def test_nodes_of_one_name_say_so_and_one_that_was_killed_does_not_count(make, monkeypatch):
     first, second = make(EncoderDriver), make(EncoderDriver)
     deadline = time.monotonic() + 10.0
