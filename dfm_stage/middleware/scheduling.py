@@ -8,6 +8,7 @@ from pathlib import Path
 
 _SELF = Path("/proc/self")
 LOOP_PRIORITY = 20
+"""SCHED_RR priority of the nodes of the loop, where no other is set."""
 _THREADS = "dds."
 """What the names of Fast DDS's threads begin with. They run at least at the priority of the loop,
 also those of a recorder below it: one that could not empty its socket was sent everything again,

@@ -85,7 +85,7 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
     assert node.counters["inputs_lost"] == 1
 
 
-def test_a_recorder_that_dies_before_it_said_anything_is_missed(make, monkeypatch):
+def test_a_recorder_that_dies_before_it_said_anything_is_reported(make, monkeypatch):
     """In one of 1002 faults nobody said that nothing was recorded."""
     now = [100.0]
     monkeypatch.setattr(base.time, "monotonic", lambda: now[0])
