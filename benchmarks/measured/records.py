@@ -60,7 +60,7 @@ class MeasuredRecord:
         """The first of the folders' subfolders that holds all files of the record, or None."""
         for folder in folders:
             found = folder / (self.folder or self.name)
-            if all((found / Path(file).name).is_file() for file in self.files):
+            if all((found / own_name(file)).is_file() for file in self.files):
                 return found
         return None
 
@@ -72,8 +72,17 @@ class MeasuredRecord:
     @property
     def how_to_get(self) -> str:
         """One line: what to put where."""
-        names = ", ".join(Path(file).name for file in self.files)
+        names = ", ".join(file if AS in file else own_name(file) for file in self.files)
         return f"put {names} of {self.source} into DIR/{self.folder or self.name}"
+
+
+AS = " as "
+"""Between the path of a file at its source and another name for the reader's own copy."""
+
+
+def own_name(file: str) -> str:
+    """The name of the reader's own copy of a file."""
+    return Path(file.rpartition(AS)[2]).name
 
 
 def load_records(table: Path = TABLE) -> dict[str, MeasuredRecord]:

@@ -165,9 +165,19 @@ def geared_motor(folder: Path) -> dict[str, Columns]:
             for part, cut in (("first", slice(0, 3361)), ("last", slice(3361, None)))}
 
 
+def torque_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle, velocity, torque. The angle jumps nowhere; the velocity, which the
+    motor reports, is left out. The time stamps are those of the logger."""
+    parts = {}
+    for name in ("energy_shaping", "sac"):
+        data = np.loadtxt(folder / f"{name}.csv", delimiter=",", skiprows=1)
+        parts[name] = {"time_s": data[:, 0], "input_Nm": data[:, 3], "position_rad": data[:, 1]}
+    return parts
+
+
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
     silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
-    aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor)}
+    aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:
