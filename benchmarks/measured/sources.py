@@ -175,9 +175,18 @@ def torque_pendulum(folder: Path) -> dict[str, Columns]:
     return parts
 
 
+def swing_up(folder: Path) -> dict[str, Columns]:
+    """The first seconds of both: swing-ups, before the pendulum is pushed by hand."""
+    ends = {"energy_shaping": 5.0, "sac": 15.0}
+    return {part: {name: values[columns["time_s"] < ends[part]]
+                   for name, values in columns.items()}
+            for part, columns in torque_pendulum(folder).items()}
+
+
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
     silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
-    aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum)}
+    aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
+    swing_up)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:
