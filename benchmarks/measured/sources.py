@@ -176,7 +176,7 @@ def torque_pendulum(folder: Path) -> dict[str, Columns]:
 
 
 def swing_up(folder: Path) -> dict[str, Columns]:
-    """The first seconds of both: swing-ups, before the pendulum is pushed by hand."""
+    """The first seconds of both: swing-ups, before the pendulum is pushed."""
     ends = {"energy_shaping": 5.0, "sac": 15.0}
     return {part: {name: values[columns["time_s"] < ends[part]]
                    for name, values in columns.items()}

@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.decisions import (
     MARGIN_OVER_LARGER,
     PARTIAL_SHARE,
 )
+from dfm_stage.diagnosis.effect_fits import base_inside, inside
 from dfm_stage.diagnosis.evidence import Evidence, Heard
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.gather import gather, with_witness
@@ -77,16 +78,20 @@ def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:
 def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Sequence[str],
              split: bool) -> tuple[Hypothesis, Evidence] | None:
     """The hypothesis that the force domain bears out, with its evidence: sizes as it has them, all
-    else fitted to the motion. None where that does not lower the held-out gap."""
+    else fitted to the motion. None where that does not lower the held-out gap, or where the forces
+    balance with a mass below zero only: then the acceleration is noise beside the other forces."""
     search, names = trial.search, tuple(heard.added)
     search.step(f"fitting {' and '.join(names)}, which the force domain names")
     trial.held_weights = weights_like(trial.held, search.weights)
-    model = bare.model.with_parameters({n: heard.start[n] for n in search.free
-                                        if n in heard.start and n in bare.model.base})
+    start = {n: heard.start[n] for n in search.free if n in heard.start and n in bare.model.base}
+    base = base_inside(bare.model, start)
+    if base.get("mass") != start.get("mass"):
+        return None
+    model = bare.model.with_parameters(base)
     for name in names:
-        model = model.with_effect(name, {
+        model = model.with_effect(name, inside(name, {
             p: heard.start.get(f"{name}.{p}", value)
-            for p, value in EFFECTS[name].defaults.items()})
+            for p, value in EFFECTS[name].defaults.items()}))
     free = [n for n in search.parameters(model) if n not in heard.sizes]
     found = fit(model, search.runs, free, search.weights, earlier=bare.locals, noise=search.noise)
     if not found.ok:

@@ -160,8 +160,7 @@ class Fits:
     def _once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               base: Parameters) -> Fit:
         model, later = self._with(start.model, names, hits)
-        given = {n: min(max(v, model.parameter(n).low), model.parameter(n).high)
-                 for n, v in base.items() if n in self.free}
+        given = base_inside(model, {n: v for n, v in base.items() if n in self.free})
         if given:
             other = model.with_parameters(given)
             if self._fit(other, (), start, iterations=0).chi2 < self._fit(
@@ -242,7 +241,7 @@ class Fits:
                 model = model.without_effect(use.name)
         later: list[str] = []
         for hit in hits:
-            model = model.with_effect(hit.name, _inside(hit.name, hit.parameters))
+            model = model.with_effect(hit.name, inside(hit.name, hit.parameters))
             later += [f"{hit.name}.{n}" for n in EFFECTS[hit.name].freed_last]
         return model, later
 
@@ -327,7 +326,13 @@ def first_weights(found: Fit) -> Weights:
     return weights(found.residuals)
 
 
-def _inside(name: str, parameters: dict[str, float]) -> dict[str, float]:
+def base_inside(model: Model, values: Parameters) -> Parameters:
+    """Base parameters moved inside their limits: forces balance without knowing these."""
+    return {n: min(max(v, model.parameter(n).low), model.parameter(n).high)
+            for n, v in values.items()}
+
+
+def inside(name: str, parameters: dict[str, float]) -> dict[str, float]:
     """Parameters moved inside their limits."""
     limits = {p.name: p for p in EFFECTS[name].parameters}
     return {n: min(max(v, limits[n].low), limits[n].high) for n, v in parameters.items()}

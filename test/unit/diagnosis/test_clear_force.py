@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,15 @@ def test_what_makes_the_held_out_motion_worse_is_not_taken(trial):
                   clear_force(trial.witness).sizes,
                   {"cubic_stiffness.k3": -4e10})
     assert by_force(trial, trial.search.begin(), trial.witness, wrong, (), split=False) is None
+
+
+@pytest.mark.parametrize(("name", "value"), [("damping", -0.5), ("mass", -0.1)])
+def test_forces_that_balance_outside_the_limits_give_no_stage_and_no_error(trial, name, value):
+    old = trial.search
+    own = Trial(Search(old.model, old.runs, ("damping", "mass"), library=old.library), trial.held)
+    heard = clear_force(trial.witness)
+    outside = replace(heard, start={**heard.start, name: value})
+    assert by_force(own, own.search.begin(), trial.witness, outside, (), split=False) is None
 
 
 def test_most_of_a_part_is_told_as_a_part(trial):

@@ -52,3 +52,13 @@ def test_a_record_is_found_only_where_all_of_its_files_are(tmp_path: Path):
     assert record.where([tmp_path]) is None
     (folder / "holdout.npz").touch()
     assert record.where([tmp_path / "elsewhere", tmp_path]) == folder
+
+
+def test_a_file_may_have_another_name_in_the_readers_copy(tmp_path):
+    record = load_records()["torque_pendulum"]
+    assert record.where([tmp_path]) is None
+    assert "data_measured.csv as sac.csv" in record.how_to_get
+    (tmp_path / "torque_pendulum").mkdir()
+    for name in ("energy_shaping.csv", "sac.csv"):
+        (tmp_path / "torque_pendulum" / name).touch()
+    assert record.where([tmp_path]) == tmp_path / "torque_pendulum"
