@@ -166,8 +166,8 @@ def geared_motor(folder: Path) -> dict[str, Columns]:
 
 
 def torque_pendulum(folder: Path) -> dict[str, Columns]:
-    """Columns: time, angle, velocity, torque. The angle jumps nowhere; the velocity, which the
-    motor reports, is left out. The time stamps are those of the logger."""
+    """Columns: time, angle, velocity, torque. The velocity, which the motor reports, is left out;
+    the time stamps are those of the logger."""
     parts = {}
     for name in ("energy_shaping", "sac"):
         data = np.loadtxt(folder / f"{name}.csv", delimiter=",", skiprows=1)

@@ -20,7 +20,7 @@ from dfm_stage.diagnosis.decisions import (
     MARGIN_OVER_LARGER,
     PARTIAL_SHARE,
 )
-from dfm_stage.diagnosis.effect_fits import base_inside, inside
+from dfm_stage.diagnosis.effect_fits import inside
 from dfm_stage.diagnosis.evidence import Evidence, Heard
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.gather import gather, with_witness
@@ -78,16 +78,21 @@ def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:
 def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Sequence[str],
              split: bool) -> tuple[Hypothesis, Evidence] | None:
     """The hypothesis that the force domain bears out, with its evidence: sizes as it has them, all
-    else fitted to the motion. None where that does not lower the held-out gap, or where the forces
-    balance with a mass below zero only: then the acceleration is noise beside the other forces."""
+    else fitted to the motion, begun from what the forces say of it, or as given where that is
+    outside its limits.
+
+    None where that does not lower the held-out gap, or where the forces balance only with a mass
+    outside its limits: then no size beside it is to be believed.
+    """
     search, names = trial.search, tuple(heard.added)
     search.step(f"fitting {' and '.join(names)}, which the force domain names")
     trial.held_weights = weights_like(trial.held, search.weights)
     start = {n: heard.start[n] for n in search.free if n in heard.start and n in bare.model.base}
-    base = base_inside(bare.model, start)
-    if base.get("mass") != start.get("mass"):
+    outside = [n for n, v in start.items()
+               if not bare.model.parameter(n).low <= v <= bare.model.parameter(n).high]
+    if "mass" in outside:
         return None
-    model = bare.model.with_parameters(base)
+    model = bare.model.with_parameters({**start, **{n: search.model.base[n] for n in outside}})
     for name in names:
         model = model.with_effect(name, inside(name, {
             p: heard.start.get(f"{name}.{p}", value)

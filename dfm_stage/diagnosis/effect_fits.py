@@ -160,7 +160,8 @@ class Fits:
     def _once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               base: Parameters) -> Fit:
         model, later = self._with(start.model, names, hits)
-        given = base_inside(model, {n: v for n, v in base.items() if n in self.free})
+        given = {n: min(max(v, model.parameter(n).low), model.parameter(n).high)
+                 for n, v in base.items() if n in self.free}
         if given:
             other = model.with_parameters(given)
             if self._fit(other, (), start, iterations=0).chi2 < self._fit(
@@ -324,12 +325,6 @@ def first_weights(found: Fit) -> Weights:
     velocity."""
     weights = velocity_weights if found.system.drifts else white_weights
     return weights(found.residuals)
-
-
-def base_inside(model: Model, values: Parameters) -> Parameters:
-    """Base parameters moved inside their limits: forces balance without knowing these."""
-    return {n: min(max(v, model.parameter(n).low), model.parameter(n).high)
-            for n, v in values.items()}
 
 
 def inside(name: str, parameters: dict[str, float]) -> dict[str, float]:

@@ -125,13 +125,24 @@ def test_what_makes_the_held_out_motion_worse_is_not_taken(trial):
     assert by_force(trial, trial.search.begin(), trial.witness, wrong, (), split=False) is None
 
 
-@pytest.mark.parametrize(("name", "value"), [("damping", -0.5), ("mass", -0.1)])
-def test_forces_that_balance_outside_the_limits_give_no_stage_and_no_error(trial, name, value):
-    old = trial.search
-    own = Trial(Search(old.model, old.runs, ("damping", "mass"), library=old.library), trial.held)
+def test_a_fit_begins_at_the_given_damping_where_forces_balance_below_zero(trial):
     heard = clear_force(trial.witness)
-    outside = replace(heard, start={**heard.start, name: value})
-    assert by_force(own, own.search.begin(), trial.witness, outside, (), split=False) is None
+    below = replace(heard, start={**heard.start, "damping": -0.5})
+    found, plain = (by_force(trial, trial.search.begin(), trial.witness, each, (), split=False)
+                    for each in (below, heard))
+    assert found[0].fit.rms == pytest.approx(plain[0].fit.rms, rel=1e-3)
+    assert found[0].fit.model.base["damping"] == pytest.approx(
+        plain[0].fit.model.base["damping"], rel=1e-2)
+
+
+def test_forces_that_balance_with_a_mass_below_zero_name_nothing(trial):
+    old, heard = trial.search, clear_force(trial.witness)
+    own = Trial(Search(old.model, old.runs, ("damping", "mass"), library=old.library), trial.held)
+    below, plain = (by_force(own, own.search.begin(), trial.witness, replace(
+        heard, start={**heard.start, "mass": mass}), (), split=False)
+        for mass in (-0.1, old.model.base["mass"]))
+    assert below is None
+    assert plain is not None
 
 
 def test_most_of_a_part_is_told_as_a_part(trial):
