@@ -183,10 +183,32 @@ def swing_up(folder: Path) -> dict[str, Columns]:
             for part, columns in torque_pendulum(folder).items()}
 
 
+def _ecp(folder: Path, name: str) -> dict[str, Columns]:
+    """Columns: sample, time, wanted position, encoders, command. Times are rounded to a
+    millisecond, so that the period is that of all of them."""
+    parts = {}
+    for number in range(1, 6):
+        text = (folder / f"{name}_test{number}.csv").read_text("utf-8").split("[", 1)[1]
+        data = np.array([line.split() for line in text.split("]")[0].split(";")], float)
+        parts[f"test_{number}"] = _timed(float(data[-1, 1]) / (len(data) - 1),
+                                         input_v=data[:, -1], position_m=1e-6 * data[:, 3])
+    return parts
+
+
+def two_masses(folder: Path) -> dict[str, Columns]:
+    """The driven carriage; the second encoder is left out."""
+    return _ecp(folder, "DOF2_en12_input1")
+
+
+def one_mass(folder: Path) -> dict[str, Columns]:
+    """The driven carriage, the other one held."""
+    return _ecp(folder, "DOF1_en1_input1")
+
+
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
     silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
     aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
-    swing_up)}
+    swing_up, two_masses, one_mass)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:
