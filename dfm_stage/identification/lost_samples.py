@@ -7,6 +7,7 @@ are put in; a spike of the reading and a push on the stage are explained otherwi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +36,9 @@ SINGLE = 0.3
 """Share of what several errors must come to that one of them has at least: of six, 0.41."""
 OUTLYING = 5.0
 """Standard deviations from which an error is left out of a fit."""
+MOVING = 0.1
+"""Way within ORDER samples over its RMS, from which the stage moves: a reading that rests at one
+count is predicted without error, and would make a step of one count look like a loss."""
 ROBUST = 0.6745
 """Median over standard deviation of the size of a normal variable."""
 
@@ -104,11 +108,13 @@ class _Predictor:
     def of(cls, u: Array, y: Array) -> _Predictor | None:
         """Fitted twice, the second time without what stands out."""
         rows, target = _rows(u, y), y[ORDER:]
+        way = np.abs(target - y[:-ORDER])
+        moving = way > MOVING * math.sqrt(float(np.mean(way**2)))
         kept = np.ones(target.size, bool)
         for _ in range(3):
             solved = np.asarray(np.linalg.lstsq(rows[kept], target[kept], rcond=1e-12)[0], float)
             left = target - rows @ solved
-            spread = float(np.median(np.abs(left))) / ROBUST
+            spread = float(np.median(np.abs(left[moving]))) / ROBUST
             kept = np.abs(left) < OUTLYING * spread
             if not spread > 0.0 or np.count_nonzero(kept) < rows.shape[1]:
                 return None

@@ -101,3 +101,23 @@ def test_three_samples_in_a_row_are_found():
 def test_a_record_at_rest_or_too_short_shows_nothing():
     assert find_lost(np.zeros(500), np.zeros(500)) == []
     assert find_lost(np.arange(50.0), np.arange(50.0)) == []
+
+
+def test_a_stage_that_friction_brings_to_rest_lacks_nothing():
+    """A step there and back of a spring with dry friction, in closed form, that creeps by a count
+    where it comes to rest, read in whole counts."""
+    period, friction, omega = 8.85e-3, 30.0, 2.0 * np.pi * 1.7
+    time, place, parts = period * np.arange(339), 0.0, []
+    for target in (-300.0, 0.0):
+        away, begin, path = place - target, 0.0, np.full(time.size, np.nan)
+        while abs(away) > friction:     # half a swing about a centre that friction moves
+            centre = np.sign(away) * friction
+            swing = (time >= begin) & (time < begin + np.pi / omega)
+            path[swing] = target + centre + (away - centre) * np.cos(omega * (time - begin)[swing])
+            away, begin = 2.0 * centre - away, begin + np.pi / omega
+        place = target + away
+        crept = 1.2 * (1.0 - np.exp((begin - time) / 0.05))
+        path[np.isnan(path)] = (place + crept)[np.isnan(path)]
+        parts.append(path)
+    feed = np.repeat([0.5, 0.0], time.size)
+    assert find_lost(feed, np.round(np.concatenate(parts))) == []
