@@ -6,10 +6,12 @@ import importlib.util
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from dfm_stage.diagnosis import verification
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import observe
@@ -48,6 +50,26 @@ def test_a_true_model_predicts_to_the_noise_and_a_poor_one_does_not(runs):
     assert good.rms == pytest.approx(truth.NOISE, rel=0.03)
     assert good.chi2 == pytest.approx(good.count, rel=0.05)
     assert poor.rms > 3.0 * good.rms
+
+
+@pytest.mark.parametrize(("again", "expected"), [(30.0, 30.0), (900.0, 600.0)])
+def test_what_is_left_is_looked_for_where_a_weighted_fit_leaves_less(monkeypatch, again, expected):
+    """By states from nothing a search ends at 600; by those of the weighted fit, which leaves 20,
+    it need not."""
+    begun = []
+
+    def found(*_, earlier=None, **__):
+        begun.append(earlier)
+        rms = 600.0 if earlier is None else again
+        return SimpleNamespace(ok=True, rms=rms, chi2=rms**2)
+
+    monkeypatch.setattr(verification, "fit", found)
+    coloured = Weight(np.array([1.0, -0.9]), 1.0, "residuals")
+    weighted = SimpleNamespace(ok=True, rms=20.0, locals={("initial.velocity", 0): 3.0})
+    run = observe(truth.record(truth.scan(), truth.move(truth.scan()), 0), MODEL)
+    nearest = verification.nearest_to(MODEL, [run], ((coloured,),), 0.0, weighted)
+    assert begun == [None, weighted.locals]
+    assert nearest.rms == expected
 
 
 def test_a_model_that_cannot_be_simulated_predicts_nothing(runs):
