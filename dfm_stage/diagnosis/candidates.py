@@ -14,6 +14,9 @@ from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import Parameters
 
+FREQUENCY = "frequency"
+"""Parameter of what oscillates: a vibration, a mode."""
+
 
 def excluded(name: str, model: Model, at: Conditions) -> str | None:
     """Why an effect cannot be a candidate here, or None where it can."""
@@ -41,14 +44,18 @@ def starts(name: str, at: Conditions) -> list[Parameters]:
 
 def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
     """Cycles that a sine makes in the longest run, or over the widest motion of one; infinite for
-    other effects."""
+    other effects. Where nothing drives the stage, those that tell a vibration or a second mode
+    from the stage's own motion: the beats between them."""
     wave = EFFECTS[name].wave
-    if wave is None:
+    free = FREQUENCY in EFFECTS[name].defaults and not any(r.driven for r in runs)
+    if wave is None and not free:
         return math.inf
-    value = model.parameters()[f"{name}.{wave.parameter}"]
-    if wave.over == "time":
-        return value * max(r.input.size * r.sample_period for r in runs)
-    return max(float(np.ptp(r.output)) for r in runs) / max(value, 1e-300)
+    value = model.parameters()[f"{name}.{FREQUENCY if wave is None else wave.parameter}"]
+    if wave is not None and wave.over == "position":
+        return max(float(np.ptp(r.output)) for r in runs) / max(value, 1e-300)
+    own = math.sqrt(model.base.get("stiffness", 0.0) / model.base["mass"]) / (2.0 * math.pi) \
+        if free else 0.0
+    return abs(value - own) * max(r.input.size * r.sample_period for r in runs)
 
 
 def late_splits(model: Model, free: tuple[str, ...]) -> list[Parameters]:

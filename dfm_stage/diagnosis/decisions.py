@@ -47,7 +47,8 @@ GROSS_GAP = decision(
     set_on=MOTOR_BENCH)
 BASE_AT_ZERO = decision(
     "BASE_AT_ZERO", 1e-9, "1", meaning="Damping, stiffness or force constant below this share of "
-    "the given value is at zero: no such stage.",
+    "the given value is at zero: of the latter two, no such stage; of damping, effects are told "
+    "as a part.",
     set_on=_KEPT.format("no gross gap is named with the stage's damping at nothing"))
 PRESLIDING_DISTANCE = decision(
     "PRESLIDING_DISTANCE", 3.0, "1", meaning="Pre-sliding distance over the noise below which "
@@ -109,6 +110,10 @@ BLOCK_MARGIN = decision(
     "BLOCK_MARGIN", 3.0, "block standard errors", meaning="By this much held-out blocks must be "
     "worse without an effect, and with a rival in its place, which joins the class otherwise.",
     set_on=REAL)
+SAYS_NOTHING = decision(
+    "SAYS_NOTHING", 0.1, "1", meaning="Power of the difference between two predictions of a "
+    "block, over what the better one leaves of it, below which the block does not part them.",
+    set_on="derivation: their powers then differ by a factor of two at most, and by chance")
 NAMED_SHARE = decision(
     "NAMED_SHARE", 0.95, "1", meaning="Share of the predictable held-out gap from which effects "
     "that leave a remainder are named; of what is left, what a further effect takes that may be "

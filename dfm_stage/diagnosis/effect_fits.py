@@ -73,7 +73,8 @@ class Fits:
 
     def conditions(self, model: Model) -> Conditions:
         """Sizes that occur in the fitted runs."""
-        return Conditions.of(model.base, model.drive, self.runs, self.noise)
+        return Conditions.of(model.base, model.drive, self.runs, self.noise,
+                             model.position_unit)
 
     def begin(self) -> Fit:
         """Fit the model as it is; sets the first weights."""
@@ -142,7 +143,9 @@ class Fits:
                 break
             again = self._from(model, names, start, hits, worth, others_first)
             found = min(found, again, key=lambda f: f.chi2)
-        return self.keep(names, found)
+        return self.keep(names, self._no_worse(found, names, hits, lambda fewer, weaker:
+                                               self._from(fewer.model, names, fewer, weaker,
+                                                          worth)))
 
     def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),
              base: Parameters | None = None) -> Fit:
@@ -154,8 +157,9 @@ class Fits:
         key = frozenset(names), self.weighing
         if key in self.fits:
             return self.fits[key]
-        return self.keep(names, self._weaker(
-            hits, lambda weaker: self._once(names, start, weaker, base or {})))
+        found = self._weaker(hits, lambda weaker: self._once(names, start, weaker, base or {}))
+        return self.keep(names, self._no_worse(
+            found, names, hits, lambda fewer, weaker: self._once(names, fewer, weaker, {})))
 
     def _once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               base: Parameters) -> Fit:
@@ -178,9 +182,28 @@ class Fits:
         for _ in range(HALVINGS):
             if found.ok or not hits or self.steps > self.most_steps:
                 break
-            hits = [Hit.at(h.name, {n: 0.5 * v if n in EFFECTS[h.name].sizes else v
-                                    for n, v in h.parameters.items()}) for h in hits]
+            hits = [_halved(h) for h in hits]
             found = begin(hits)
+        return found
+
+    def _no_worse(self, found: Fit, names: Sequence[str], hits: Sequence[Hit],
+                  begin: Callable[[Fit, Sequence[Hit]], Fit]) -> Fit:
+        """`found`, or where a fit with fewer effects is better, which a minimum cannot be worse
+        than, one that begins there with the others at half their sizes or less: begun at the size
+        that a linear screen promises, a fit may end in a far minimum."""
+        fewer = min((f for (known, weighing), f in self.fits.items() if f.ok
+                     and weighing == self.weighing and known < frozenset(names)),
+                    key=lambda f: f.chi2, default=found)
+        where = {h.name: h.parameters for h in hits}
+        new = [Hit.at(use.name, where.get(use.name, use.parameters))
+               for use in found.model.effects if fewer.model.effect(use.name) is None]
+        for _ in range(HALVINGS):
+            if (found.ok and found.chi2 < fewer.chi2 + PER_PARAMETER) or not new \
+                    or self.steps > self.most_steps:
+                break
+            new = [_halved(hit) for hit in new]
+            again = begin(fewer, new)
+            found = min(found, again, key=lambda f: f.chi2 if f.ok else math.inf)
         return found
 
     def settled(self, names: Sequence[str], found: Fit) -> Fit:
@@ -325,6 +348,12 @@ def first_weights(found: Fit) -> Weights:
     velocity."""
     weights = velocity_weights if found.system.drifts else white_weights
     return weights(found.residuals)
+
+
+def _halved(hit: Hit) -> Hit:
+    """An effect to begin with at half its size."""
+    return Hit.at(hit.name, {n: 0.5 * v if n in EFFECTS[hit.name].sizes else v
+                             for n, v in hit.parameters.items()})
 
 
 def inside(name: str, parameters: dict[str, float]) -> dict[str, float]:

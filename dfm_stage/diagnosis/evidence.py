@@ -76,7 +76,8 @@ class RivalEvidence:
 
     `distance_over_noise` is the length within which it yields, for an effect that has one.
     `margin` is by how much it loses on held-out blocks, in block standard errors; `related` says
-    that the library has both in one class, `larger` that it has more parameters.
+    that the library has both in one class, `larger` that it has more parameters, `finished` that
+    there was work enough for its fit.
     """
 
     name: str
@@ -87,6 +88,7 @@ class RivalEvidence:
     margin: float = math.inf
     related: bool = True
     larger: bool = False
+    finished: bool = True
 
 
 @dataclass(frozen=True)

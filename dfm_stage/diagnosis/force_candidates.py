@@ -15,7 +15,7 @@ from dfm_stage.diagnosis.candidates import excluded, starts
 from dfm_stage.diagnosis.decisions import BLOCKS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_domain import Terms, not_judged
-from dfm_stage.diagnosis.force_setting import SHORTEST_KEPT, Setting, least_squares
+from dfm_stage.diagnosis.force_setting import FEWEST, SHORTEST_KEPT, Setting, least_squares
 from dfm_stage.diagnosis.spectra import frequency_peaks
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
@@ -23,8 +23,6 @@ from dfm_stage.model.effect import Parameters
 
 REFINED = 3
 """Times that the starting points next to the best one are brought closer to it."""
-FEWEST = 6
-"""Blocks without which there is no standard error."""
 UNSEEN = 1e-4
 """Share of a term that the base parameters must leave for it to be seen."""
 GRID = 20
@@ -105,7 +103,8 @@ class Candidates:
         """Sizes in the runs, and the lines of the missing force."""
         runs = self.setting.runs
         at = Conditions.of(self.model.base, self.model.drive, [run.run for run in runs],
-                           math.sqrt(max(run.noise for run in runs)))
+                           math.sqrt(max(run.noise for run in runs)),
+                           self.model.position_unit)
         ends = np.cumsum([run.kept.size for run in runs])[:-1]
         stride = int(np.median(np.diff(runs[0].kept)))
         lines = frequency_peaks([np.asarray(p) for p in np.split(self.missing, ends)],
@@ -216,7 +215,8 @@ class Fits:
                 self.first + next((m.target for m in members if m.target), 0))
 
     def fit(self, members: tuple[Candidate, ...]) -> Fitted | None:
-        """None where a size comes out on the wrong side of zero, or two are not free."""
+        """None where a size or the mass comes out on the wrong side of zero, or two are not
+        free."""
         if sum(m.target > 0 for m in members) > 1:
             return None
         columns, target = self.place(members)
@@ -226,7 +226,20 @@ class Fits:
             if m.wrong_sign(solution.coefficients[at:at + len(m.columns)]):
                 return None
             at += len(m.columns)
+        if "mass" in self.candidates.setting.names and self.base_of(
+                members, solution.coefficients)[0] <= 0.0:
+            return None
         return Fitted(members, replace(solution, errors=solution.errors * _factor(members)))
+
+    def base_of(self, members: Sequence[Candidate], coefficients: Array) -> Array:
+        """Base parameters (k,) beside a set whose fit gave `coefficients`."""
+        candidates, at = self.candidates, self.first
+        _, target = self.place(members)
+        found = candidates.plain + coefficients[:at] + candidates.shadows[target - at]
+        for column in (c for m in members for c in m.columns):
+            found = found + coefficients[at] * candidates.shadows[column]
+            at += 1
+        return np.asarray(found)
 
     def black_box(self, members: Sequence[Candidate] = ()) -> Array:
         """Held-out errors (B,) of a black box, alone or beside effects."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dfm_stage.diagnosis.decisions import BLOCKS
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_domain import (
     EDGE,
+    STRIDE,
     WIDTHS,
     Linear,
     RunForces,
@@ -25,14 +26,14 @@ from dfm_stage.model.linear import linear_part
 
 SHORTEST_KEPT = 40
 """Kept samples of the shortest block."""
+FEWEST = 6
+"""Blocks without which there is no standard error."""
 NOISE_SHARE = 0.01
 """Share of the missing force's power that noise may make up: the narrowest filter that keeps
 below it is taken."""
 BIASED = 0.3
 """Noise of the acceleration over its RMS behind a filter that is wide enough: noise in a term
 lowers its coefficient by the square, and with the mass what is taken for noise."""
-LEAST_LEFT = 4.0
-"""Shortest record over an edge of the filter and a block."""
 EARLIEST, LATEST = -2.0, 4.0
 """Samples around the model's delay where the input's timing is looked for."""
 TIMED = 4
@@ -122,9 +123,9 @@ def least_squares(columns: Array, target: Array) -> Array:
     return np.asarray(np.linalg.lstsq(columns / norms, target, rcond=1e-12)[0] / norms)
 
 
-def settled(runs: Sequence[RunForces], model: Model) -> tuple[Setting, float,
-                                                             tuple[float, float]]:
-    """Find the filter and the timing that suit the records.
+def settled(runs: Sequence[RunForces], model: Model,
+            fitted: int) -> tuple[Setting, float, tuple[float, float]]:
+    """Find the filter and the timing that suit the records, of which so many are fitted.
 
     Also returns the share of the missing force's power that is noise, and the timing in samples
     with its standard error.
@@ -137,22 +138,25 @@ def settled(runs: Sequence[RunForces], model: Model) -> tuple[Setting, float,
     period = runs[0].run.sample_period
     timing = Timing(model.effective_base().get("delay", 0.0) + 0.5 * period,
                     linear_part(model).lag_s, True)
-    found, clear = _filtered(runs, model, timing)
+    mass = model.base["mass"]
+    found, clear = _filtered(runs, model, timing, fitted)
     if "late" not in found.names:
-        return found, _noise_share(found) if clear else 1.0, (timing.late / period, 0.0)
-    inertia = model.base["mass"] * float(np.std(found.columns[:, 0]))
+        return found, _noise_share(found, mass) if clear else 1.0, (timing.late / period, 0.0)
+    inertia = mass * float(np.std(found.columns[:, 0]))
     if float(np.std(found.target)) <= NO_FORCE * inertia:
         raise DiagnosisError("the input does next to nothing: a look at forces cannot use it")
     timing, error = _timed(found, model)
     found = setting(found.runs, model, timing)
-    return found, _noise_share(found) if clear else 1.0, (timing.late / period, error / period)
+    share = _noise_share(found, mass) if clear else 1.0
+    return found, share, (timing.late / period, error / period)
 
 
-def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing) -> tuple[Setting, bool]:
+def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing,
+              fitted: int) -> tuple[Setting, bool]:
     """The narrowest filter behind which noise is a small share of what is missing, and whether
     the acceleration stands out of the noise there."""
-    shortest = min(run.grid.size - run.run.skip for run in runs)
-    widths = [w for w in WIDTHS if shortest >= LEAST_LEFT * (EDGE * w + SHORTEST_KEPT)]
+    widths = [w for w in WIDTHS if all(_blocks(run, w) for run in runs)
+              and sum(_blocks(run, w) for run in runs[:fitted]) >= FEWEST]
     if not widths:
         raise DiagnosisError("the records are too short for a look at forces")
     biased = {w: max(run.noise_rms(run.grid.omega**2, w)
@@ -162,15 +166,24 @@ def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing) -> tuple[
     tried = []
     for width in usable or [min(widths, key=lambda w: biased[w])]:
         found = setting([run.at_width(width) for run in runs], model, timing)
-        tried.append((found, _noise_share(found)))
+        tried.append((found, _noise_share(found, model.base["mass"])))
         if tried[-1][1] < NOISE_SHARE:
             break
     return min(tried, key=lambda each: each[1])[0], bool(usable)
 
 
-def _noise_share(found: Setting) -> float:
+def _blocks(run: RunForces, width: float) -> int:
+    """How many of the shortest blocks a filter leaves of a run."""
+    left = run.grid.size - max(run.run.skip, EDGE * width) - EDGE * width
+    return int(max(left, 0.0) / max(int(STRIDE * width), 1)) // SHORTEST_KEPT
+
+
+def _noise_share(found: Setting, mass: float) -> float:
+    """Share of the missing force's power that noise makes up, by the fitted mass or the given
+    one, whichever is larger: beside a gross gap, the fitted one may come out near zero."""
     left = found.target - found.columns @ least_squares(found.columns, found.target)
-    noise = sum(run.kept.size * run.noise_rms(found.linear.operator(run.grid.omega), run.width)
+    linear = replace(found.linear, mass=max(found.linear.mass, mass))
+    noise = sum(run.kept.size * run.noise_rms(linear.operator(run.grid.omega), run.width)
                 ** 2 for run in found.runs) / max(left.size, 1)
     return min(noise / max(float(np.mean(left**2)), 1e-300), 1.0)
 

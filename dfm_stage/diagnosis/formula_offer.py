@@ -17,7 +17,7 @@ from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.formula_search import RESAMPLES, Found, Regression, search
 from dfm_stage.diagnosis.formula_terms import Over, formula_from
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.margins import margin, power, powers, score_by_blocks
+from dfm_stage.diagnosis.margins import margin_between, power, score_by_blocks
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import Verdict
@@ -128,18 +128,16 @@ def _pays(f: _Fitted, e: Evidence) -> bool:
     """Whether it takes enough of what is left of held-out records, on blocks beyond chance."""
     change, noise = e.judged.change, e.judged.noise_power
     before, after = (power(p.residuals, change) - noise for p in (f.proposal.without, f.left))
-    return before - after > OFFERED_SHARE * before and margin(
-        powers(f.proposal.without.residuals, change), powers(f.left.residuals, change)
-        ) > BLOCK_MARGIN
+    return before - after > OFFERED_SHARE * before and margin_between(
+        f.proposal.without.residuals, f.left.residuals, change) > BLOCK_MARGIN
 
 
 def _ranked(fits: Sequence[_Fitted], change: bool) -> list[_Fitted]:
     """The simplest of those that held-out blocks do not part from the best first; none that has
     more parameters than one that does as well."""
-    own = {id(f): powers(f.left.residuals, change) for f in fits}
 
     def level(f: _Fitted, other: _Fitted) -> bool:
-        return margin(own[id(f)], own[id(other)]) < BLOCK_MARGIN
+        return margin_between(f.left.residuals, other.left.residuals, change) < BLOCK_MARGIN
 
     kept = [f for f in fits if not any(
         level(g, f) and g.size < f.size for g in fits if g is not f)]

@@ -81,7 +81,7 @@ class Regression:
         DiagnosisError
             If the records tell nothing in the force domain.
         """
-        found, noise, _ = settled([RunForces(r, WIDTHS[0]) for r in runs], model)
+        found, noise, _ = settled([RunForces(r, WIDTHS[0]) for r in runs], model, len(runs))
         self.candidates = Candidates(found, model, len(runs), ())
         if noise >= SWAMPED:
             raise DiagnosisError("noise swamps the missing force")

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.alike import shares_class
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import AS_GIVEN, LEAST_HEARD, STEP_GRID
@@ -28,7 +27,13 @@ from dfm_stage.diagnosis.evidence import (
 )
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.margins import Signal, constancy, margin, power, powers, score_by_blocks
+from dfm_stage.diagnosis.margins import (
+    Signal,
+    constancy,
+    margin_between,
+    power,
+    score_by_blocks,
+)
 from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
@@ -74,7 +79,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
         ModelEvidence(_errors(fitted_given, judged), _errors(given, judged)),
         retuned, extended, tuple(effect_evidence(trial, h, name, extended.parameters, seen[2],
                                                  judged) for name in h.names),
-        base_shares={n: h.fit.model.base.get(n, 1.0) / abs(search.model.base[n])
+        base_shares={n: h.fit.model.base.get(n, 1.0) / search.model.base[n]
                      for n in ("damping", "stiffness", "force_constant")
                      if n in search.free and search.model.base.get(n, 0.0) != 0.0},
         offset=_offset(h.bare, search.library),
@@ -144,9 +149,10 @@ def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
 
 def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:
     """The effect with what the force domain says of it; there, a lag or delay of the actuator is
-    a nuisance that is fitted away."""
-    predictable = seen.predictable_share
-    if x.name not in alone or EFFECTS[x.name].late is not None or predictable < LEAST_HEARD:
+    a nuisance that is fitted away, and what is not proportional to its size is not known."""
+    predictable, effect = seen.predictable_share, EFFECTS[x.name]
+    if x.name not in alone or effect.late is not None or predictable < LEAST_HEARD \
+            or not effect.is_linear({n: q.value for n, q in x.parameters.items()}):
         return x
     lead = min((m for n, m in seen.margins.items() if not shares_class(n, x.name)),
                default=math.inf)
@@ -216,15 +222,14 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
     rest = tuple(n for n in h.names if n != name)
     without = search.fitted(rest, fit) if rest else h.bare
     missed = trial.predicted(without.model)
-    own = powers(seen.residuals, judged.change)
-    rivals = (_rival(trial, h, name, r, own, judged) for r in h.rivals.get(name, ()))
+    rivals = (_rival(trial, h, name, r, seen, judged) for r in h.rivals.get(name, ()))
     return EffectEvidence(
         name, _own(trial, h, name, values),
         ModelEvidence(Errors(without.rms, without.chi2, without.white.size,
                              power=power(without.residuals, judged.change)),
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
-        margin(powers(missed.residuals, judged.change), own),
+        margin_between(missed.residuals, seen.residuals, judged.change),
         constancy(fit, [f"{n}.{EFFECTS[n].sizes[0]}" for n in h.names]))
 
 
@@ -259,16 +264,17 @@ def _searched_to(trial: Trial, address: str, value: float) -> float:
     return STEP_GRID * value / travel
 
 
-def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Array,
+def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Prediction,
            judged: Judged) -> RivalEvidence:
     use = rival.fit.model.effect(rival.name)
     distance = math.inf if use is None else EFFECTS[rival.name].yields_within(use.parameters)
     seen = trial.predicted(rival.fit.model)
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
-                         margin(powers(seen.residuals, judged.change), own),
+                         margin_between(seen.residuals, own.residuals, judged.change),
                          shares_class(rival.name, name),
-                         len(rival.fit.system.free) > len(h.fit.system.free))
+                         len(rival.fit.system.free) > len(h.fit.system.free),
+                         rival.name not in trial.search.not_compared)
 
 
 def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:

@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
 from dfm_stage.arrays import Array, Lines
 from dfm_stage.diagnosis.blocks import Blocks, block_edges, by_size, log_ratio
@@ -21,6 +22,7 @@ from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     BLOCKS,
     LONG_BLOCKS,
+    SAYS_NOTHING,
     SHORTEST_BLOCK,
     SIZE_GROUPS,
     SIZES_APART,
@@ -62,17 +64,39 @@ def power(residuals: Sequence[Sequence[Array]], change: bool = False) -> float:
     return float(sum(s @ s for s in signals)) / max(sum(s.size for s in signals), 1)
 
 
-def margin(rival: Array, own: Array) -> float:
+def margin(rival: Array, own: Array, apart: Array | None = None) -> float:
     """By how many standard errors of the mean log ratio the blocks' powers (B,) of a rival exceed
-    one's own; infinite where the rival cannot be simulated, minus infinite where only it can."""
+    one's own; infinite where the rival cannot be simulated, minus infinite where only it can.
+
+    `apart` (B,) is the power of the difference between the two predictions. Blocks in which it is
+    small beside what both leave say nothing: they would make the mean of the others, and its
+    standard error, alike however much these say. Without them the margin is that of all blocks
+    whose Student's t is as unlikely.
+    """
     if not np.all(np.isfinite(rival)):
         return math.inf
     if not np.all(np.isfinite(own)):
         return -math.inf
+    every = own.size
+    if apart is not None:
+        tell = apart > SAYS_NOTHING * np.minimum(rival, own)
+        rival, own = rival[tell], own[tell]
     if own.size < 2:
         return 0.0
     mean, error = log_ratio(own, rival)
-    return mean / max(error, 1e-12)
+    found = mean / max(error, 1e-12)
+    if own.size == every:
+        return found
+    alike = -float(stdtrit(every - 1, stdtr(own.size - 1, -abs(found))))
+    return math.copysign(min(alike, abs(found)), found)
+
+
+def margin_between(rival: Sequence[Sequence[Array]], own: Sequence[Sequence[Array]],
+                   change: bool = False) -> float:
+    """The margin over a rival from what both leave of the same runs."""
+    apart = [[a[0] - b[0]] for a, b in zip(rival, own, strict=True)] if rival and own else None
+    return margin(powers(rival, change), powers(own, change),
+                  None if apart is None else powers(apart, change))
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,8 @@ def missing_force(runs: Sequence[Observation], model: Model,
     the records are too short, the input does nothing, or noise swamps what is missing.
     """
     try:
-        found, noise, _ = settled([RunForces(r, WIDTHS[0]) for r in (*runs, *held)], model)
+        found, noise, _ = settled([RunForces(r, WIDTHS[0]) for r in (*runs, *held)], model,
+                                  len(runs))
         candidates = Candidates(found, model, len(runs), ())
     except DiagnosisError:
         return None

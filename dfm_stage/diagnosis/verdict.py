@@ -215,7 +215,7 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
     explained = explained_share(e)
     kind: Kind = "unknown"
     if explained >= PARTIAL_SHARE and not _base_at_zero(e):
-        in_part = explained < NAMED_SHARE or bool(other_form(e))
+        in_part = explained < NAMED_SHARE or bool(other_form(e)) or _at_zero(e, "damping")
         kind = "partial" if in_part else "ambiguous" if undecided else "named"
     if kind == "unknown":
         return Verdict(kind, Reason.GRADED, rejected=tuple(_rejected(e, set())), remainder=True)
@@ -273,8 +273,10 @@ def _predictable(e: Evidence) -> float:
 
 
 def _graded_class(effect: EffectEvidence) -> tuple[str, ...]:
-    """The effect and the rivals that held-out blocks do not part from it."""
-    return (effect.name, *(r.name for r in effect.rivals if _level(r)))
+    """The effect and the rivals that held-out blocks do not part from it; of its kind, those too
+    whose fit was cut short."""
+    return (effect.name, *(r.name for r in effect.rivals
+                           if _level(r) or (r.related and not r.finished)))
 
 
 def _level(rival: RivalEvidence) -> bool:
@@ -380,8 +382,13 @@ def leaves_open(v: Verdict) -> bool:
 
 
 def _base_at_zero(e: Evidence) -> bool:
-    """Whether the fit pushed damping, stiffness or the actuator to nothing: no such stage."""
-    return any(share <= BASE_AT_ZERO for share in e.base_shares.values())
+    """Whether the fit pushed stiffness or the actuator to nothing: no such stage. Damping there
+    says that an effect takes more of it than it should."""
+    return _at_zero(e, "stiffness") or _at_zero(e, "force_constant")
+
+
+def _at_zero(e: Evidence, name: str) -> bool:
+    return e.base_shares.get(name, 1.0) <= BASE_AT_ZERO
 
 
 def _class(e: Evidence, effect: EffectEvidence) -> tuple[str, ...]:

@@ -137,7 +137,8 @@ def witness(runs: Sequence[Observation], model: Model, library: Sequence[str], *
     if any(run.order > 1 for run in (*runs, *held)):
         raise DiagnosisError("a look at forces needs a measured position or velocity: an "
                              "acceleration integrated twice drifts by its noise")
-    found, noise, late = settled([RunForces(run, WIDTHS[0]) for run in (*runs, *held)], model)
+    found, noise, late = settled([RunForces(run, WIDTHS[0]) for run in (*runs, *held)], model,
+                                 len(runs))
     fits = Fits(Candidates(found, model, len(runs), library))
     sets = _Sets.of(fits)
     alone, on_top = fits.black_box(), fits.black_box(sets.best.members)
@@ -146,7 +147,7 @@ def witness(runs: Sequence[Observation], model: Model, library: Sequence[str], *
             for e in (sets.best.solution.errors, alone, on_top)]
     figures = _Figures(fits, noise, min(left), "mass" in (
         default_free(model) if free is None else free))
-    wrong = {name: "its size comes out on the wrong side of zero"
+    wrong = {name: "its size, or the mass beside it, comes out on the wrong side of zero"
              for name in fits.candidates.points if name not in {s.names[0] for s in sets.singles}}
     return Witness(
         base=figures.explained(fits.bare),
@@ -261,14 +262,11 @@ class _Figures:
 
     def _values(self, found: Fitted, coefficients: Array) -> dict[str, float]:
         """Parameters by address from the coefficients of a fit."""
-        candidates, first = self.candidates, self.fits.first
-        _, target = self.fits.place(found.members)
-        base = candidates.plain + coefficients[:first] + candidates.shadows[target - first]
-        place, values = first, {}
+        candidates = self.candidates
+        base = self.fits.base_of(found.members, coefficients)
+        place, values = self.fits.first, {}
         for m in found.members:
             multiples = coefficients[place:place + len(m.columns)]
-            for multiple, column in zip(multiples, m.columns, strict=True):
-                base = base + multiple * candidates.shadows[column]
             place += len(m.columns)
             own = (EFFECTS[m.name].combined(m.directions, multiples) if m.columns
                    else m.directions[0])

@@ -127,3 +127,12 @@ class Run:
         if self.order:
             return float(np.std(self.motion(1)))
         return float(np.std(np.diff(self.output))) / self.sample_period
+
+    @cached_property
+    def speeds(self) -> tuple[float, float]:
+        """The velocities that a run may have begun with: those it had, and as wide a range on
+        either side. A beginning that is not compared and is soon forgotten would let a fit begin
+        anywhere, and a force that grows with speed be evaluated there."""
+        velocity = self.motion(1) if self.order else np.diff(self.output) / self.sample_period
+        low, high = float(np.min(velocity)), float(np.max(velocity))
+        return min(low - (high - low), 0.0), max(high + (high - low), 0.0)

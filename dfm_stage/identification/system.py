@@ -106,7 +106,8 @@ class System(Problem):
     @cached_property
     def at(self) -> Conditions:
         """Sizes that occur in the runs."""
-        return Conditions.of(self.model.base, self.model.drive, self.runs, self.noise)
+        return Conditions.of(self.model.base, self.model.drive, self.runs, self.noise,
+                             self.model.position_unit)
 
     @cached_property
     def light(self) -> Simulator:
@@ -153,9 +154,10 @@ class System(Problem):
                 moving = state.endswith("velocity")
                 first = known.get(state, 0.0) if self.springless and (
                     run.window or state == run.measures) else 0.0
+                low, high = run.speeds if state == "velocity" else (-math.inf, math.inf)
                 yield Unknown(at_window(f"initial.{state}", run, part), first,
                               (run.speed or 1e-9) if moving else run.travelled or 1e-9,
-                              unit=f"{unit}/s" if moving else unit, run=index,
+                              low, high, unit=f"{unit}/s" if moving else unit, run=index,
                               part=part if run.window else None)
         yield from self._offset(run, index)
         if self.push:

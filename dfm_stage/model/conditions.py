@@ -36,9 +36,8 @@ class Recorded(Protocol):
     def position(self) -> Array:
         """m, (N,): the output, or made from it"""
 
-    @property
-    def speed(self) -> float:
-        """RMS velocity, m/s"""
+    def motion(self, order: int) -> Array:
+        """The position's time derivative of some order, (N,)"""
 
     @property
     def other(self) -> Array | None:
@@ -61,10 +60,12 @@ class Recorded(Protocol):
 class Conditions:
     """Sizes that occur in some runs, the runs themselves, and the base of the model.
 
-    RMS motion (m) and speed (m/s), largest motion (m), RMS input (V or A) and force (N), the
-    longest run (s), a stiffness (N/m), noise (m RMS) and sample period (s). `drive_kind` is the
-    model's: voltage or current. `frequencies` (Hz), `periods` (m) and `steps` (m) are what
-    stands out in a residual: lines over time, patterns over position, steps of the reading.
+    RMS motion about its mean (m), RMS speed (m/s; a motor that never turns back has a mean),
+    largest motion (m), RMS input (V or A) and force (N) about their means, the longest run (s),
+    a stiffness (N/m), noise (m RMS) and sample period (s). `drive_kind` is the model's: voltage
+    or current, `angular` says that positions are angles in rad. `frequencies` (Hz), `periods` (m)
+    and `steps` (m) are what stands out in a residual: lines over time, patterns over position,
+    steps of the reading.
     """
 
     motion: float
@@ -79,6 +80,7 @@ class Conditions:
     base: Mapping[str, float]
     drive_kind: str
     runs: tuple[Recorded, ...] = ()
+    angular: bool = False
     frequencies: tuple[float, ...] = ()
     periods: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
@@ -90,15 +92,15 @@ class Conditions:
 
     @classmethod
     def of(cls, base: Mapping[str, float], drive_kind: str, runs: Sequence[Recorded],
-           noise: float) -> Conditions:
+           noise: float, position_unit: str = "m") -> Conditions:
         """Measure them on the run that moves most; `noise` is the RMS of its output's."""
         run = max(runs, key=lambda r: float(np.std(r.output)))
         noise *= float(np.std(run.position)) / max(float(np.std(run.output)), 1e-300) \
             if run.order else 1.0
         motion = max(float(np.std(run.position)), noise)
         smooth = np.convolve(run.output, np.ones(SMOOTHED) / SMOOTHED, "valid")
-        speed = max(run.speed if run.order else float(np.std(np.diff(smooth)))
-                    / run.sample_period, SLOWEST * motion)
+        velocity = run.motion(1) if run.order else np.diff(smooth) / run.sample_period
+        speed = max(math.sqrt(float(np.mean(velocity**2))), SLOWEST * motion)
         drive = float(np.std(run.input))
         gain = abs(base.get("force_constant", 1.0))
         natural = math.sqrt(base["mass"] * base.get("stiffness", 0.0))
@@ -106,4 +108,4 @@ class Conditions:
         force = max(gain * drive, SLOWEST * stiffness * motion, SLOWEST * natural * speed)
         return cls(motion, speed, float(np.ptp(run.position)), drive, force,
                    max(r.input.size * r.sample_period for r in runs), stiffness, noise,
-                   run.sample_period, base, drive_kind, tuple(runs))
+                   run.sample_period, base, drive_kind, tuple(runs), position_unit == "rad")

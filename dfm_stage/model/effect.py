@@ -357,6 +357,10 @@ class Effect:
             return dict(parameters)
         return {n: v * factor if n in self.sizes else v for n, v in parameters.items()}
 
+    def is_linear(self, values: Mapping[str, float]) -> bool:
+        """Whether the force is proportional to the size up to that of `values`."""
+        return True
+
     def directions(self, parameters: Parameters, at: Conditions) -> list[Parameters]:
         """Parameter sets whose responses span what the effect can do at any small size."""
         if self.wave is None:

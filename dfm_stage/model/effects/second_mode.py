@@ -79,9 +79,13 @@ class SecondMode(Effect):
                 for f, zeta in tried]
 
     def combined(self, directions: Sequence[Parameters], multiples: Array) -> Parameters:
-        """Beyond half of the motion the response is not nearly linear in the share."""
+        """Beyond half of the motion it is not nearly linear in the share."""
         found = super().combined(directions, multiples)
         return {**found, "share": min(max(found["share"], -LARGEST_SHARE), LARGEST_SHARE)}
+
+    def is_linear(self, values: Mapping[str, float]) -> bool:
+        """Whether it is of a smaller part than half."""
+        return abs(values["share"]) < LARGEST_SHARE
 
     def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
         """Beyond MOST_DAMPED there is no resonance, but creep or a lag."""
@@ -93,7 +97,7 @@ LEAST_SHARE = -1e6
 """Share at which the residues add up to a millionth of each: none, as far as a record shows."""
 LEAST_RATIO = LEAST_SHARE / (1.0 - LEAST_SHARE)
 SMALL_SHARE, LARGEST_SHARE = 1e-4, 0.5
-"""Share that is small, and the largest from which a search begins."""
+"""Share that is small, and the largest in which the response is nearly linear."""
 MOST_DAMPED = 0.5
 """Damping ratio up to which a mode is a resonance."""
 

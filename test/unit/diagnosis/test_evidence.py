@@ -35,12 +35,14 @@ _spec.loader.exec_module(truth)
 FEW = ("cubic_stiffness", "force_constant_droop", "quadratic_damping")
 
 
-def searched(extra=None, feed=None) -> tuple[Trial, Evidence, object]:
+def searched(extra=None, feed=None, sign=1.0) -> tuple[Trial, Evidence, object]:
+    """`sign` is that of the actuator's wires."""
     train, held = truth.multisine(1) if feed is None else feed, truth.scan()
-    runs = [observe(truth.record(u, truth.move(u, extra), seed), truth.believed(), None, name)
+    model = truth.believed()
+    model = model.with_parameters({"force_constant": sign * model.base["force_constant"]})
+    runs = [observe(truth.record(sign * u, truth.move(u, extra), seed), model, None, name)
             for u, seed, name in ((train, 11, "train"), (held, 12, "held"))]
-    search = Search(truth.believed(), runs[:1], ("damping", "stiffness", "force_constant"),
-                    library=FEW)
+    search = Search(model, runs[:1], ("damping", "stiffness", "force_constant"), library=FEW)
     trial = Trial(search, runs[1:])
     hypothesis = trial.run(*search.run())
     return trial, gather(trial, hypothesis, ["a warning"]), hypothesis
@@ -123,6 +125,11 @@ def test_the_numbers_gathered_are_those_of_the_records(cubic):
     assert e.base_shares.keys() == {"damping", "stiffness", "force_constant"}
     assert all(0.9 < share < 1.1 for share in e.base_shares.values())
     assert e.warnings == ("a warning",)
+
+
+def test_a_force_constant_below_zero_is_not_at_zero():
+    _, e, _ = searched(lambda x, v: -4e6 * x**3, sign=-1.0)
+    assert all(0.9 < share < 1.1 for share in e.base_shares.values())
 
 
 def test_the_floor_of_a_periodic_record_holds_no_remainder():

@@ -29,7 +29,8 @@ class OneFit:
     """A search whose fits are the names that were fitted."""
 
     def __init__(self, barred=()):
-        self.barred, self.noise, self.runs, self.said = set(barred), 0.0, [], []
+        self.barred, self.noise, self.said = set(barred), 0.0, []
+        self.runs = [SimpleNamespace(driven=True)]
         self.step = self.said.append
 
     def fitted(self, names, _):
@@ -81,7 +82,7 @@ def test_an_effect_at_its_bound_is_dropped():
 @pytest.mark.parametrize(("hertz", "kept"), [(0.085, ()), (0.25, ("periodic_disturbance",))])
 def test_a_vibration_of_less_than_two_cycles_is_a_wandering_reading(hertz, kept):
     search = OneFit()
-    search.runs = [SimpleNamespace(input=np.zeros(10_000), sample_period=1e-3)]
+    search.runs = [SimpleNamespace(input=np.zeros(10_000), sample_period=1e-3, driven=True)]
     model = SimpleNamespace(parameters=lambda: {"periodic_disturbance.frequency": hertz})
     fit = SimpleNamespace(model=model, quantities={})
     trial = Trial(search, [])

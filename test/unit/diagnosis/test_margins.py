@@ -102,6 +102,27 @@ def test_the_ratio_found_lies_within_its_errors_as_often_as_it_should():
     assert np.std(seen) == pytest.approx(math.sqrt(23.0 / 21.0), rel=0.06)  # Student's t
 
 
+def test_blocks_in_which_nothing_differs_say_nothing():
+    rng = np.random.default_rng(3)
+    own, apart = np.ones(24), np.zeros(24)
+    rival = np.exp(rng.normal(0.0, 0.01, 24))
+    rival[:5] *= 1e3  # an effect that acts in a fifth of the blocks, and is plain there
+    apart[:5] = rival[:5]
+    assert margin(rival, own) < 3.0
+    assert margin(rival, own, apart) > 5.0
+    assert margin(own, rival, apart) == pytest.approx(-margin(rival, own, apart))
+    assert margin(rival, own, np.zeros(24)) == 0.0
+
+
+@pytest.mark.parametrize("telling", [3, 6, 12])
+def test_few_blocks_err_no_more_often_than_all(telling):
+    rng = np.random.default_rng(4)
+    apart = np.where(np.arange(24) < telling, 1.0, 0.0)
+    seen = [margin(np.exp(rng.normal(0.0, 1.0, 24)), np.ones(24), apart) for _ in range(4000)]
+    wrong = 2.0 * stats.t.sf(2.0, 23)
+    assert np.mean(np.abs(seen) > 2.0) == pytest.approx(wrong, abs=3.5 * math.sqrt(wrong / 4000))
+
+
 def test_margins_of_what_cannot_be_simulated_and_of_one_block():
     finite, none = np.array([1.0, 2.0]), powers([])
     assert np.isinf(none).all()

@@ -142,6 +142,22 @@ def test_effects_of_an_encoder_are_no_candidates():
     assert excluded("cubic_stiffness", BELIEVED, at) is None
 
 
+def test_a_weight_is_looked_for_at_the_measured_angle_itself():
+    angle = 2.0 * np.sin(3.0 * PERIOD * np.arange(3000))
+    seen = observe(record(angle, angle, "position", 0), BELIEVED)
+    lengths = [{s["length"] for s in EFFECTS["gravity"].starts(Conditions.of(
+        BELIEVED.base, BELIEVED.drive, [seen], 0.0, unit))} for unit in ("m", "rad")]
+    assert 1.0 not in lengths[0]
+    assert lengths[1] == lengths[0] | {1.0}
+
+
+def test_speed_is_that_of_a_motor_that_never_turns_back():
+    speed = 100.0 + np.random.default_rng(0).standard_normal(3000)
+    seen = observe(record(speed, speed, "velocity", 0), BELIEVED)
+    assert Conditions.of(BELIEVED.base, BELIEVED.drive, [seen], 0.0).speed == pytest.approx(
+        100.0, rel=1e-3)
+
+
 def test_records_of_different_signals_are_refused(springs):
     feed, states = springs[0]
     records = [record(feed, states[:, k], what, k) for k, what in

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.observation import observe
+from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.identification.weights import Weight
 
@@ -59,3 +61,30 @@ def test_a_wider_search_knows_fits_that_came_to_their_end(search):
     wide.reweigh(search.weights, search.noise)
     assert wide.fitted(("cubic_stiffness",), bare) is cubic
     assert wide.fitted(("quadratic_damping",), bare) is not damping
+
+
+@pytest.mark.parametrize(("leaves", "sizes"), [
+    ({0.5: 90.0}, [0.5]), ({0.5: 500.0, 0.25: 500.0, 0.125: 500.0}, [0.5, 0.25, 0.125])])
+def test_a_fit_that_ends_above_one_with_fewer_effects_begins_again_there(search, leaves, sizes):
+    """Begun at the size that a linear screen promises, it ended at 400; without the second effect
+    200 were left."""
+    drag = {"coefficient": 8.0}
+
+    def found(chi2, *names):
+        model = truth.believed()
+        for name in names:
+            model = model.with_effect(name, drag if name == "quadratic_damping" else {"k3": 1.0})
+        return SimpleNamespace(ok=True, chi2=chi2, model=model)
+
+    fewer, far = found(200.0, "cubic_stiffness"), found(400.0, *search.library)
+    search.keep(("cubic_stiffness",), fewer)
+    begun = []
+
+    def begin(at, hits):
+        assert at is fewer
+        begun.append(hits[0].parameters["coefficient"] / drag["coefficient"])
+        return found(leaves[begun[-1]], *search.library)
+
+    best = search._no_worse(far, search.library, [Hit.at("quadratic_damping", drag)], begin)
+    assert begun == sizes
+    assert best.chi2 == min(400.0, *leaves.values())

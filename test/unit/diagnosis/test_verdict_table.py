@@ -237,7 +237,10 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "explains a part, with a rival level": (
         part(0.5, at(0.0)), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains most, with the damping at nothing": (
-        part(0.97, base_shares={"damping": 8e-10, "stiffness": 1.0}), "unknown", (),
+        part(0.97, base_shares={"damping": 8e-10, "stiffness": 1.0}), "partial",
+        ("coulomb_friction",), Reason.GRADED),
+    "explains most, with the stiffness at nothing": (
+        part(0.97, base_shares={"damping": 1.0, "stiffness": 8e-10}), "unknown", (),
         Reason.GRADED),
     "explains most, with next to no damping": (
         part(0.97, base_shares={"damping": 1.2e-9}), "named", ("coulomb_friction",),
@@ -401,6 +404,14 @@ def test_rivals_are_rejected_once_and_what_did_not_pass_says_so():
     (part(0.9, at(2.9), at(2.9)), DropReason.RIVALS)])
 def test_an_effect_falls_beside_a_remainder(evidence, reason):
     assert fallen(evidence) == (None if reason is None else ("coulomb_friction", reason))
+
+
+@pytest.mark.parametrize(("related", "finished", "joins"), [
+    (True, False, True), (True, True, False), (False, False, False)])
+def test_a_rival_of_its_kind_whose_fit_was_cut_short_joins_the_class(related, finished, joins):
+    e = part(0.97, replace(at(9.0), related=related, finished=finished))
+    members = ("coulomb_friction", "eddy_current_damping") if joins else ("coulomb_friction",)
+    assert verdict(e).effects[0].members == members
 
 
 @pytest.mark.parametrize(("share", "in_best", "falls"), [

@@ -12,11 +12,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dfm_stage.diagnosis import DiagnosisError
+from dfm_stage.diagnosis.force_candidates import Fits
 from dfm_stage.diagnosis.observation import Observation, in_windows
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.witness import witness
-from dfm_stage.model import EFFECTS, Simulator, load_model
+from dfm_stage.model import EFFECTS, Model, Simulator, load_model
+from dfm_stage.model.registry import ALL, library_of
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).parent / "truth.py")
@@ -164,6 +166,57 @@ def test_effects_of_the_library_come_first_in_their_class(name, parameters, alik
     assert min(m for n, m in found.margins.items() if n not in alike) > 3.0
     if name != "saturation":        # that less input leaves less of everything explains nothing
         assert found.of("saturation").share < 0.6
+
+
+INERTIA, WEIGHT, FRICTION, PERIOD = 0.15, 3.0, 0.05, 5e-3
+
+
+def swung_up(seed, seconds):
+    """A pendulum that a bounded torque swings up, turned by the energy it lacks."""
+    rng = np.random.default_rng(seed)
+    state, torque, inputs, angles = np.array([0.0, 0.1]), 0.0, [], []
+    for k in range(round(seconds / PERIOD)):
+        if k % 10 == 0:
+            energy = 0.5 * INERTIA * state[1] ** 2 + WEIGHT * (1.0 - math.cos(state[0]))
+            torque = np.clip((2.0 * WEIGHT - energy) * 0.8 * np.sign(state[1]), -1.2, 1.2)
+            torque += 0.2 * rng.standard_normal()
+        inputs.append(torque)
+        angles.append(state[0])
+        state = solve_ivp(lambda _, y, u=torque: (y[1], (
+            u - WEIGHT * math.sin(y[0]) - FRICTION * y[1]) / INERTIA), (0.0, PERIOD), state,
+            rtol=1e-8, atol=1e-10).y[:, -1]
+    noise = 5e-4 * rng.standard_normal(len(angles))
+    return Observation(f"swing {seed}", np.array(inputs), np.array(angles) + noise, PERIOD,
+                       unit="rad")
+
+
+@pytest.fixture(scope="module")
+def swings():
+    return swung_up(1, 5.0), swung_up(2, 8.0)
+
+
+HANGING = Model("pendulum", PERIOD, position_unit="rad", base={
+    "mass": INERTIA, "damping": 0.1, "stiffness": WEIGHT, "force_constant": 1.0})
+
+
+def test_a_pendulum_shows_its_weight_by_the_sine_of_its_angle(swings):
+    """Without its weight the mass comes out at a fiftieth, which would hide the noise."""
+    found = witness(swings[:1], HANGING, library_of([ALL]), held=swings[1:],
+                    free=("mass", "damping", "stiffness"))
+    assert found.best.names == ("gravity",)
+    assert found.best.parameters["gravity.weight"] == pytest.approx(WEIGHT, rel=0.01)
+    assert found.best.parameters["gravity.length"] == 1.0
+    assert found.best.parameters["mass"] == pytest.approx(INERTIA, rel=0.01)
+    assert found.best.parameters["damping"] == pytest.approx(FRICTION, rel=0.02)
+
+
+def test_a_set_beside_which_the_mass_comes_out_negative_is_not_judged(swings, monkeypatch):
+    plain = Fits.base_of
+    monkeypatch.setattr(Fits, "base_of", lambda self, members, values: plain(
+        self, members, values) - any(m.name == "cubic_stiffness" for m in members))
+    found = witness(swings[:1], HANGING, ["gravity", "cubic_stiffness"])
+    assert [e.names for e in (*found.singles, *found.pairs)] == [("gravity",)]
+    assert "mass" in found.not_judged["cubic_stiffness"]
 
 
 def test_short_records_and_resting_inputs_are_refused(cubic):

@@ -43,12 +43,16 @@ def _backward(fitted: Array) -> Array:
 
 
 class Gravity(Effect):
-    """Begins at lengths of the size of the travel."""
+    """Begins at lengths of the size of the travel; at the angle itself where that is measured."""
 
     def starts(self, at: Conditions) -> list[Parameters]:
         """Swings of one and a half radians to four."""
-        return [{"weight": SMALL * at.force, "length": share * at.travel, "tilt": 0.0}
-                for share in (0.12, 0.2, 0.35)]
+        low, high = self.search_range("length", at)
+        lengths = [share * at.travel for share in (0.12, 0.2, 0.35)]
+        if at.angular and low < 1.0 < high:
+            lengths.append(1.0)
+        return [{"weight": SMALL * at.force, "length": length, "tilt": 0.0}
+                for length in sorted(lengths)]
 
     def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
         """A longer pendulum is a softening cubic spring; a shorter one turns over and over."""

@@ -1,0 +1,28 @@
+"""Which effects the data can show at all."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from dfm_stage.diagnosis.candidates import cycles
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.model import Model
+
+STAGE = Model("stage", 1e-3, {"mass": 1.0, "stiffness": (2.0 * math.pi * 10.0) ** 2})
+
+
+@pytest.mark.parametrize(("driven", "frequency", "expected"), [
+    (True, 10.2, 20.4), (False, 10.2, 0.4), (False, 8.0, 4.0), (False, 14.0, 8.0)])
+def test_a_vibration_is_told_from_free_motion_by_their_beats(driven, frequency, expected):
+    """Two seconds of a stage that swings at 10 Hz."""
+    feed = np.sin(np.arange(2000.0)) if driven else np.zeros(2000)
+    run = Observation("run", feed, np.zeros(2000), 1e-3)
+    shaken = STAGE.with_effect("periodic_disturbance", {"frequency": frequency, "amplitude": 1.0})
+    assert cycles("periodic_disturbance", shaken, [run]) == pytest.approx(expected)
+    coupled = STAGE.with_effect("second_mode", {"share": 0.05, "frequency": frequency,
+                                                   "damping_ratio": 0.01})
+    assert cycles("second_mode", coupled, [run]) == pytest.approx(
+        math.inf if driven else expected)
