@@ -179,10 +179,11 @@ def _blocks(run: RunForces, width: float) -> int:
 
 
 def _noise_share(found: Setting, mass: float) -> float:
-    """Share of the missing force's power that noise makes up, by the fitted mass or the given
-    one, whichever is larger: beside a gross gap, the fitted one may come out near zero."""
+    """Share of the missing force's power that noise makes up, by the fitted mass; by the given
+    one where that is lower by more than noise makes it, as it is beside a gross gap."""
     left = found.target - found.columns @ least_squares(found.columns, found.target)
-    linear = replace(found.linear, mass=max(found.linear.mass, mass))
+    low = found.linear.mass < (1.0 - BIASED**2) * mass
+    linear = replace(found.linear, mass=mass) if low else found.linear
     noise = sum(run.kept.size * run.noise_rms(linear.operator(run.grid.omega), run.width)
                 ** 2 for run in found.runs) / max(left.size, 1)
     return min(noise / max(float(np.mean(left**2)), 1e-300), 1.0)

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
 
 from dfm_stage.arrays import Array, Lines
 from dfm_stage.diagnosis.blocks import Blocks, block_edges, by_size, log_ratio
@@ -87,6 +86,8 @@ def margin(rival: Array, own: Array, apart: Array | None = None) -> float:
     found = mean / max(error, 1e-12)
     if own.size == every:
         return found
+    from scipy.special import stdtr, stdtrit  # slow to import, and most margins need none
+
     alike = -float(stdtrit(every - 1, stdtr(own.size - 1, -abs(found))))
     return math.copysign(min(alike, abs(found)), found)
 
