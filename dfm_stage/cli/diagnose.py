@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +31,7 @@ from dfm_stage.model import Model, load_model, save_model
 from dfm_stage.model.formula_file import read_formulas
 from dfm_stage.model.registry import ALL, effects_of, library_of
 from dfm_stage.quantity import format_quantity
+from dfm_stage.recording import at_period, shared_period
 
 if TYPE_CHECKING:
     from dfm_stage.diagnosis import Diagnosis
@@ -121,13 +123,14 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
     one = accepted_in(model.axis(model.usual_axis(options.axis)), accepted)
     with steps("diagnose", options.json) as step:
         step("reading")
-        records, holdout = divided(options, *([
-            read_with(options, path, period=one.sample_period) for path in paths]
-            for paths in (fitted, held)))
+        read = [[read_with(options, path) for path in paths] for paths in (fitted, held)]
+        period = shared_period(read[0], model.sample_period)
+        records, holdout = divided(options, *([at_period(record, period) for record in records]
+                                              for records in read))
         names = [Path(path).name or path for path in fitted]
         names += held_names(options, names, [Path(path).name or path for path in held])
-        found = diagnose(records, model, holdout=holdout, axis=options.axis, library=library,
-                         without=names_in(options.without),
+        found = diagnose(records, replace(model, sample_period=period), holdout=holdout,
+                         axis=options.axis, library=library, without=names_in(options.without),
                          free=[*default_free(one), *names_in(options.free)],
                          fixed=names_in(options.fix),
                          names=names, seed=options.seed, accept=accepted, step=step)
@@ -135,7 +138,8 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         text = write_json(out / "diagnosis.json", {
             **found.to_dict(), "records": list(fitted), "holdout": list(held),
             "recorded_ns": [each.provenance.start_ns for each in records]})
-        save_model(_with_gap(found), out / "model.yaml")
+        save_model(replace(_with_gap(found), sample_period=model.sample_period),
+                   out / "model.yaml")
         _next(found, out / "next_experiment.yaml")
         _surface(found, out)
         _formulas(found, out, [*options.accept, *options.effect])

@@ -274,10 +274,11 @@ class Evidence:
     `given` is the model as it was given, `retuned` with its own parameters re-estimated,
     `extended` with the effects of the hypothesis added; without any, that is the retuned one.
     `base_shares` are damping, stiffness and force constant over their given values, those that
-    were free. `joint` is the RMS over fitted and held-out records of one fit to both, where that
-    was needed. `limits` are the sizes that effects would have needed to be named. `warnings` are
-    of the records themselves; `split` says that no record was held out and a part of each was
-    instead, `not_compared` are effects whose fits were not begun or finished for want of work.
+    were free; `linear` says that every effect of the hypothesis is. `joint` is the RMS over fitted
+    and held-out records of one fit to both, where that was needed. `limits` are the sizes that
+    effects would have needed to be named. `warnings` are of the records themselves; `split` says
+    that no record was held out and a part of each was instead, `not_compared` are effects whose
+    fits were not begun or finished for want of work.
 
     `conventions` are those of the input, one for each record, as diagnosis.json holds them,
     `witness` is what the force domain says by itself, `surface` the force that is still missing,
@@ -296,6 +297,7 @@ class Evidence:
     extended: ModelEvidence
     effects: tuple[EffectEvidence, ...] = ()
     base_shares: Mapping[str, float] = field(default_factory=dict)
+    linear: bool = False
     joint: tuple[float, float] | None = None
     offset: Offset | None = None
     library: tuple[Candidate, ...] = ()

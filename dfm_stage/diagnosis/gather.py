@@ -82,6 +82,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
         base_shares={n: h.fit.model.base.get(n, 1.0) / search.model.base[n]
                      for n in ("damping", "stiffness", "force_constant")
                      if n in search.free and search.model.base.get(n, 0.0) != 0.0},
+        linear=all(EFFECTS[n].parity == "linear" for n in h.names),
         offset=_offset(h.bare, search.library),
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),

@@ -3,7 +3,6 @@
 The response of the model to a small amount of an effect is projected off everything that the free
 parameters, initial states and offsets can do; its best multiple is then a matter of one linear
 step (a score test). Pairs are screened jointly, because a single effect may stand in for two.
-Where nothing drives the stage, what an effect's own states hold at the beginning counts as well.
 """
 
 from __future__ import annotations
@@ -150,33 +149,8 @@ class Screen:
         found: list[Hit | None] = []
         for parameters, group in zip(points, directions, strict=True):
             columns = [next(shifted) - plain for _ in group]
-            columns += self._rung(model, name, parameters)
             found.append(self._hit(name, parameters, group, columns) if np.all(
                 np.isfinite(columns)) else None)
-        return found
-
-    def _rung(self, model: Model, name: str, parameters: Parameters) -> list[Array]:
-        """The weighted responses (N,) to the effect's own states at the beginning of each run:
-        these are free where nothing drives the stage (`system_of`)."""
-        if not EFFECTS[name].states or EFFECTS[name].searched:
-            return []
-        system = system_of(model.with_effect(name, parameters), self.runs, (), self.noise)
-        x = system.started(self.base.locals)
-        own = {f"initial.{state}" for state in EFFECTS[name].state_names}
-        found = []
-        for i, (begin, end) in enumerate(self.edges):
-            at = [k for k, unknown in enumerate(system.unknowns)
-                  if unknown.run == i and unknown.name in own]
-            if not at:
-                continue
-            rows = np.tile(x, (1 + len(at), 1))
-            rows[range(1, 1 + len(at)), at] += [system.unknowns[k].scale for k in at]
-            rung = np.hstack([[w.apply(row) for row in out] for out, w in zip(
-                system.signals(i, rows), self.weights[i], strict=True)])
-            for response in rung[1:] - rung[0]:
-                column = np.zeros_like(self.residual)
-                column[begin:end] = response
-                found.append(column)
         return found
 
     def _responses(self, model: Model, name: str,
@@ -255,22 +229,14 @@ class Screen:
         if not np.any(kept):
             return None
         projected = projected[:, kept]
-        states = len(responses) - len(directions)
         if effect.searched:
             d = projected[:, 0]
             gain = float(2.0 * d @ self.residual - d @ d)
             return Hit(name, gain, dict(parameters), projected, np.ones(1))
         own = projected if effect.wave else projected[:, :1]
         phases = 2.0 if effect.wave else 1.0
-        sized = bool(kept[0])
-        if sized:
-            self._strengths.append(
-                (name, parameters, float(np.linalg.norm(own)) / math.sqrt(phases)))
+        self._strengths.append((name, parameters, float(np.linalg.norm(own)) / math.sqrt(phases)))
         multiples, gain = _best(projected, self.residual)
-        if states:  # each takes 1 of chi-square by chance
-            begin = effect.combined(directions, multiples[:1]) if sized else {
-                **parameters, **{n: effect.defaults[n] for n in effect.sizes}}
-            return Hit(name, gain - states, begin, projected, multiples, False)
         if effect.one_sided and not effect.wave and multiples[0] <= 0.0:
             return None
         return Hit(name, gain, effect.combined(directions, multiples[:len(directions)]), projected,

@@ -382,9 +382,10 @@ def leaves_open(v: Verdict) -> bool:
 
 
 def _base_at_zero(e: Evidence) -> bool:
-    """Whether the fit pushed stiffness or the actuator to nothing: no such stage. Damping there
-    says that an effect takes more of it than it should."""
-    return _at_zero(e, "stiffness") or _at_zero(e, "force_constant")
+    """Whether the fit pushed stiffness or the actuator to nothing, or the damping of a linear
+    model: no such stage. A nonlinear effect may take more of the damping than it should."""
+    return _at_zero(e, "stiffness") or _at_zero(e, "force_constant") or (
+        e.linear and _at_zero(e, "damping"))
 
 
 def _at_zero(e: Evidence, name: str) -> bool:

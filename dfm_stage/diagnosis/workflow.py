@@ -278,7 +278,7 @@ def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -
             return part
     trial.search.begin_work(FIRST_SHARE * MOST_STEPS)
     names, found = trial.search.grown((), first, rounds=1)
-    if leaves_gross(found) and (part is None or not (part[1].names or first.system.springless)):
+    if part is None and leaves_gross(found):
         part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
         if stays_open(part[2]) and leaves_gross(part[1].fit):
             return part

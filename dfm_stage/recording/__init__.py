@@ -16,7 +16,14 @@ from dfm_stage.recording.errors import (
     RecordError,
     RecordingError,
 )
-from dfm_stage.recording.parts import at_period, filled, part, split, without_gaps
+from dfm_stage.recording.parts import (
+    at_period,
+    filled,
+    part,
+    shared_period,
+    split,
+    without_gaps,
+)
 from dfm_stage.recording.read_record import read_record
 from dfm_stage.recording.record import AxisRecord, Provenance, Record
 from dfm_stage.recording.table_files import write_csv, write_mat, write_npz
@@ -65,6 +72,7 @@ __all__ = [
     "part",
     "read_bag",
     "read_record",
+    "shared_period",
     "split",
     "without_gaps",
     "write_csv",

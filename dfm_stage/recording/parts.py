@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -171,6 +172,15 @@ def at_period(record: Record, period: float) -> Record:
     time = record.time[0] + period * np.arange(count)
     return Record(np.asarray(time, np.float64), period, axes, record.provenance,
                   [*record.warnings, *notes])
+
+
+def shared_period(records: Sequence[Record], wanted: float) -> float:
+    """Return the period (s) at which to fit: the `wanted` one, or that of the records, where they
+    share one that is near it. A model steps by any period; resampling has an error."""
+    period = records[0].sample_period
+    shared = all(abs(r.sample_period / period - 1.0) <= CLOCK_SHARE for r in records)
+    near = CLOCK_SHARE < abs(period / wanted - 1.0) <= NEAR_SHARE
+    return period if shared and near else wanted
 
 
 def _resampled(axis: AxisRecord, old: float, new: float,

@@ -161,6 +161,28 @@ def test_logs_of_different_jittered_rates_are_fitted_together(
     assert fits["other.csv"] > 98.0
 
 
+def test_a_diagnosis_takes_records_at_their_own_period(tmp_path: Path) -> None:
+    """Two records at 1.02 ms; the model steps by 1 ms, and goes on to do so."""
+    rng = np.random.default_rng(9)
+    model = load_model("paper_stage")
+    stage = Simulator(replace(model, sample_period=1.02e-3, base={
+        **model.base, "stiffness": 1.1 * model.base["stiffness"]}))
+    for name in ("fitted", "held"):
+        drive = np.repeat(rng.choice([-0.3, 0.3], 100), 20).astype(float)
+        write_csv(Record(1.02e-3 * np.arange(2000), 1.02e-3, {
+            "x": AxisRecord(drive, stage.run(drive).measured(4))}, Provenance("", "csv")),
+            tmp_path / f"{name}.csv")
+    out = tmp_path / "out"
+    assert diagnose.main([str(tmp_path / "fitted.csv"), "--holdout", str(tmp_path / "held.csv"),
+                          "--model", "paper_stage", "--no-report", "--out", str(out)]) == 0
+    found = json.loads((out / "diagnosis.json").read_text())
+    low, high = found["base"]["stiffness"]["ci95"]
+    assert low < 1.1 * model.base["stiffness"] < high
+    assert found["verdict"] == "retune"
+    assert not any("resampled" in text for text in found["warnings"])
+    assert load_model(out / "model.yaml").sample_period == model.sample_period
+
+
 @pytest.fixture
 def foreign(tmp_path: Path) -> Path:
     """A bag of two topics of numbers."""

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.candidates import excluded, starts
-from dfm_stage.diagnosis.decisions import FIRST, LOOKED_CLOSELY
-from dfm_stage.diagnosis.observation import Observation, observe
+from dfm_stage.diagnosis.decisions import LOOKED_CLOSELY
+from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.screen import Hit, Screen
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.model import EFFECTS
@@ -91,27 +91,3 @@ def test_a_linear_model_needs_no_first_look(search):
 
 def test_a_linear_model_that_moves_otherwise_is_not_asked():
     assert screen(search_of(HARDER), "cubic_stiffness")._first is None
-
-
-def decay(seed: int, first: float, second: float, second_hz: float) -> Observation:
-    """A stage let go in two modes that do not act on each other, in closed form."""
-    time = truth.PERIOD * np.arange(4000)
-    moved = sum(size * np.exp(-decay * time) * np.cos(2 * np.pi * hz * time + seed)
-                for size, decay, hz in ((first, 2.0, 10.06), (second, 3.0, second_hz)))
-    return observe(truth.record(np.zeros(time.size), moved, seed), truth.believed())
-
-
-def test_a_free_decay_shows_a_second_mode_by_what_it_held_at_the_beginning():
-    runs = [decay(seed, 1e-4, second, 37.0) for seed, second in ((1, 2e-5), (2, 1e-5))]
-    search = Search(truth.believed(), runs, ("damping", "stiffness"), library=tuple(EFFECTS))
-    own, hits = search.screened(search.begin(), ())
-    assert hits[0].name == "second_mode"
-    assert hits[0].parameters["frequency"] == pytest.approx(37.0, rel=0.02)
-    assert hits[0].gain > 0.5 * float(own.residual @ own.residual)
-
-
-def test_a_free_decay_of_one_mode_shows_none():
-    runs = [decay(seed, 1e-4, 0.0, 37.0) for seed in (1, 2)]
-    search = Search(truth.believed(), runs, ("damping", "stiffness"), library=tuple(EFFECTS))
-    hits = search.screened(search.begin(), ())[1]
-    assert max((h.gain for h in hits if h.name == "second_mode"), default=0.0) < FIRST

@@ -239,6 +239,8 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "explains most, with the damping at nothing": (
         part(0.97, base_shares={"damping": 8e-10, "stiffness": 1.0}), "partial",
         ("coulomb_friction",), Reason.GRADED),
+    "is linear and explains most, with the damping at nothing": (
+        part(0.97, base_shares={"damping": 8e-10}, linear=True), "unknown", (), Reason.GRADED),
     "explains most, with the stiffness at nothing": (
         part(0.97, base_shares={"damping": 1.0, "stiffness": 8e-10}), "unknown", (),
         Reason.GRADED),

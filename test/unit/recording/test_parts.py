@@ -15,6 +15,7 @@ from dfm_stage.recording import (
     at_period,
     filled,
     part,
+    shared_period,
     split,
     without_gaps,
 )
@@ -111,6 +112,16 @@ def test_clocks_may_differ_a_little() -> None:
     assert (found.sample_period, found.time[-1]) == (1e-3, pytest.approx(2.0 + 1.999))
     assert "off by 20 ppm" in found.warnings[-1]
     assert at_period(given, 1.00002e-3) is given
+
+
+@pytest.mark.parametrize(("periods", "wanted", "found"), [
+    ((1.02e-3, 1.02005e-3), 1e-3, 1.02e-3),     # their own
+    ((1.02e-3, 1.03e-3), 1e-3, 1e-3),           # they share none
+    ((1.00005e-3, 1.00005e-3), 1e-3, 1e-3),     # the wanted one, by another clock
+    ((2e-3, 2e-3), 1e-3, 1e-3)])                # none that is near
+def test_records_of_one_period_are_fitted_at_it(
+        periods: tuple[float, ...], wanted: float, found: float) -> None:
+    assert shared_period([record(period=each) for each in periods], wanted) == found
 
 
 def test_another_period_is_refused_with_the_way_out() -> None:
