@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dfm_stage.diagnosis.alike import shares_class
 from dfm_stage.diagnosis.clear_force import by_force, clear_force
 from dfm_stage.diagnosis.decisions import (
     FAR_BEHIND,
@@ -98,7 +99,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         out, and a warning says so.
     library
         Effects that may be named. By default, those of `dfm_stage.model.EFFECTS`; the uncommon
-        ones follow if these leave more than noise. `all` admits both from the beginning.
+        ones follow if these leave more than noise, or several are needed. `all` admits both from
+        the beginning.
     without
         Effects that may not be named.
     free
@@ -227,20 +229,49 @@ def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
 
 def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
     """What the effects of the search explain; where they leave a remainder, what these and the
-    uncommon ones do, if that is clearly more. Before that search a first look says whether it is
-    worth while."""
+    uncommon ones do, if that is clearly more; where they do not, one uncommon effect that does in
+    the place of several. Before that search a first look says whether it is worth while."""
     found = _explained(trial, first, warnings, split)
     said = verdict(found[2])
-    if not trial.uncommon or said.complete:
+    relatives = _relatives(trial, found[1]) if said.complete else set()
+    if not trial.uncommon or (said.complete and not relatives):
         return found
     trial.search.step("looking for uncommon effects, too")
     search = trial.search.widened(trial.uncommon)
     first, wide = search.begin(), Trial(search, trial.held, trial.seed)
+    if said.complete:
+        return _one_for_all(wide, first, found, relatives, warnings, split)
     heard = said.kind != "named" and _may_explain(wide, found)
     if not (heard or _leaves_less(wide, first, found)):
         return found
     among_all = _explained(wide, first, warnings, split)
     return among_all if is_clearly_more(among_all[2], found[2]) else found
+
+
+def _relatives(trial: Trial, h: Hypothesis) -> set[str]:
+    """The uncommon effects that may stand behind what was found: behind several effects those of
+    the class of one, behind a single one those that can be the same motion."""
+    return {n for n in trial.uncommon for own in h.names
+            if n in EFFECTS[own].twins or (len(h.names) > 1 and shares_class(n, own))}
+
+
+def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
+                 warnings: Sequence[str], split: bool) -> Judgement:
+    """What was found to leave only noise, or one of its `relatives` that leaves no more, if that
+    has fewer parameters or stands for several."""
+    h, search = found[1], wide.search
+    if len(h.names) > 1:
+        hits = {hit.name: hit for hit in reversed(search.screened(first, ())[1])}
+        fits = {n: search.fitted((n,), first, [hits[n]]) for n in sorted(relatives & hits.keys())}
+    else:
+        fits = {n: search.in_place_of(own, n, (n,), h.fit) for n in relatives for own in h.names}
+    fits = {n: each for n, each in fits.items() if each.ok and (
+        len(h.names) > 1 or len(each.system.free) < len(h.fit.system.free))}
+    name = min(fits, key=lambda n: fits[n].rms, default="")
+    if not name or fits[name].rms > h.fit.rms:
+        return found
+    other = wide, *_to_noise(wide, (name,), fits[name], MOST_STEPS, warnings, split)
+    return other if len(other[1].names) == 1 and verdict(other[2]).complete else found
 
 
 def _may_explain(wide: Trial, found: Judgement) -> bool:

@@ -14,8 +14,9 @@ or `v` the velocity of the driven point. The first range of a parameter is what 
 accepts, the second what such stages typically show. This page is generated from the registry
 (`python -m dfm_stage.model.effect_table`).
 
-A diagnosis looks for the uncommon effects where the others leave more than noise. With `--library`
-it looks for those that are named there, from the first.
+A diagnosis looks for the uncommon effects where the others leave more than noise, or where several
+of them are needed for what one uncommon effect explains. With `--library` it looks for those that
+are named there, from the first.
 
 ![What each usual effect adds to the motion of one sweep from 1 to 13 Hz, at the middle of its \
 typical range](pictures/effects.png)

@@ -102,6 +102,9 @@ def test_the_effect_or_its_class_is_named(name: str) -> None:
     ("dead_zone", {"width": 0.05}, ("dead_zone",), [], True),
     ("structural_damping", {"loss_stiffness": 0.02 * STIFFNESS}, (), ["structural_damping"],
      True),
+    # two springs, or a second mode, leave no more than noise either:
+    ("gravity", {"weight": 0.1, "length": 1.2e-3, "tilt": -0.2}, (), ["gravity"], True),
+    ("sensor_mount", {"frequency": 90.0, "damping_ratio": 0.006}, (), ["sensor_mount"], True),
     ("cubic_stiffness", {"k3": 2e7}, (), ["cubic_stiffness"], False)])
 def test_uncommon_effects_are_looked_for_where_the_common_ones_do_not_suffice(
         name: str, values: dict[str, float], without: tuple[str, ...], named: list[str],
