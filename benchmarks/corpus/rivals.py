@@ -174,13 +174,13 @@ class _Fit:
         return self.free_of_states(slopes)
 
     def at_first(self, start: Parameters) -> float:
-        """Squares left at a start after one step of the base alone."""
+        """Squares left at a start, after one step of the base where its slopes are known."""
         names = list(start)
         z = np.concatenate([np.zeros(len(self.free)), [math.log(abs(start[n])) for n in names]])
         left = self.residual(z, names, [math.copysign(1.0, start[n]) for n in names])
-        slopes = self._linear_slopes() if self.base_slopes is None else self.base_slopes
-        if len(slopes) == len(left):
-            left = left - slopes @ np.linalg.lstsq(slopes, left, rcond=1e-8)[0]
+        if self.base_slopes is not None:
+            left = left - self.base_slopes @ np.linalg.lstsq(
+                self.base_slopes, left, rcond=1e-8)[0]
         return float(left @ left)
 
     def best(self, start: Parameters, steps: int) -> float:

@@ -118,6 +118,14 @@ def test_the_generator_finds_what_is_the_same() -> None:
     assert separability(clear).distance > DISTANCE
 
 
+def test_the_generator_compares_rivals_of_a_lag_with_a_record_of_the_current() -> None:
+    truth = next(t for t in (make_truth(WideSpec(i, 8, "effect", ("sensor_lag",), 10.0), 1000)
+                             for i in range(60)) if t.setup.stage.current_noise is not None)
+    found = separability(truth)
+    assert found.rival is not None
+    assert found.distance >= 0.0
+
+
 def label(kind: str, **more) -> dict:
     return {"index": 1, "kind": kind, "trap": "", "expected": ["unknown", "partial"],
             "effects": ["one_sided_cable"], "class": [], "severity": 10.0, "true_effects": {},
