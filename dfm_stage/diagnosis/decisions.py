@@ -47,8 +47,8 @@ GROSS_GAP = decision(
     set_on=MOTOR_BENCH)
 BASE_AT_ZERO = decision(
     "BASE_AT_ZERO", 1e-9, "1", meaning="Damping, stiffness or force constant below this share of "
-    "the given value is at zero: no such stage; beside a nonlinear effect without damping, "
-    "effects are told as a part.",
+    "the given value is at zero: no such stage. Nonlinear effects that leave the stage no damping "
+    "are told as a part.",
     set_on=_KEPT.format("no gross gap is named with the stage's damping at nothing"))
 PRESLIDING_DISTANCE = decision(
     "PRESLIDING_DISTANCE", 3.0, "1", meaning="Pre-sliding distance over the noise below which "
