@@ -134,6 +134,10 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
                          free=[*default_free(one), *names_in(options.free)],
                          fixed=names_in(options.fix),
                          names=names, seed=options.seed, accept=accepted, step=step)
+        if period != model.sample_period:
+            found = replace(found, warnings=(*found.warnings, (
+                f"fitted at the records' own period of {period:.9g} s, not at the model's "
+                f"{model.sample_period:.9g} s")))
         step("writing")
         text = write_json(out / "diagnosis.json", {
             **found.to_dict(), "records": list(fitted), "holdout": list(held),

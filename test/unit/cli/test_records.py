@@ -180,6 +180,8 @@ def test_a_diagnosis_takes_records_at_their_own_period(tmp_path: Path) -> None:
     assert low < 1.1 * model.base["stiffness"] < high
     assert found["verdict"] == "retune"
     assert not any("resampled" in text for text in found["warnings"])
+    assert "fitted at the records' own period of 0.00102 s, not at the model's 0.001 s" \
+        in found["warnings"]
     assert load_model(out / "model.yaml").sample_period == model.sample_period
 
 
