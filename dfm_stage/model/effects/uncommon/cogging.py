@@ -31,12 +31,13 @@ def force(x: float, v: float, actuator: float, p: Values) -> float:
 
 
 class Cogging(Effect):
-    """Looked for at periods that stand out over position."""
+    """Looked for at long periods, which a spring may hide, and at those that stand out over
+    position."""
 
     def starts(self, at: Conditions) -> list[Parameters]:
-        """A small force with as many periods over the travel as stand out."""
+        """A small force with a few periods over the travel, or with as many as stand out."""
         return [{"amplitude": FAINT * SMALL * at.force, "period": at.travel / count,
-                 "phase": 0.0} for count in _standing_out(at)]
+                 "phase": 0.0} for count in (*FEW, *_standing_out(at))]
 
     def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
         """A wave must come back at least once; a short one is felt by nothing that moves, and
@@ -74,6 +75,9 @@ def _standing_out(at: Conditions) -> list[float]:
 
 PERIODS_STEP = 0.25
 """Of the periods over the travel: half a period off, the wave is lost at one end."""
+FEW = (2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
+"""Periods over the travel that are always tried: the noise of an acceleration hides them, and what
+is taken off for springs."""
 DEGREE = 5
 """Of the polynomial over position that is not taken for a wave: springs, and offsets."""
 FEWEST, PEAKS = 10, 4
