@@ -7,7 +7,7 @@ without it, and no rival outside its class does as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from dfm_stage.diagnosis.alike import at_upper_end
 from dfm_stage.diagnosis.candidates import cycles
@@ -64,12 +64,33 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         _paid(seen))
     if not _proposes_alone(seen, search):
         names, found = _further(search, names, found)
+    return _standing(trial, names, found, bare, warnings, split)
+
+
+def beside_main(wide: Trial, h: Hypothesis, main: str, known: Names, warnings: Sequence[str],
+                split: bool) -> tuple[Hypothesis, Evidence]:
+    """The effects of `h`, those beside the `main` one compared with all that `wide` knows; that
+    one with those `known` before."""
+    search = wide.search
+    search.begin_work(LEAST_STEPS)
+    search.weigh_at_first(h.bare)
+    wide.held_weights = weights_like(wide.held, search.weights)
+    return _standing(wide, h.names, h.fit, h.bare, warnings, split, {main: known})
+
+
+def _standing(trial: Trial, names: Names, found: Fit, bare: Fit, warnings: Sequence[str],
+              split: bool, among: Mapping[str, Names] | None = None
+              ) -> tuple[Hypothesis, Evidence]:
+    """What of `names` stands on held-out records and against its rivals; of some effects these
+    are `among` others than all."""
+    search, seen, listed = trial.search, trial.witness, among or {}
     dropped: dict[str, DropReason] = {}
     while True:
         search.begin_work(max(search.most_steps - search.steps, LEAST_STEPS))
         found = search.settled(names, found) if names else found
         h = trial.no_worse(Hypothesis(names, found, bare, {
-            n: list(_rivals(search, seen, n, names, found)) for n in names}))
+            n: list(_rivals(search, seen, n, names, found, listed.get(n, search.library)))
+            for n in names}))
         judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
         weakest = fallen(judged)
         if weakest is None:
@@ -211,15 +232,15 @@ def _proposes_alone(seen: Witness | None, search: Search) -> bool:
     return seen is not None and not seen.cannot_tell and bool(search.runs[0].window)
 
 
-def _rivals(search: Search, seen: Witness | None, name: str, names: Names,
-            found: Fit) -> Iterator[Rival]:
-    """The effects that come nearest in the place of one, fitted."""
+def _rivals(search: Search, seen: Witness | None, name: str, names: Names, found: Fit,
+            among: Names) -> Iterator[Rival]:
+    """The effects `among` some that come nearest in the place of one, fitted."""
     rest = tuple(n for n in names if n != name)
     without = search.once(rest, found)
     if not without.ok:
         return
     near = _near(seen, name, names) if seen is not None and _proposes_alone(seen, search) \
-        else _screened(search, name, rest, without)
+        else _screened(search, name, rest, without, among)
     for hit in near:
         search.step(f"fitting {hit.name} in place of {name}")
         rival = search.once((*rest, hit.name), without, [hit])
@@ -237,10 +258,10 @@ def _near(seen: Witness, name: str, names: Names) -> list[Hit]:
     return [Hit.at(n, _parameters(alone[n], n)) for n in near[:GRADED_RIVALS]]
 
 
-def _screened(search: Search, name: str, rest: Names, without: Fit) -> list[Hit]:
+def _screened(search: Search, name: str, rest: Names, without: Fit, among: Names) -> list[Hit]:
     """The rivals that the screen ranks highest."""
     _, hits = search.screened(without, rest)
-    best = {h.name: h for h in reversed(hits)}
+    best = {h.name: h for h in reversed(hits) if h.name in among}
     own = best[name].gain if name in best else max((h.gain for h in best.values()), default=0.0)
     listed = sorted((h for h in best.values() if h.name != name
                      and h.gain > RIVAL_GAIN * own), key=lambda h: -h.gain)

@@ -294,13 +294,13 @@ def fallen(e: Evidence) -> tuple[str, DropReason] | None:
     return None
 
 
-def _main(e: Evidence) -> EffectEvidence:
+def main_effect(e: Evidence) -> EffectEvidence:
     """The effect that takes most of the held-out gap."""
     return max(e.effects, key=lambda x: x.without.held_out.power)
 
 
 def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
-    further = x is not _main(e)
+    further = x is not main_effect(e)
     left = x.without.held_out.power - e.judged.noise_power
     taken = x.without.held_out.power - e.extended.held_out.power
     unrelated = [r for r in x.rivals if _level(r) and not r.related]
@@ -325,7 +325,7 @@ def _least_part(x: EffectEvidence, further: bool) -> float:
 
 def small_parts(e: Evidence) -> tuple[str, ...]:
     """Effects beside the main one that take so little that others would, too."""
-    return tuple(x.name for x in e.effects if x is not _main(e) and _is_small(e, x))
+    return tuple(x.name for x in e.effects if x is not main_effect(e) and _is_small(e, x))
 
 
 def _is_small(e: Evidence, x: EffectEvidence) -> bool:

@@ -39,7 +39,7 @@ from dfm_stage.diagnosis.gather import (
     with_next_experiment,
     with_surface,
 )
-from dfm_stage.diagnosis.grading import graded
+from dfm_stage.diagnosis.grading import beside_main, graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import (
     Observation,
@@ -60,6 +60,7 @@ from dfm_stage.diagnosis.verdict import (
     explained_share,
     is_clearly_more,
     leaves_open,
+    main_effect,
     needs_grading,
     needs_joint_fit,
     small_parts,
@@ -242,10 +243,25 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
     if said.complete:
         return _one_for_all(wide, first, found, relatives, warnings, split)
     heard = said.kind != "named" and _may_explain(wide, found)
-    if not (heard or _leaves_less(wide, first, found)):
+    if heard or _leaves_less(wide, first, found):
+        among_all = _explained(wide, first, warnings, split)
+        if is_clearly_more(among_all[2], found[2]):
+            return among_all
+    return _beside_main(trial, found, warnings, split)
+
+
+def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
+                 split: bool) -> Judgement:
+    """What was found to explain a part, with the effects beside the main one compared with the
+    uncommon ones, too. In windows the force domain alone proposes rivals, and it has done so."""
+    own, h, evidence = found
+    if len(h.names) < 2 or not evidence.graded or own.search.runs[0].window:
         return found
-    among_all = _explained(wide, first, warnings, split)
-    return among_all if is_clearly_more(among_all[2], found[2]) else found
+    own.search.step("comparing uncommon effects, too")
+    wide = Trial(own.search.widened(trial.uncommon), own.held, own.seed, dropped=own.dropped)
+    wide.witness = own.witness
+    return wide, *beside_main(wide, h, main_effect(evidence).name, own.search.library, warnings,
+                              split)
 
 
 def _relatives(trial: Trial, h: Hypothesis) -> set[str]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.corpus.measured import make_case, measured_plan
 from dfm_stage.diagnosis import DiagnosisError, diagnose
 from dfm_stage.identification import Run, fit_model
-from dfm_stage.model import Model, Simulator
+from dfm_stage.model import Model, Simulator, model_from_dict
+from dfm_stage.model.registry import ALL, library_of
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
 PERIOD, SAMPLES, NOISE = 1e-3, 4000, 2e-7
@@ -118,6 +120,31 @@ def test_uncommon_effects_are_looked_for_where_the_common_ones_do_not_suffice(
         assert found.verdict == "named"
     else:
         assert name not in {e.name for e in found.effects}
+
+
+@pytest.mark.parametrize("periods", [2.2, 2.45])
+def test_cogging_of_a_few_periods_is_found(periods: float) -> None:
+    """The noise of the acceleration hides it, and a polynomial over position takes most of it."""
+    none = record("cogging", {"amplitude": 0.0, "period": 1.0}, 1, 3.0)
+    values = {"amplitude": 0.05, "period": float(np.ptp(none.axes["x"].position)) / periods}
+    found = diagnose([record("cogging", values, 1, 3.0)], BELIEVED,
+                     holdout=[record("cogging", values, 2, 3.0)],
+                     library=["cogging", "cubic_stiffness", "quadratic_stiffness"])
+    assert [e.members for e in found.effects] == [("cogging",)]
+
+
+def test_an_effect_beside_the_main_one_is_compared_with_the_uncommon_ones() -> None:
+    """A cubic spring and a Stribeck curve of the measured-like corpus. Among common effects the
+    best beside the spring is an eddy brake."""
+    case = make_case(measured_plan("remainder", 74, 1141420023)[73])
+    runs, held = ([Record(c["time_s"], case.sample_period, {
+        "x": AxisRecord(c["input_v"], c["position_m"])}, Provenance(f"{name} {k}", "csv"))
+        for k, c in enumerate(each)] for name, each in (("run", case.records),
+                                                        ("held", case.holdout)))
+    allowed = {"cubic_stiffness", "eddy_current_damping", "stribeck_friction"}
+    found = diagnose(runs, model_from_dict(case.model), holdout=held, without=[
+        n for n in library_of([ALL]) if n not in allowed])
+    assert [e.members for e in found.effects] == [("cubic_stiffness",), ("stribeck_friction",)]
 
 
 def test_an_effect_that_may_not_be_named_must_be_one() -> None:
