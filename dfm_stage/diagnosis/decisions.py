@@ -501,6 +501,8 @@ TRIED_S = decision(
     set_on=RANKED_FORM)
 PERIOD_S = decision(
     "PERIOD_S", 8.0, "s", meaning="Period of a proposed multisine.", set_on=FIRST_FORM)
+DWELL_S = decision(
+    "DWELL_S", 4.0, "s", meaning="Time that a proposed step is held.", set_on=FIRST_FORM)
 DURATION_S = decision(
     "DURATION_S", 48.0, "s", meaning="Usual length of a proposed experiment.", set_on=FIRST_FORM)
 LONGEST_S = decision(

@@ -16,6 +16,7 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     DURATION_S,
+    DWELL_S,
     FINALISTS,
     LONGEST_S,
     MARGIN,
@@ -43,7 +44,7 @@ def propose(parts: Sequence[str], best: Model, rivals: Sequence[Fit],
     """
     if best.drive == "current":
         return None
-    specs = list(_experiments(best, _volts(best, runs)))
+    specs = list(experiments(best, _volts(best, runs)))
     if rivals and not any(n in EFFECTS and EFFECTS[n].couples for n in parts):
         travel = max(float(np.ptp(r.output)) for r in runs)
         ranked = _ranked(specs, best, rivals, free, travel, weight, noise, runs[0])
@@ -73,9 +74,10 @@ def _round(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def _experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
+def experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
     """Experiments to choose from; the first is the one that shows most where nothing is known."""
-    period = round(PERIOD_S / model.sample_period) * model.sample_period  # whole samples
+    period, dwell = (round(t / model.sample_period) * model.sample_period  # whole samples
+                     for t in (PERIOD_S, DWELL_S))
     natural = max(_natural_hz(model), 0.5)
     nyquist = 0.5 / model.sample_period
     top = min(max(10.0 * natural, 50.0), 0.8 * nyquist)
@@ -93,7 +95,7 @@ def _experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
         yield _as_experiment(
             "Steps up and down again, each held.",
             {"kind": "steps", "start_v": 0.0, "step_v": _round(0.5 * share * volts), "count": 2,
-             "down_again": True, "dwell_s": 4.0})
+             "down_again": True, "dwell_s": dwell})
         yield _as_experiment(
             "A sine below the resonance.",
             {"kind": "sine", "amplitude_v": _round(share * volts),

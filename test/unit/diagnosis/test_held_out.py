@@ -13,7 +13,7 @@ import pytest
 
 from dfm_stage.diagnosis import verification
 from dfm_stage.diagnosis.fit import fit
-from dfm_stage.diagnosis.next_experiment import propose
+from dfm_stage.diagnosis.next_experiment import experiments, propose
 from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.verification import (
     SurrogateTest,
@@ -130,9 +130,10 @@ def test_an_experiment_lasts_whole_samples_of_any_machine(runs, period):
     slow = [replace(runs[0], sample_period=period)]
     model = replace(MODEL, sample_period=period)
     found = propose((), model, [], slow, WEIGHT, [])
-    for duration in (found.experiment["duration_s"], 80.0):
-        asked = load_experiment({**found.experiment, "duration_s": duration})
-        assert np.any(asked.excitation("x", period).voltage)
+    for spec in (found.experiment, *experiments(model, 1.0)):
+        for duration in (spec["duration_s"], 80.0):
+            asked = load_experiment({**spec, "duration_s": duration})
+            assert np.any(asked.excitation("x", period).voltage)
 
 
 def test_nothing_is_proposed_for_a_current_drive(runs):
