@@ -7,9 +7,9 @@ without it, and no rival outside its class does as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-from dfm_stage.diagnosis.alike import at_upper_end
+from dfm_stage.diagnosis.alike import at_upper_end, shares_class
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
@@ -69,27 +69,33 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
 
 def beside_main(wide: Trial, h: Hypothesis, main: str, known: Names, warnings: Sequence[str],
                 split: bool) -> tuple[Hypothesis, Evidence]:
-    """The effects of `h`, those beside the `main` one compared with all that `wide` knows; that
-    one with those `known` before."""
+    """The effects of `h`, those beside the `main` one compared with what `wide` knows beyond the
+    effects `known`, too: with those of no common class, which would make the name wrong."""
     search = wide.search
     search.begin_work(LEAST_STEPS)
     search.weigh_at_first(h.bare)
     wide.held_weights = weights_like(wide.held, search.weights)
-    return _standing(wide, h.names, h.fit, h.bare, warnings, split, {main: known})
+
+    def among(name: str) -> Names:
+        return known if name == main else tuple(
+            n for n in search.library if n in known or not shares_class(n, name))
+
+    return _standing(wide, h.names, h.fit, h.bare, warnings, split, among)
 
 
 def _standing(trial: Trial, names: Names, found: Fit, bare: Fit, warnings: Sequence[str],
-              split: bool, among: Mapping[str, Names] | None = None
+              split: bool, among: Callable[[str], Names] | None = None
               ) -> tuple[Hypothesis, Evidence]:
-    """What of `names` stands on held-out records and against its rivals; of some effects these
-    are `among` others than all."""
-    search, seen, listed = trial.search, trial.witness, among or {}
+    """What of `names` stands on held-out records and against its rivals, which are `among` those
+    of the search that this allows an effect."""
+    search, seen = trial.search, trial.witness
+    allowed = among or (lambda _: search.library)
     dropped: dict[str, DropReason] = {}
     while True:
         search.begin_work(max(search.most_steps - search.steps, LEAST_STEPS))
         found = search.settled(names, found) if names else found
         h = trial.no_worse(Hypothesis(names, found, bare, {
-            n: list(_rivals(search, seen, n, names, found, listed.get(n, search.library)))
+            n: list(_rivals(search, seen, n, names, found, allowed(n)))
             for n in names}))
         judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
         weakest = fallen(judged)
