@@ -122,6 +122,22 @@ def test_uncommon_effects_are_looked_for_where_the_common_ones_do_not_suffice(
         assert name not in {e.name for e in found.effects}
 
 
+def test_a_second_lag_is_no_wrong_number_of_the_first() -> None:
+    """Two lags in series are no lag of another size, whatever the size."""
+    def run(seed: int) -> Record:
+        rng = np.random.default_rng(seed)
+        feed = 3.0 * rng.standard_normal(SAMPLES)
+        stage = STAGE.with_parameters({"amplifier_time_constant": 1e-3})
+        moved = Simulator(stage.with_effect("sensor_lag", {"time_constant": 2e-3})).run(feed)
+        return Record(PERIOD * np.arange(SAMPLES), PERIOD, {
+            "x": AxisRecord(feed, moved.measured(seed))}, Provenance(f"run {seed}", "csv"))
+
+    found = diagnose([run(1)], BELIEVED.with_parameters({"amplifier_time_constant": 0.8e-3}),
+                     holdout=[run(2)],
+                     library=["sensor_lag", "amplifier_bandwidth", "cubic_stiffness"])
+    assert [set(e.members) for e in found.effects] == [{"sensor_lag", "amplifier_bandwidth"}]
+
+
 @pytest.mark.parametrize("periods", [2.2, 2.45])
 def test_cogging_of_a_few_periods_is_found(periods: float) -> None:
     """The noise of the acceleration hides it, and a polynomial over position takes most of it."""
