@@ -18,12 +18,14 @@ FREQUENCY = "frequency"
 """Parameter of what oscillates: a vibration, a mode."""
 
 
-def excluded(name: str, model: Model, at: Conditions) -> str | None:
-    """Why an effect cannot be a candidate here, or None where it can."""
+def excluded(name: str, model: Model, at: Conditions, again: bool = False) -> str | None:
+    """Why an effect cannot be a candidate here, or None where it can. With `again` one may be
+    named of which the base has a first one: two lags in series are no lag of another size."""
     effect = EFFECTS[name]
     if model.effect(name) is not None:
         return "the model has it already: its parameters are re-estimated"
-    if effect.wrong_number_of and model.base.get(effect.wrong_number_of, 0.0) > 0.0:
+    if effect.wrong_number_of and model.base.get(effect.wrong_number_of, 0.0) > 0.0 \
+            and not (again and effect.retuned_by):
         return f"base has {effect.wrong_number_of}: a wrong value of it is retuned"
     if any(run.order for run in at.runs) and (effect.sense or effect.encode):
         return "it changes the reading of a position, and the output is none"

@@ -300,7 +300,7 @@ def _library(trial: Trial) -> Iterator[Candidate]:
     at = trial.search.conditions(trial.search.model)
     for name in trial.search.library:
         hit = trial.search.hits.get(name)
-        yield Candidate(name, excluded(name, trial.search.model, at),
+        yield Candidate(name, excluded(name, trial.search.model, at, trial.search.again),
                         None if hit is None else hit.gain, trial.dropped.get(name),
                         above=trial.search.above)
 

@@ -43,7 +43,7 @@ def by_other_conventions(trial: Trial) -> Iterator[Trial]:
         if any(c.hold != kind for c in known):
             old = trial.search
             search = Search(old.model, _by(runs, kind), old.free, library=old.library,
-                            step=old.step)
+                            again=old.again, step=old.step)
             yield Trial(search, _by(held, kind), trial.seed)
 
 

@@ -59,6 +59,8 @@ class Search(Fits):
     """`library` are the effects that may be named; `step` is told what is done."""
 
     library: Names = ()
+    again: bool = False
+    """Whether an effect may be named of which the base has a first one."""
     step: Callable[[str], None] = lambda _: None
     hits: dict[str, Hit] = field(default_factory=dict)
     screens: dict[frozenset[str], list[Hit]] = field(default_factory=dict)
@@ -75,7 +77,7 @@ class Search(Fits):
         """A search among these effects, too, that knows the fits made to their end so far."""
         self.begin_work(MOST_STEPS)
         return Search(self.model, self.runs, self.free, fits=self.fits, weighings=self.weighings,
-                      library=(*self.library, *names), step=self.step)
+                      library=(*self.library, *names), again=True, step=self.step)
 
     def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         """Hits of every effect that is allowed and not in `current` yet, best first."""
@@ -95,7 +97,8 @@ class Search(Fits):
         step = self._step_of(current.model)
         at = self.conditions(self.model)
         for name in self.library:
-            if name in (*names, *self.barred) or excluded(name, self.model, at):
+            if name in (*names, *self.barred) or excluded(
+                    name, self.model, at, self.again):
                 continue
             found += [h for h in screen.hits(name)
                       if step is None or not EFFECTS[name].is_rounding(h.parameters, step)]

@@ -145,7 +145,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         runs, held = ([run for run in each if run.of] + part
                       for each, part in zip((runs, held), parts, strict=True))
     freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
-    search = Search(one, runs, freed, library=known, step=tell)
+    search = Search(one, runs, freed, library=known, again=library is not None, step=tell)
     found = _diagnosis(Trial(search, held, seed, uncommon=uncommon), warnings,
                        bool(whole) and not holdout, (unextended, accept))
     return replace(found, stretches=chosen_of, seconds=time.monotonic() - begun)
@@ -235,11 +235,14 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
     found = _explained(trial, first, warnings, split)
     said = verdict(found[2])
     relatives = _relatives(trial, found[1]) if said.complete else set()
-    if not trial.uncommon or (said.complete and not relatives):
+    coloured = not found[1].names and _is_coloured(found[2])
+    if not trial.uncommon or (said.complete and not relatives and not coloured):
         return found
     trial.search.step("looking for uncommon effects, too")
     search = trial.search.widened(trial.uncommon)
     first, wide = search.begin(), Trial(search, trial.held, trial.seed)
+    if coloured:
+        return _in_the_colour(wide, first, found, warnings, split)
     if said.complete:
         return _one_for_all(wide, first, found, relatives, warnings, split)
     heard = said.kind != "named" and _may_explain(wide, found)
@@ -248,6 +251,22 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
         if is_clearly_more(among_all[2], found[2]):
             return among_all
     return _beside_main(trial, found, warnings, split)
+
+
+def _is_coloured(e: Evidence) -> bool:
+    """Whether what a complete model leaves has a colour, which its noise may have."""
+    return any(f.coloured for each in e.retuned.findings.values() for f in each)
+
+
+def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],
+                   split: bool) -> Judgement:
+    """What passes for coloured noise, or an uncommon effect that leaves only noise of it: one that
+    acts rarely repeats with nothing."""
+    if not _leaves_less(wide, first, found):
+        return found
+    other = _explained(wide, first, warnings, split)
+    said = verdict(other[2])
+    return other if other[1].names and said.complete else found
 
 
 def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
@@ -436,7 +455,7 @@ def _anew(trial: Trial, runs: Sequence[Observation], held: Sequence[Observation]
           free: Names) -> Trial:
     """The same on other forms of the records, or with other base parameters free."""
     old = trial.search
-    found = Trial(Search(old.model, runs, free, library=old.library, step=old.step), held,
-                  trial.seed)
+    found = Trial(Search(old.model, runs, free, library=old.library, again=old.again,
+                         step=old.step), held, trial.seed)
     found.witness = trial.witness  # forces know neither windows nor what is free
     return found

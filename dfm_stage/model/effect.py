@@ -214,6 +214,9 @@ class Effect:
     late: Literal["lag", "delay", "coil"] | None = None
     """How the first parameter makes the force late: a first-order lag or a dead time in s, or an
     inductance in H. All act alike to first order."""
+    retuned_by: str = ""
+    """The base parameter of whose kind the effect is a second one. Beside it a wrong number is
+    likelier, and the effect is looked for among the uncommon ones only."""
     twins: Mapping[str, Callable[[Mapping[str, float]], Parameters]] = field(default_factory=dict)
     """Effects that are the same motion in a limit, with their parameters there from ours: a
     linear screen seldom leads from one to the other."""
@@ -302,9 +305,8 @@ class Effect:
 
     @property
     def wrong_number_of(self) -> str:
-        """The base parameter that it adds to, whose wrong value does the same; empty if there is
-        none."""
-        return self.adds_to if self.adds_to in BASE_BY_NAME else ""
+        """The base parameter whose wrong value does the same; empty if there is none."""
+        return self.retuned_by or (self.adds_to if self.adds_to in BASE_BY_NAME else "") or ""
 
     def hidden_because(self, at: Conditions) -> str | None:
         """Why the runs cannot show the effect, in words; None where they can."""

@@ -44,4 +44,5 @@ EFFECT = Effect(
     stamp=stamp,
     begins={"time_constant": ("sample_period", (0.1, 0.3, 1.0, 3.0, 10.0))},
     late="lag",
+    retuned_by="amplifier_time_constant",
 )

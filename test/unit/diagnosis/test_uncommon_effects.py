@@ -122,6 +122,17 @@ def test_uncommon_effects_are_looked_for_where_the_common_ones_do_not_suffice(
         assert name not in {e.name for e in found.effects}
 
 
+def test_a_sensor_that_clips_rarely_is_not_taken_for_noise() -> None:
+    """What few samples miss repeats with nothing, and passes for coloured noise."""
+    free = record("sensor_clipping", {"limit": 1.0}, 1, 3.0)
+    values = {"limit": 0.98 * float(np.max(np.abs(free.axes["x"].position)))}
+    allowed = {"sensor_clipping", "cubic_stiffness", "encoder_periodic_error"}
+    found = diagnose([record("sensor_clipping", values, 1, 3.0)], BELIEVED,
+                     holdout=[record("sensor_clipping", values, 2, 3.0)],
+                     without=[n for n in library_of([ALL]) if n not in allowed])
+    assert [e.members for e in found.effects] == [("sensor_clipping",)]
+
+
 def test_a_second_lag_is_no_wrong_number_of_the_first() -> None:
     """Two lags in series are no lag of another size, whatever the size."""
     def run(seed: int) -> Record:
