@@ -356,6 +356,13 @@ def _left(e: Evidence) -> float:
     return 1.0 - (above(e, e.extended.held_out.power) if e.heard is None else e.heard.share)
 
 
+def is_coloured_noise(e: Evidence) -> bool:
+    """Whether nothing is missing, by a residual whose colour is taken for that of the noise."""
+    return verdict(e).kind in ("none", "retune") and any(
+        f.coloured and f.value > f.limit
+        for each in e.retuned.findings.values() for f in each)
+
+
 def needs_grading(e: Evidence) -> bool:
     """Whether a gap stays that no set of effects brings to the noise: a large one, or one of which
     they take nearly all on held-out records."""

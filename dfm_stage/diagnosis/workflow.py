@@ -59,6 +59,7 @@ from dfm_stage.diagnosis.stretches import Stretches, changes, is_long, observe_s
 from dfm_stage.diagnosis.verdict import (
     explained_share,
     is_clearly_more,
+    is_coloured_noise,
     leaves_open,
     main_effect,
     needs_grading,
@@ -235,7 +236,7 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
     found = _explained(trial, first, warnings, split)
     said = verdict(found[2])
     relatives = _relatives(trial, found[1]) if said.complete else set()
-    coloured = not found[1].names and _is_coloured(found[2])
+    coloured = is_coloured_noise(found[2])
     if not trial.uncommon or (said.complete and not relatives and not coloured):
         return found
     trial.search.step("looking for uncommon effects, too")
@@ -253,15 +254,10 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
     return _beside_main(trial, found, warnings, split)
 
 
-def _is_coloured(e: Evidence) -> bool:
-    """Whether what a complete model leaves has a colour, which its noise may have."""
-    return any(f.coloured for each in e.retuned.findings.values() for f in each)
-
-
 def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],
                    split: bool) -> Judgement:
-    """What passes for coloured noise, or an uncommon effect that leaves only noise of it: one that
-    acts rarely repeats with nothing."""
+    """The verdict on coloured noise, or an uncommon effect that leaves only noise: what acts
+    rarely does not repeat with the input, and passes for noise with a colour."""
     if not _leaves_less(wide, first, found):
         return found
     other = _explained(wide, first, warnings, split)
@@ -274,7 +270,8 @@ def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
     """What was found to explain a part, with the effects beside the main one compared with the
     uncommon ones, too. In windows the force domain alone proposes rivals, and it has done so."""
     own, h, evidence = found
-    if len(h.names) < 2 or not evidence.graded or own.search.runs[0].window:
+    if len(h.names) < 2 or not evidence.graded or evidence.heard is not None \
+            or own.search.runs[0].window:
         return found
     own.search.step("comparing uncommon effects, too")
     wide = Trial(own.search.widened(trial.uncommon), own.held, own.seed, dropped=own.dropped)

@@ -35,6 +35,7 @@ from dfm_stage.diagnosis.verdict import (
     Rejected,
     fallen,
     is_clearly_more,
+    is_coloured_noise,
     needs_grading,
     needs_joint_fit,
     small_parts,
@@ -380,6 +381,13 @@ def test_what_white_noise_would_show_is_no_gap_where_noise_has_a_colour():
     swallowed = replace(quiet, retuned=left(remainder=True))
     (only,) = verdict(swallowed).rejected
     assert (only.reason, only.value) == (Rejected.SHARE, pytest.approx(0.97, abs=0.01))
+
+
+@pytest.mark.parametrize(("findings", "taken"), [
+    (QUIET, False), (COLOURED, True), (LEFT, False),
+    ({"run": (*COLOURED["run"], *LEFT["run"])}, False)])
+def test_a_colour_is_taken_for_that_of_noise_only_where_no_gap_is_left(findings, taken):
+    assert is_coloured_noise(case(retuned=replace(NO_GAP, findings=findings))) is taken
 
 
 def test_what_is_left_is_no_noise_floor_where_it_holds_a_remainder():
