@@ -141,11 +141,19 @@ class Fits:
         for model, others_first in ((start.model, True), (anew, False)):
             if not hits or found.chi2 < expected or self.steps >= STEPS_BEFORE_SLOW:
                 break
-            again = self._from(model, names, start, hits, worth, others_first)
-            found = min(found, again, key=lambda f: f.chi2)
+            again = self._from(model, names, start, hits, worth, others_first, split=False)
+            if again.chi2 < found.chi2:
+                found = self._split(again, hits)
         return self.keep(names, self._no_worse(found, names, hits, lambda fewer, weaker:
                                                self._from(fewer.model, names, fewer, weaker,
                                                           worth)))
+
+    def around(self, names: Names, start: Fit, hit: Hit) -> Fit:
+        """The fit that begins with one more effect, all else fitted around it first; the best so
+        far of several."""
+        known = self.fits.get((frozenset(names), self.weighing))
+        found = self._from(start.model, names, start, [hit], math.inf, others_first=True)
+        return self.keep(names, found if known is None or found.chi2 < known.chi2 else known)
 
     def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),
              base: Parameters | None = None) -> Fit:
@@ -214,21 +222,26 @@ class Fits:
 
     def in_place_of(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
-        are the same motion (`Effect.twins`)."""
+        are the same motion (`Effect.twins`), beside the base that leaves less: that of `current`,
+        or that without any effect."""
         use = current.model.effect(name)
         assert use is not None  # noqa: S101 (who calls has found it)
         typical = next(iter(starts(twin, self.conditions(current.model))), EFFECTS[twin].defaults)
         begin = Hit.at(twin, {**typical, **EFFECTS[name].twins[twin](use.parameters)})
-        found = self._from(current.model, names, current, [begin], math.inf,
-                           limit=STEPS_BEFORE_LINEAR)
+        base = {n: v for n, v in self.fitted((), current).model.base.items() if n in self.free}
+        models = current.model, current.model.with_parameters(base)
+        first = min(models, key=lambda m: self._fit(
+            self._with(m, names, [begin])[0], (), current, iterations=0).chi2)
+        found = self._from(first, names, current, [begin], math.inf, limit=STEPS_BEFORE_LINEAR)
         known = self.fits.get((frozenset(names), self.weighing))
         return known if known is not None and known.chi2 <= found.chi2 else self.keep(names, found)
 
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
-              worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW) -> Fit:
+              worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW,
+              split: bool = True) -> Fit:
         """`others_first`: fit all else around the new effects first, and only then them, too.
         Begun together, a large effect may be traded away for what it displaces. Once the work is
-        beyond `limit`, nothing slow is begun."""
+        beyond `limit`, nothing slow is begun. With `split` a lag shares with the base's."""
         model, later = self._with(model, names, hits)
         free = self.parameters(model)
         early = tuple(n for n in free if n not in later)
@@ -252,9 +265,12 @@ class Fits:
                 for n, v in EFFECTS[hit.name].freed_last.items() if v is not None})
             found = self._fit(freed, self.parameters(freed), found, tolerance=0.1)
         found = self.refined(found)
-        if found.ok and any(EFFECTS[h.name].late for h in hits):
-            found = self.resplit(found)
-        return found
+        return self._split(found, hits) if split else found
+
+    def _split(self, found: Fit, hits: Sequence[Hit]) -> Fit:
+        """The best share of a new lag among those that act alike."""
+        late = found.ok and any(EFFECTS[h.name].late for h in hits)
+        return self.resplit(found) if late else found
 
     def _with(self, model: Model, names: Sequence[str],
               hits: Sequence[Hit]) -> tuple[Model, list[str]]:

@@ -152,10 +152,10 @@ def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
         yield h.fit, {}, {}
     singles: dict[str, Fit] = {}
     for (names, _), found in search.fits.items():
-        if len(names) == 1 and found.ok:
-            name = next(iter(names))
-            if name not in singles or found.rms < singles[name].rms:
-                singles[name] = found
+        name = next(iter(names), "")
+        if len(names) == 1 and name in search.library and found.ok and (
+                name not in singles or found.rms < singles[name].rms):
+            singles[name] = found
     for found in sorted(singles.values(), key=lambda f: f.rms)[:2]:
         yield found, {}, {}
     if not search.hits and (seen is None or seen.cannot_tell):

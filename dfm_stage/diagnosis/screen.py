@@ -125,8 +125,8 @@ class Screen:
         """Take out of `columns` (N, c) what the free parameters can do."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
-    def hits(self, name: str, keep: int = 2) -> list[Hit]:
-        """The best starting points of one effect, best first."""
+    def hits(self, name: str, keep: int | None = 2) -> list[Hit]:
+        """The best starting points of one effect, best first; all where `keep` is None."""
         points = starts(name, self.at)
         if self._first is not None and len(points) > LOOKED_CLOSELY:
             looks = self._first._looked_at(name, points)

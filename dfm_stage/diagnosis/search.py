@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from dfm_stage.diagnosis.decisions import (
     AKAIKE,
     EXCHANGES,
     FIRST,
+    FIRST_SHARE,
     FULL_SHARE,
     FURTHER,
     FURTHER_SHARE,
@@ -68,16 +69,18 @@ class Search(Fits):
     """Size of each effect that would have been seen beyond the model as it is."""
     above: float = math.inf
     """Chi-square of the model as it is above the noise, where `hits` were screened."""
-    seen: dict[tuple[Any, ...], tuple[Screen, list[Hit]]] = field(default_factory=dict)
-    """The last screens by what they depend on."""
+    seen: dict[tuple[Any, ...], tuple[Screen, dict[str, list[Hit]]]] = field(
+        default_factory=dict)
+    """The last screens by what they depend on, with the hits of the effects looked at."""
     barred: set[str] = field(default_factory=set)
     """Effects that were found and not borne out: not looked for again."""
 
     def widened(self, names: Names) -> Search:
-        """A search among these effects, too, that knows the fits made to their end so far."""
+        """A search among these effects, too, that knows what was fitted and screened so far."""
         self.begin_work(MOST_STEPS)
-        return Search(self.model, self.runs, self.free, fits=self.fits, weighings=self.weighings,
-                      library=(*self.library, *names), again=True, step=self.step)
+        return Search(self.model, self.runs, self.free, fits=self.fits, weights=self.weights,
+                      weighing=self.weighing, weighings=self.weighings, noise=self.noise,
+                      library=(*self.library, *names), again=True, step=self.step, seen=self.seen)
 
     def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
         """Hits of every effect that is allowed and not in `current` yet, best first."""
@@ -85,25 +88,18 @@ class Search(Fits):
         if key not in self.seen:
             while len(self.seen) >= SCREENS_KEPT:
                 del self.seen[next(iter(self.seen))]
-            self.seen[key] = self._screened(current, names)
-        return self.seen[key]
-
-    def _screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
-        alike = self.fitted((), current).model if names else None
-        screen = Screen(current, self.runs, self.weights, self.noise, alike)
+            alike = self.fitted((), current).model if names else None
+            self.seen[key] = Screen(current, self.runs, self.weights, self.noise, alike), {}
+        screen, looks = self.seen[key]
         if not names and not self.hits:
             self.above = current.chi2 - current.white.size
-        found: list[Hit] = []
-        step = self._step_of(current.model)
-        at = self.conditions(self.model)
-        for name in self.library:
-            if name in (*names, *self.barred) or excluded(
-                    name, self.model, at, self.again):
-                continue
-            found += [h for h in screen.hits(name)
-                      if step is None or not EFFECTS[name].is_rounding(h.parameters, step)]
-        found.sort(key=lambda h: -h.gain)
-        return screen, found
+        step, at = self._step_of(current.model), self.conditions(self.model)
+        allowed = [n for n in self.library if n not in (*names, *self.barred)
+                   and not excluded(n, self.model, at, self.again)]
+        looks.update({n: screen.hits(n) for n in allowed if n not in looks})
+        found = [h for n in allowed for h in looks[n]
+                 if step is None or not EFFECTS[n].is_rounding(h.parameters, step)]
+        return screen, sorted(found, key=lambda h: -h.gain)
 
     def _step_of(self, model: Model) -> float | None:
         """The step in which the reading is known to count: the model's, or read off the data where
@@ -117,30 +113,58 @@ class Search(Fits):
         named = any(EFFECTS[n].rounds and n not in self.barred for n in self.library)
         return step if named else None
 
+    def alone(self, current: Fit) -> tuple[Names, Fit]:
+        """The effect that brings the model as it is down most by itself, none where none helps,
+        and the fit."""
+        _, best_hits = self._looked((), current)
+        trials = self._singles((), current, self._short_list(best_hits, FIRST), current.chi2
+                               - current.white.size, current.chi2 - _noise(current))
+        return self._with_twin(current, trials)
+
+    def alone_of(self, names: Names, current: Fit, known: Fit) -> tuple[Names, Fit]:
+        """The same among `names` only. Where the best explains more than the `known` fit of an
+        effect and leaves more than noise, each is begun at another size, all else fitted around
+        it first: those with few parameters first."""
+        screen, best_hits = self._looked((), current)
+        self.screens[frozenset()] = best_hits
+        listed = [h for h in best_hits if h.name in names
+                  and h.gain > SHORT_LIST_GAIN * best_hits[0].gain][:SHORT_LIST]
+        trials = self._singles((), current, listed, current.chi2 - current.white.size,
+                               current.chi2 - _noise(current))
+        best = self._with_twin(current, trials)
+        if self.score(best[1]) > self.score(known):
+            return best
+        self.begin_work(FIRST_SHARE * MOST_STEPS)
+        again = [other for h in listed if (other := _elsewhere(h, screen)) is not None]
+        for hit in sorted(again, key=lambda h: len(EFFECTS[h.name].parameters)):
+            if best[1].chi2 < _noise(current):
+                break
+            self.step(f"fitting {hit.name}")
+            found = self.around((hit.name,), current, hit)
+            if not at_upper_end(found, [hit.name]):
+                best = self.best([best, ((hit.name,), found)])
+        return best
+
+    def _with_twin(self, current: Fit, trials: Sequence[tuple[Names, Fit]]) -> tuple[Names, Fit]:
+        """The best of `trials` or none, or the twin of the best."""
+        best = self.best([((), current), *trials])
+        return self._twin_instead((), *best) if best[1].ok else best
+
     def extend(self, names: Names, current: Fit) -> tuple[Names, Fit] | None:
         """Add what helps most, one effect or two at once; None where nothing helps enough."""
         limit = self.further(names, current) if names else FIRST
-        screen, hits = self.screened(current, names)
-        if not names:
-            self.smallest = screen.smallest(FIRST)
-        for hit in hits:
-            if not names and hit.name not in self.hits:
-                self.hits[hit.name] = hit
-        best_hits = list({h.name: h for h in reversed(hits)}.values())
-        best_hits.sort(key=lambda h: -h.gain)
-        if not best_hits or best_hits[0].gain < PROMISED * limit:
-            return None
-        top = best_hits[0].gain
-        if names and top < FURTHER_SHARE * (current.chi2 - current.white.size):
-            return None
-        listed = [h for h in best_hits if h.gain > SHORT_LIST_GAIN * top][:SHORT_LIST]
-        self.screens[frozenset(names)] = best_hits
         above = current.chi2 - current.white.size
-        trials = self._singles(names, current, listed, above)
+        screen, best_hits = self._looked(names, current)
+        listed = self._short_list(best_hits, limit)
+        if not listed or (names and listed[0].gain < FURTHER_SHARE * above):
+            return None
+        self.screens[frozenset(names)] = best_hits
+        trials = self._singles(names, current, listed, above, FULL_SHARE * above)
         taken = current.chi2 - self.best([(names, current), *trials])[1].chi2
         if len(names) + 2 <= MOST_EFFECTS and taken < FULL_SHARE * above:
-            pairs = pair_gains([h for h in hits if h.gain > PAIR_MEMBER * top], screen.residual,
-                               keep=3)
+            _, hits = self.screened(current, names)
+            pairs = pair_gains([h for h in hits if h.gain > PAIR_MEMBER * listed[0].gain],
+                               screen.residual, keep=3)
             trials += self._pairs(names, current, [
                 pair for gain, pair in pairs
                 if gain >= taken + FURTHER and gain >= PAIR_GAIN * taken], above)
@@ -154,9 +178,28 @@ class Search(Fits):
             return None
         return best
 
-    def _singles(self, names: Names, current: Fit, listed: Sequence[Hit],
-                 above: float) -> list[tuple[Names, Fit]]:
-        """Fits with each of some candidates added, until one takes all there is `above` noise."""
+    def _looked(self, names: Names, current: Fit) -> tuple[Screen, list[Hit]]:
+        """A screen, and the best hit of each effect, best first."""
+        screen, hits = self.screened(current, names)
+        best_hits = sorted({h.name: h for h in reversed(hits)}.values(), key=lambda h: -h.gain)
+        if not names:
+            self.smallest = screen.smallest(FIRST)
+            for hit in best_hits:
+                self.hits.setdefault(hit.name, hit)
+        return screen, best_hits
+
+    @staticmethod
+    def _short_list(best_hits: Sequence[Hit], limit: float) -> list[Hit]:
+        """The hits worth a fit."""
+        if not best_hits or best_hits[0].gain < PROMISED * limit:
+            return []
+        return [h for h in best_hits
+                if h.gain > SHORT_LIST_GAIN * best_hits[0].gain][:SHORT_LIST]
+
+    def _singles(self, names: Names, current: Fit, listed: Sequence[Hit], above: float,
+                 enough: float) -> list[tuple[Names, Fit]]:
+        """Fits with each of some candidates added, until one takes `enough` of what is `above`
+        the noise."""
         trials: list[tuple[Names, Fit]] = []
         worth = math.inf
         for hit in sorted(listed, key=lambda h: bool(EFFECTS[h.name].freed_last)):
@@ -166,7 +209,7 @@ class Search(Fits):
                 continue
             trials.append(((*names, hit.name), found))
             worth = min(worth, found.chi2 + WORTH * max(above, 0.0))
-            if current.chi2 - found.chi2 > FULL_SHARE * above > FURTHER:
+            if current.chi2 - found.chi2 > enough > FURTHER:
                 break
         return trials
 
@@ -349,3 +392,18 @@ class Search(Fits):
                     names, current = kept, found
                     continue
             return names, current, bare
+
+
+def _noise(current: Fit) -> float:
+    """Chi-square up to which nothing but noise is left."""
+    return RESTART_ABOVE * current.white.size
+
+
+def _elsewhere(hit: Hit, screen: Screen) -> Hit | None:
+    """The best hit of the same effect on another side of zero; without one, the second best."""
+    def side(parameters: Mapping[str, float]) -> list[bool]:
+        return [parameters[n] > 0.0 for n in EFFECTS[hit.name].sizes]
+
+    others = screen.hits(hit.name, keep=None)[1:]
+    return next((h for h in others if side(h.parameters) != side(hit.parameters)),
+                others[0] if others else None)

@@ -13,12 +13,15 @@ from dfm_stage.diagnosis.clear_force import by_force, clear_force
 from dfm_stage.diagnosis.decisions import (
     FAR_BEHIND,
     FIRST_SHARE,
+    FURTHER,
     FURTHER_PART,
     GROSS_GAP,
     GROSS_REMAINDER,
     LEAST_STEPS,
     MOST_STEPS,
+    NEAR_NOISE,
     PARTIAL_SHARE,
+    RESTART_ABOVE,
     STRETCHES_FITTED,
     STRETCHES_HELD,
 )
@@ -233,6 +236,9 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
     """What the effects of the search explain; where they leave a remainder, what these and the
     uncommon ones do, if that is clearly more; where they do not, one uncommon effect that does in
     the place of several. Before that search a first look says whether it is worth while."""
+    alone = _one_uncommon(trial, first, warnings, split)
+    if alone is not None:
+        return alone
     found = _explained(trial, first, warnings, split)
     said = verdict(found[2])
     relatives = _relatives(trial, found[1]) if said.complete else set()
@@ -252,6 +258,27 @@ def _judged(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> J
         if is_clearly_more(among_all[2], found[2]):
             return among_all
     return _beside_main(trial, found, warnings, split)
+
+
+def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
+                  split: bool) -> Judgement | None:
+    """One uncommon effect that leaves only noise where no common one does by itself; a search for
+    several common ones would end in more than noise, and late."""
+    search = trial.search
+    if not trial.uncommon or search.runs[0].window or is_noise(first):
+        return None
+    search.begin_work(FIRST_SHARE * MOST_STEPS)
+    _, common = search.alone(first)
+    if is_noise(common):
+        return None
+    search.step("looking for uncommon effects, too")
+    wide = Trial(search.widened(trial.uncommon), trial.held, trial.seed)
+    names, found = wide.search.alone_of(trial.uncommon, first, common)
+    if found.chi2 > NEAR_NOISE * found.white.size \
+            or search.score(found) > search.score(common) - FURTHER:
+        return None
+    other = wide, *_to_noise(wide, names, found, MOST_STEPS, warnings, split)
+    return other if len(other[1].names) == 1 and verdict(other[2]).complete else None
 
 
 def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],
@@ -412,6 +439,11 @@ def _by_force(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         trial, bare = _begun_in_windows(trial)
     found = by_force(trial, bare, seen, heard, warnings, split) if bare.ok else None
     return None if found is None else (trial, *found)
+
+
+def is_noise(found: Fit) -> bool:
+    """Whether a fit leaves no more than the noise by which it is weighed."""
+    return found.ok and found.chi2 <= RESTART_ABOVE * found.white.size
 
 
 def leaves_gross(found: Fit) -> bool:

@@ -149,6 +149,27 @@ def test_a_second_lag_is_no_wrong_number_of_the_first() -> None:
     assert [set(e.members) for e in found.effects] == [{"sensor_lag", "amplifier_bandwidth"}]
 
 
+def test_one_uncommon_effect_is_tried_before_several_common_ones() -> None:
+    values = {"width": 0.05}
+    steps: list[str] = []
+    found = diagnose([record("dead_zone", values, 1, 3.0)], BELIEVED,
+                     holdout=[record("dead_zone", values, 2, 3.0)], step=steps.append)
+    assert [e.members for e in found.effects] == [("dead_zone",)]
+    assert not [step for step in steps if " and " in step or "force domain" in step]
+
+
+@pytest.mark.parametrize(("name", "values"), [
+    # what it does at rest is as large as what it does beyond, and the spring takes most of it:
+    ("one_sided_cable", {"stiffness": 0.02 * STIFFNESS, "slack": -2e-4}),
+    ("backlash", {"stiffness": 0.003 * STIFFNESS, "gap": 8e-4, "centre": 5e-5})])
+def test_an_effect_that_the_base_hides_is_found(name: str, values: dict[str, float]) -> None:
+    allowed = {name, "cubic_stiffness", "quadratic_stiffness"}
+    found = diagnose([record(name, values, 1, 3.0)], BELIEVED,
+                     holdout=[record(name, values, 2, 3.0)],
+                     without=[n for n in library_of([ALL]) if n not in allowed])
+    assert [e.members for e in found.effects] == [(name,)]
+
+
 @pytest.mark.parametrize("periods", [2.2, 2.45])
 def test_cogging_of_a_few_periods_is_found(periods: float) -> None:
     """The noise of the acceleration hides it, and a polynomial over position takes most of it."""

@@ -48,7 +48,7 @@ class Backlash(Effect):
 
 WIDEST = 0.8
 """Gap over the travel."""
-SOFTEST, STIFFEST = 0.01, 10.0
+SOFTEST, STIFFEST = 1e-3, 10.0
 """Stiffness of the link over that of the stage: a softer one is told from a cubic spring by
 nothing but the noise."""
 

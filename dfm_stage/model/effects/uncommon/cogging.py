@@ -75,7 +75,7 @@ def _standing_out(at: Conditions) -> list[float]:
 
 PERIODS_STEP = 0.25
 """Of the periods over the travel: half a period off, the wave is lost at one end."""
-FEW = (2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
+FEW = (2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0)
 """Periods over the travel that are always tried: the noise of an acceleration hides them, and what
 is taken off for springs."""
 DEGREE = 5

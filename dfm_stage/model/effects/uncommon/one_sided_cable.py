@@ -38,7 +38,7 @@ class OneSidedCable(Effect):
     def starts(self, at: Conditions) -> list[Parameters]:
         """A small stiffness; its sign comes out of the fit."""
         return [{"stiffness": 10.0 * SMALL * at.stiffness, "slack": share * at.motion}
-                for share in (-1.5, -0.7, 0.0, 0.7, 1.5)]
+                for share in (-1.5, -0.7, -0.3, 0.0, 0.3, 0.7, 1.5)]
 
     def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
         """What is stiffer is a stop."""
