@@ -125,6 +125,19 @@ def test_what_the_force_domain_bears_out_is_paid_for_with_its_near_rivals():
     assert grading._paid(None) == set()
 
 
+def test_a_search_among_common_effects_begins_with_none_of_a_wider_one():
+    def fit(rms, name):
+        return SimpleNamespace(ok=True, rms=rms, name=name)
+
+    cubic, gravity = fit(2.0, "cubic_stiffness"), fit(1.0, "gravity")
+    search = SimpleNamespace(fits={(frozenset({f.name}), 0): f for f in (gravity, cubic)},
+                             library=(cubic.name,), hits={cubic.name: SimpleNamespace(
+                                 name=cubic.name, gain=1.0)})
+    trial = SimpleNamespace(search=search, witness=None)
+    begins = grading._found_before(trial, SimpleNamespace(names=()), fit(3.0, ""))
+    assert [begin[0] for begin in begins] == [cubic]
+
+
 # -- a servo axis that nothing holds -------------------------------------------------------------
 
 MASS, VISCOUS, COULOMB, GAIN, FINE = 100.0, 200.0, 20.0, 35.0, 25

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.observation import observe
-from dfm_stage.diagnosis.screen import Hit
-from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.screen import Hit, Screen
+from dfm_stage.diagnosis.search import Search, _elsewhere
 from dfm_stage.identification.weights import Weight
 
 _spec = importlib.util.spec_from_file_location("memory_truth",
@@ -61,6 +61,46 @@ def test_a_wider_search_knows_fits_that_came_to_their_end(search):
     wide.reweigh(search.weights, search.noise)
     assert wide.fitted(("cubic_stiffness",), bare) is cubic
     assert wide.fitted(("quadratic_damping",), bare) is not damping
+
+
+def test_a_wider_search_screens_only_what_was_not_looked_at(search, monkeypatch):
+    bare = search.begin()
+    looked = []
+    hits = Screen.hits
+    monkeypatch.setattr(Screen, "hits", lambda self, name, keep=2: (
+        looked.append(name), hits(self, name, keep))[1])
+    narrow = search.screened(bare, ())[1]
+    assert looked == list(search.library)
+    looked.clear()
+    wide = search.widened(("gravity",)).screened(bare, ())[1]
+    assert looked == ["gravity"]
+    assert [h for h in wide if h.name != "gravity"] == narrow
+
+
+def test_an_effect_begins_on_another_side_of_zero_or_at_the_second_best_size():
+    def hit(name, **parameters):
+        return Hit.at(name, parameters)
+
+    cable = [hit("one_sided_cable", stiffness=k, slack=1e-3) for k in (-2.0, -5.0, 1.0)]
+    curve = [hit("stribeck_friction", force=1.0, stribeck_velocity=v) for v in (0.1, 0.2)]
+    screen = SimpleNamespace(hits=lambda name, keep: {"one_sided_cable": cable,
+                                                      "stribeck_friction": curve}[name])
+    assert _elsewhere(cable[0], screen) is cable[2]
+    assert _elsewhere(curve[0], screen) is curve[1]
+    assert _elsewhere(curve[0], SimpleNamespace(hits=lambda name, keep: curve[:1])) is None
+
+
+def test_a_mount_in_the_place_of_a_far_mode_begins_with_the_base_as_it_was(search, monkeypatch):
+    """A mode with a share far below zero leaves the force constant next to nothing."""
+    bare = search.begin()
+    far = bare.model.with_parameters({"force_constant": 1e-4}).with_effect(
+        "second_mode", {"share": -1e4, "frequency": 200.0, "damping_ratio": 0.03})
+    search.free = (*search.free, "force_constant")
+    mode = search._fit(far, (), bare, iterations=0)
+    begun = []
+    monkeypatch.setattr(search, "_from", lambda model, *_, **__: (begun.append(model), bare)[1])
+    search.in_place_of("second_mode", "sensor_mount", ("sensor_mount",), mode)
+    assert begun[0].base["force_constant"] == bare.model.base["force_constant"]
 
 
 @pytest.mark.parametrize(("leaves", "sizes"), [
