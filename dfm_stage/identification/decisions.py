@@ -41,11 +41,6 @@ LINEAR_SHARE = decision(
     "Share of the output up to which nonlinear effects are left out of the "
     "sensitivities of the base.",
     set_on=ESTIMATOR)
-LINEAR_WORK = decision(
-    "LINEAR_WORK", 0.1, "steps/sample", meaning=
-    "Work of simulating a sample without nonlinear forces.",
-    set_on="derivation: 65 ns a sample in fits of a second mode, all told, 200 to 320 ns an "
-    "integration step in fits of friction; less, so that a long linear fit comes to its end")
 SHARP = decision(
     "SHARP", 0.06, "1", meaning=
     "Noise over the step of a rounded reading, where nothing else is known "

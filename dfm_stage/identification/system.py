@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import Drive, interpolated
 from dfm_stage.identification.coordinates import group, late_parameters
-from dfm_stage.identification.decisions import LINEAR_SHARE, LINEAR_WORK, SHARP
+from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.windows import Windows, at_window, first_slope
@@ -41,8 +41,7 @@ _TAKEN: ContextVar[float] = ContextVar("steps", default=0.0)
 
 
 def steps_taken() -> float:
-    """Integration steps that all systems of this thread have taken, samples without nonlinear
-    forces at LINEAR_WORK each."""
+    """Integration steps that all systems of this thread have taken with nonlinear forces."""
     return _TAKEN.get()
 
 
@@ -96,8 +95,7 @@ class System(Problem):
         self._finer: dict[tuple[int, bool], Simulator] = {}
         self._latest: dict[tuple[int, bool], tuple[bytes, Signals, float]] = {}
         self.work = 0.0
-        """Integration steps that simulations have taken, and LINEAR_WORK for each sample without
-        nonlinear forces."""
+        """Integration steps that simulations with nonlinear forces have taken."""
         self.noise = noise
         self.states = [s for s in self.simulator.states if _is_mechanical(s)] \
             if states is None else list(states)
@@ -343,8 +341,8 @@ class System(Problem):
                 threads=1 if driven.size * len(table) < PARALLEL else None)[:, ::drive.factor]
         except SimulationError:
             return np.full((len(table), run.input.size), np.nan)
-        nonlinear = bool(self.nonlinear) and not light
-        self._count(float(steps.sum()) if nonlinear else LINEAR_WORK * found.size)
+        if self.nonlinear and not light:
+            self._count(float(steps.sum()))
         if windows is not None:
             return windows.put_together(found, len(table))
         return np.tile(found, (1, run.input.size // found.shape[1])) if periodic else found
