@@ -117,9 +117,7 @@ class Search(Fits):
         """The effect that brings the model as it is down most by itself, none where none helps,
         and the fit."""
         _, best_hits = self._looked((), current)
-        trials = self._singles((), current, self._short_list(best_hits, FIRST), current.chi2
-                               - current.white.size, current.chi2 - _noise(current))
-        return self._with_twin(current, trials)
+        return self._best_alone(self._short_list(best_hits, FIRST), current)
 
     def alone_of(self, names: Names, current: Fit, known: Fit) -> tuple[Names, Fit]:
         """The same among `names` only. Where the best explains more than the `known` fit of an
@@ -129,9 +127,7 @@ class Search(Fits):
         self.screens[frozenset()] = best_hits
         listed = [h for h in best_hits if h.name in names
                   and h.gain > SHORT_LIST_GAIN * best_hits[0].gain][:SHORT_LIST]
-        trials = self._singles((), current, listed, current.chi2 - current.white.size,
-                               current.chi2 - _noise(current))
-        best = self._with_twin(current, trials)
+        best = self._best_alone(listed, current)
         if self.score(best[1]) > self.score(known):
             return best
         self.begin_work(FIRST_SHARE * MOST_STEPS)
@@ -145,8 +141,11 @@ class Search(Fits):
                 best = self.best([best, ((hit.name,), found)])
         return best
 
-    def _with_twin(self, current: Fit, trials: Sequence[tuple[Names, Fit]]) -> tuple[Names, Fit]:
-        """The best of `trials` or none, or the twin of the best."""
+    def _best_alone(self, listed: Sequence[Hit], current: Fit) -> tuple[Names, Fit]:
+        """The best single effect of a list, or its twin, or none; fitted until one leaves only
+        noise."""
+        trials = self._singles((), current, listed, current.chi2 - current.white.size,
+                               current.chi2 - _noise(current))
         best = self.best([((), current), *trials])
         return self._twin_instead((), *best) if best[1].ok else best
 

@@ -274,8 +274,7 @@ def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
     search.step("looking for uncommon effects, too")
     wide = Trial(search.widened(trial.uncommon), trial.held, trial.seed)
     names, found = wide.search.alone_of(trial.uncommon, first, common)
-    if found.chi2 > NEAR_NOISE * found.white.size \
-            or search.score(found) > search.score(common) - FURTHER:
+    if not may_stand_alone(search, found, common):
         return None
     other = wide, *_to_noise(wide, names, found, MOST_STEPS, warnings, split)
     return other if len(other[1].names) == 1 and verdict(other[2]).complete else None
@@ -439,6 +438,13 @@ def _by_force(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         trial, bare = _begun_in_windows(trial)
     found = by_force(trial, bare, seen, heard, warnings, split) if bare.ok else None
     return None if found is None else (trial, *found)
+
+
+def may_stand_alone(search: Search, found: Fit, common: Fit) -> bool:
+    """Whether one uncommon effect comes near the noise and explains more than the best common one
+    does, its parameters paid for."""
+    return found.chi2 <= NEAR_NOISE * found.white.size \
+        and search.score(found) <= search.score(common) - FURTHER
 
 
 def is_noise(found: Fit) -> bool:

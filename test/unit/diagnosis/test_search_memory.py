@@ -90,6 +90,31 @@ def test_an_effect_begins_on_another_side_of_zero_or_at_the_second_best_size():
     assert _elsewhere(curve[0], SimpleNamespace(hits=lambda name, keep: curve[:1])) is None
 
 
+@pytest.mark.parametrize(("known", "leaves", "tried"), [
+    (7.0, 1.0, ["one_sided_cable"]),            # noise: no other is tried
+    (7.0, 2.0, ["one_sided_cable", "gravity"]),
+    (2.5, 1.0, [])])                            # a common effect explains more
+def test_effects_begin_at_another_size_until_one_leaves_noise(search, monkeypatch, known, leaves,
+                                                              tried):
+    def fit(above):
+        return SimpleNamespace(ok=True, chi2=100.0 * above, white=np.zeros(100),
+                               system=SimpleNamespace(free=()))
+
+    def hit(name):
+        return SimpleNamespace(name=name, gain=9000.0, parameters={})
+
+    begun, first = [], [hit("gravity"), hit("one_sided_cable")]
+    names = tuple(h.name for h in first)
+    monkeypatch.setattr(search, "_looked", lambda *_: (None, first))
+    monkeypatch.setattr(search, "_singles", lambda *_: [((n,), fit(3.0)) for n in names])
+    monkeypatch.setattr(search, "around", lambda own, *_: (begun.append(own[0]), fit(leaves))[1])
+    monkeypatch.setattr("dfm_stage.diagnosis.search._elsewhere", lambda hit, screen: hit)
+    monkeypatch.setattr("dfm_stage.diagnosis.search.at_upper_end", lambda *_: False)
+    _, found = search.alone_of(names, fit(99.0), fit(known))
+    assert begun == tried
+    assert found.chi2 == (100.0 * leaves if tried else 300.0)
+
+
 def test_a_mount_in_the_place_of_a_far_mode_begins_with_the_base_as_it_was(search, monkeypatch):
     """A mode with a share far below zero leaves the force constant next to nothing."""
     bare = search.begin()

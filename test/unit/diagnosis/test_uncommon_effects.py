@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from benchmarks.corpus.measured import make_case, measured_plan
 from dfm_stage.diagnosis import DiagnosisError, diagnose
+from dfm_stage.diagnosis.workflow import may_stand_alone
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import Model, Simulator, model_from_dict
 from dfm_stage.model.registry import ALL, library_of
@@ -159,22 +162,33 @@ def test_one_uncommon_effect_is_tried_before_several_common_ones() -> None:
 
 
 @pytest.mark.parametrize(("name", "values"), [
-    # what it does at rest is as large as what it does beyond, and the spring takes most of it:
     ("one_sided_cable", {"stiffness": 0.02 * STIFFNESS, "slack": -2e-4}),
     ("backlash", {"stiffness": 0.003 * STIFFNESS, "gap": 8e-4, "centre": 5e-5})])
-def test_an_effect_that_the_base_hides_is_found(name: str, values: dict[str, float]) -> None:
-    allowed = {name, "cubic_stiffness", "quadratic_stiffness"}
+def test_an_effect_of_which_the_spring_takes_most_is_found(
+        name: str, values: dict[str, float]) -> None:
+    allowed = {name, "cubic_stiffness", "quadratic_stiffness", "gravity", "cogging"}
     found = diagnose([record(name, values, 1, 3.0)], BELIEVED,
                      holdout=[record(name, values, 2, 3.0)],
                      without=[n for n in library_of([ALL]) if n not in allowed])
     assert [e.members for e in found.effects] == [(name,)]
 
 
-@pytest.mark.parametrize("periods", [2.2, 2.45])
-def test_cogging_of_a_few_periods_is_found(periods: float) -> None:
+@pytest.mark.parametrize(("chi2", "common", "tested"), [
+    (1140.0, 1800.0, True), (1160.0, 1800.0, False),  # not near the noise
+    (1100.0, 1165.0, True), (1100.0, 1155.0, False)])  # hardly better than a common effect
+def test_one_effect_is_tested_alone_near_the_noise_and_before_the_common_ones(
+        chi2: float, common: float, tested: bool) -> None:
+    fits = [SimpleNamespace(chi2=value, white=np.zeros(1000)) for value in (chi2, common)]
+    search = SimpleNamespace(score=lambda fit: fit.chi2)
+    assert may_stand_alone(search, *fits) is tested
+
+
+@pytest.mark.parametrize(("periods", "force"), [
+    (2.2, 0.05), (2.45, 0.05), (7.2, 0.003), (11.3, 0.003)])
+def test_cogging_of_a_few_periods_is_found(periods: float, force: float) -> None:
     """The noise of the acceleration hides it, and a polynomial over position takes most of it."""
     none = record("cogging", {"amplitude": 0.0, "period": 1.0}, 1, 3.0)
-    values = {"amplitude": 0.05, "period": float(np.ptp(none.axes["x"].position)) / periods}
+    values = {"amplitude": force, "period": float(np.ptp(none.axes["x"].position)) / periods}
     found = diagnose([record("cogging", values, 1, 3.0)], BELIEVED,
                      holdout=[record("cogging", values, 2, 3.0)],
                      library=["cogging", "cubic_stiffness", "quadratic_stiffness"])
