@@ -1,23 +1,19 @@
-"""Verdicts by hand-made evidence: each row is a case that a user could meet.
-
-The readings have a noise of 100 nm RMS and 10,000 samples, the stage moves by 1 mm RMS, and a
-model that leaves nothing but noise has a chi-square of 10,000.
-"""
+"""Verdicts by hand-made evidence: each row is a case that a user could meet."""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
-import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.evidence import (
     Candidate,
     DropReason,
-    EffectEvidence,
     Errors,
     Evidence,
     Judged,
@@ -25,106 +21,31 @@ from dfm_stage.diagnosis.evidence import (
     Motion,
     Noise,
     Offset,
-    RivalEvidence,
 )
-from dfm_stage.diagnosis.margins import Constancy
 from dfm_stage.diagnosis.remainder import Finding
-from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
     Reason,
     Rejected,
-    fallen,
     is_clearly_more,
     is_coloured_noise,
     needs_grading,
     needs_joint_fit,
-    small_parts,
     verdict,
 )
-from dfm_stage.diagnosis.wording import sentence
+
+_spec = importlib.util.spec_from_file_location("verdict_evidence",
+                                               Path(__file__).with_name("made_evidence.py"))
+assert _spec is not None
+assert _spec.loader is not None
+made = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(made)
+NOISE, LEFT, QUIET, COLOURED = made.NOISE, made.LEFT, made.QUIET, made.COLOURED
+left, NO_GAP, CLEAR, case = made.left, made.NO_GAP, made.CLEAR, made.case
+effect, rival, at, part = made.effect, made.rival, made.at, made.part
+found, FRICTION, NEAR_FLOOR, PUSH = made.found, made.FRICTION, made.NEAR_FLOOR, made.PUSH
+MOVING_AT_NOISE = made.MOVING_AT_NOISE
 
 module = importlib.import_module("dfm_stage.diagnosis.verdict")
-COUNT, NOISE = 10_000, 1e-7
-LEFT = {"run": (Finding("line", 100.0, 32.0, "a line stands out"),)}
-QUIET = {"run": (Finding("line", 9.0, 32.0, "no line stands out"),)}
-
-COLOURED = {"run": (Finding("excess", 5.0, 2.0, "slow", coloured=True),
-                    Finding("drift", 90.0, 25.0, "it wanders", coloured=True))}
-
-
-def left(gap: float = 0.0, *, held: float | None = None, above: float | None = None,
-         held_above: float | None = None, remainder: bool = False) -> ModelEvidence:
-    """A model that leaves a `gap` (m) beside the noise, `held` on held-out records; `above` is
-    the chi-square above the noise, by default what the gap makes."""
-    other = gap if held is None else held
-
-    def errors(size: float, more: float | None) -> Errors:
-        extra = COUNT * (size / NOISE) ** 2 if more is None else more
-        rms = math.hypot(NOISE, size)
-        return Errors(rms, COUNT + extra, COUNT, rms**2)
-
-    return ModelEvidence(errors(gap, above), errors(other, held_above),
-                         findings=LEFT if remainder else QUIET)
-
-
-NO_GAP = left()
-CLEAR = left(1e-6, remainder=True)
-"""Ten times the noise: a million in chi-square."""
-
-
-def case(given: ModelEvidence = NO_GAP, retuned: ModelEvidence = NO_GAP,
-         extended: ModelEvidence | None = None, effects: tuple[EffectEvidence, ...] = (),
-         **more: object) -> Evidence:
-    return replace(Evidence(("run",), "m", Noise(NOISE, "residuals"), Motion(1e-3),
-                            given, retuned, extended or retuned, effects), **more)
-
-
-def effect(name: str, *rivals: RivalEvidence, without: ModelEvidence = CLEAR,
-           exercised: bool = True) -> EffectEvidence:
-    return EffectEvidence(name, {}, without, rivals, exercised)
-
-
-def rival(name: str, price: float, held: float = 0.0, distance: float = math.inf
-          ) -> RivalEvidence:
-    """A rival that costs `price`, and `held` on held-out records."""
-    return RivalEvidence(name, price, price, Errors(NOISE, COUNT + held, COUNT), distance)
-
-
-def at(margin: float, **more: object) -> RivalEvidence:
-    """A rival that is so many block standard errors behind."""
-    return replace(rival("eddy_current_damping", 1e6), margin=margin, related=False, **more)
-
-
-def part(share: float, *rivals: RivalEvidence, predictable: float = 1.0, margin: float = 20.0,
-         gain: float = 0.0, **more: object) -> Evidence:
-    """A gap of 100 times the noise, of which friction takes a `share` of the power held out, where
-    a black box would take `predictable`."""
-    def leaving(part: float) -> ModelEvidence:
-        power = NOISE**2 + (1.0 - part) * (100.0 * NOISE) ** 2
-        e = Errors(math.sqrt(power), COUNT * power / NOISE**2, COUNT, power=power)
-        return ModelEvidence(e, e, findings=LEFT)
-
-    friction = EffectEvidence("coulomb_friction", {}, leaving(0.0), rivals, margin=margin,
-                              constancy=Constancy(gain, 0.02))
-    black_box = leaving(predictable).held_out.rms
-    return case(leaving(0.0), leaving(0.0), leaving(share), (friction,), graded=True,
-                judged=Judged("position", None, NOISE**2, black_box), **more)
-
-
-def found(*effects: EffectEvidence, after: ModelEvidence = NO_GAP, **more: object) -> Evidence:
-    """A clear gap that the effects close."""
-    return case(CLEAR, CLEAR, after, effects, **more)
-
-
-FRICTION = effect("coulomb_friction")
-NEAR_FLOOR = left(1e-8, held=1.2e-7, above=0.0, held_above=100.0)
-"""Predicts held-out records at 1.56 times the floor."""
-GROSS = left(1e-4, remainder=True)
-MOST = left(1e-5, remainder=True)
-"""A tenth of the gross gap: 99 % of its power is taken."""
-PUSH = Offset("force_offset", 1e-6, 1e-8, 650.0)
-MOVING_AT_NOISE = Motion(8.0 * NOISE)
-
 # what a user met, the evidence, and what is said of it
 ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "nothing is missing": (case(), "none", (), Reason.NOISE),
@@ -404,104 +325,6 @@ def test_rivals_are_rejected_once_and_what_did_not_pass_says_so():
     assert (first.name, first.reason, first.about) == (
         "presliding_friction", Rejected.RIVAL, "hysteresis")
     assert (second.name, second.reason) == ("hysteresis", Rejected.NOT_HELD_OUT)
-
-
-@pytest.mark.parametrize(("evidence", "reason"), [
-    (part(0.9), None),
-    (part(0.9, margin=2.9), DropReason.BLOCKS),
-    (part(0.49), DropReason.SMALL_PART),
-    (part(0.9, at(2.9)), None),
-    (part(0.9, at(2.9), at(2.9)), DropReason.RIVALS)])
-def test_an_effect_falls_beside_a_remainder(evidence, reason):
-    assert fallen(evidence) == (None if reason is None else ("coulomb_friction", reason))
-
-
-@pytest.mark.parametrize(("related", "finished", "joins"), [
-    (True, False, True), (True, True, False), (False, False, False)])
-def test_a_rival_of_its_kind_whose_fit_was_cut_short_joins_the_class(related, finished, joins):
-    e = part(0.97, replace(at(9.0), related=related, finished=finished))
-    members = ("coulomb_friction", "eddy_current_damping") if joins else ("coulomb_friction",)
-    assert verdict(e).effects[0].members == members
-
-
-@pytest.mark.parametrize(("share", "in_best", "falls"), [
-    (0.49, False, True), (0.51, False, False), (0.49, True, False), (None, False, False)])
-def test_an_effect_that_the_force_domain_does_not_find_falls(share, in_best, falls):
-    e = part(0.9)
-    e = replace(e, effects=(replace(e.effects[0], force_share=share, in_best=in_best),))
-    assert (fallen(e) is not None) is falls
-
-
-@pytest.mark.parametrize(("taken", "falls"), [(0.94, True), (0.96, False)])
-def test_a_further_effect_may_take_nearly_all_of_what_is_left_unheard(taken, falls):
-    """The force domain has two effects in a set at most."""
-    e = part(0.99)
-    further = replace(e.effects[0], name="force_offset", force_share=0.1, in_best=False,
-                      without=part(1.0 - 0.01 / (1.0 - taken)).extended)
-    found = fallen(replace(e, effects=(*e.effects, further)))
-    assert found == (("force_offset", DropReason.UNHEARD) if falls else None)
-
-
-@pytest.mark.parametrize(("explained", "heard", "lead", "in_best", "falls"), [
-    (0.49, 0.61, 3.1, True, False), (0.49, 0.59, 3.1, True, True), (0.49, 0.61, 2.9, True, True),
-    (0.49, 0.61, 3.1, False, True), (0.29, 0.99, 9.0, True, True)])
-def test_less_is_enough_of_the_main_effect_where_the_force_domain_finds_it(
-        explained, heard, lead, in_best, falls):
-    e = part(explained)
-    e = replace(e, effects=(replace(e.effects[0], force_share=heard, force_margin=lead,
-                                    in_best=in_best),))
-    assert (fallen(e) is not None) is falls
-
-
-def surface(share: float) -> Surface:
-    """A force that is left, of which friction in another form explains a `share`."""
-    grid = np.ones((1, 1))
-    return Surface("m", grid, grid, grid, grid, grid, 0.9, 0.9, 1.0,
-                   form_shares={"coulomb_friction": share})
-
-
-@pytest.mark.parametrize(("share", "kind"), [(0.39, "named"), (0.41, "partial")])
-def test_an_effect_that_leaves_an_error_of_its_own_form_is_a_part(share, kind):
-    e = part(0.99, surface=surface(share))
-    assert verdict(e).kind == kind
-    assert ("another form" in sentence(e, verdict(e))) is (kind == "partial")
-
-
-@pytest.mark.parametrize(("gain", "kind"), [(0.25, "named"), (0.26, "partial")])
-def test_an_effect_that_needs_another_size_for_other_motion_is_a_part(gain, kind):
-    """1 - exp(-2 * 0.255) is the limit of 0.4."""
-    e = part(0.99, gain=gain)
-    assert verdict(e).kind == kind
-    assert ("another form" in sentence(e, verdict(e))) is (kind == "partial")
-
-
-def test_another_size_for_other_motion_counts_where_it_is_clear():
-    assert Constancy(0.3, 0.11).share == 0.0
-    assert Constancy(0.3, 0.09).share == pytest.approx(0.451, abs=1e-3)
-
-
-@pytest.mark.parametrize(("both", "share", "confirmed", "named"), [
-    (0.99, 0.11, False, True), (0.99, 0.09, False, False), (0.99, 0.09, True, True),
-    (0.999, 0.09, False, True)])
-def test_a_small_further_effect_needs_the_force_domain_or_takes_all_that_is_left(
-        both, share, confirmed, named):
-    e = part(both)
-    offset = EffectEvidence("force_offset", {}, part(both - share).extended, margin=20.0,
-                            confirmed=confirmed)
-    e = replace(e, effects=(*e.effects, offset))
-    assert (fallen(e) is None) is named
-    assert small_parts(e) == (() if named else ("force_offset",))
-
-
-def test_a_small_effect_alone_is_not_a_further_one():
-    assert small_parts(found(FRICTION)) == ()
-
-
-def test_two_effects_fall_the_lesser_first():
-    e = part(0.9, margin=1.0)
-    lesser = replace(e.effects[0], name="force_offset",
-                     without=replace(e.effects[0].without, held_out=part(0.85).extended.held_out))
-    assert fallen(replace(e, effects=(*e.effects, lesser)))[0] == "force_offset"
 
 
 @pytest.mark.parametrize(("met", "graded"), [
