@@ -31,6 +31,7 @@ SAFE_WITHIN_S = 3.0
 EXPLAINED_WITHIN_S = 8.0
 DEAF_S, DEAF_AT_MOST = 5.0, 10
 SETTLES_S = 2.0
+PRIORITY_NOTE = "no real-time priority"
 
 
 @dataclass
@@ -205,13 +206,23 @@ class Campaign:
                          for text, at in when.items())
 
     def _explained(self, fault: Fault, gone: Sequence[str]) -> bool:
-        """Whether a node has said what it misses, or why the output is at zero."""
-        said = [text for _, text in self._scene.said]
+        """Whether a node has said what it misses, or why the output is at zero.
+
+        That a killed node costs the others their priority is true, but explains neither.
+        """
+        said = [each for _, text in self._scene.said for each in _notes(text)
+                if PRIORITY_NOTE not in each]
         if words := KINDS[fault.kind].words:
             return any(each in text for each in words for text in said)
         kinds = [node.rpartition("/")[2] for node in (fault.node, *gone)]
         return any("output at zero" in text or text.startswith(f"{fault.node}:")
                    or any(kind in text.partition(": ")[2] for kind in kinds) for text in said)
+
+
+def _notes(text: str) -> list[str]:
+    """What a node said, note by note, each with the node's name before it."""
+    name, _, words = text.partition(": ")
+    return [f"{name}: {each}" for each in words.split("; ")]
 
 
 def _line(outcome: Outcome) -> str:

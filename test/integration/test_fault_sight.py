@@ -36,6 +36,20 @@ def sights(age_s: float, **last):
     return heard(messages, 0, NOW_NS), recorded(bag, 0, NOW_NS)
 
 
+@pytest.mark.parametrize(("said", "explained"), [
+    ("/stage/sim_plant: no real-time priority: normal (killed and still written to: "
+     "/stage/x/controller)", False),
+    ("/stage/x/amplifier_driver: output at zero until clear and arm: stale command", True),
+    ("/stage/x/amplifier_driver: no real-time priority: normal (killed and still written to: "
+     "/stage/x/controller); waiting for controller", True),
+])
+def test_what_a_killed_node_costs_the_others_is_no_explanation(tmp_path, said, explained):
+    campaign = Campaign(tmp_path)
+    campaign._scene = SimpleNamespace(said=[(0.0, said)])
+    dead = "/stage/x/controller"
+    assert campaign._explained(Fault(dead, "kill"), [dead]) is explained
+
+
 @pytest.mark.parametrize(("last", "age_s", "node", "safe"), [
     ({}, 0.01, "x/controller", True),
     ({}, 0.5, "x/controller", False),
