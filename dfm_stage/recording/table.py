@@ -23,6 +23,7 @@ from dfm_stage.recording.time_base import (
     TimeBase,
     average_held,
     find_time_base,
+    read_stamps,
     resample,
 )
 from dfm_stage.recording.units import Unit, measured, suffix_of, unit_of
@@ -124,6 +125,10 @@ def _record(table: Table, options: Options, fingerprint: str) -> Record:
                             f"those samples count as missing")
             usable[bad] = False
     base = _time_base(table, choice, columns, np.flatnonzero(usable), options)
+    base = read_stamps(base, [(columns[axis["input"].column][base.rows],
+                               columns[axis["position"].column][base.rows])
+                              for axis in choice.axes.values()],
+                       options.input_hold in (None, "zero"))
     label = "axis {}, " if len(choice.axes) > 1 else ""
     axes = {name: _axis(label.format(name), sources, columns, base, warnings, options)
             for name, sources in choice.axes.items()}

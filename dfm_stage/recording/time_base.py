@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +18,11 @@ _PHASE_SAMPLES = 10
 _LONGEST_GAP = 1e9          # samples
 _LONGEST_MASK = 100         # times the samples there are
 _MANY = 5
+_PAST = 4                   # samples of the past in a regression
+_THROUGH = 8                # samples that an interpolation goes through
+_AT_ONCE = 100_000          # samples that are interpolated together
+_FEWEST = 100               # samples from which times are judged by the motion
+_EARLIEST = 0.01            # share of the samples that may seem earlier than the timer
 
 Where = Callable[[int], str]
 
@@ -26,7 +32,7 @@ class TimeBase:
     """An even time base: rows `rows` of the table are samples `index` on it.
 
     `jitter` (s) holds how much later each row was taken than its sample, None where the stamps
-    are even or merely rounded.
+    are even or merely rounded. `input_late` says whether the input was set so much later, too.
     """
 
     start: float
@@ -35,6 +41,7 @@ class TimeBase:
     index: Ints
     jitter: FloatArray | None = None
     notes: list[str] = field(default_factory=list)
+    input_late: bool = True
 
     @property
     def length(self) -> int:
@@ -212,24 +219,31 @@ def _resolution(time: FloatArray) -> float:
 def resample(values: FloatArray, base: TimeBase) -> tuple[FloatArray, float]:
     """Move smooth samples from where they were taken to the even time base.
 
-    Through each four neighbours goes a cubic. Its error is judged by what two more neighbours
-    would change (the quintic through six).
+    Through each _THROUGH neighbours goes a polynomial. Its error is judged by what two more would
+    change.
 
     Returns
     -------
     (values (n,), RMS of the estimated error in the unit of the values)
     """
-    if base.jitter is None or len(values) < 6:
+    if base.jitter is None or len(values) < _THROUGH + 2:
         return values, 0.0
     nodes = base.index + base.jitter / base.period
     targets = base.index.astype(np.float64)
-    cubic = interpolate(nodes, values, targets, 4)
-    return cubic, float(np.sqrt(np.mean((cubic - interpolate(nodes, values, targets, 6))**2)))
+    found = interpolate(nodes, values, targets, _THROUGH)
+    more = interpolate(nodes, values, targets, _THROUGH + 2)
+    return found, float(np.sqrt(np.mean((found - more)**2)))
 
 
 def interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,
-                 count: int) -> FloatArray:
+                count: int) -> FloatArray:
     """Lagrange interpolation through the `count` nodes around each target."""
+    return np.concatenate([_interpolated(nodes, values, targets[at:at + _AT_ONCE], count)
+                           for at in range(0, max(len(targets), 1), _AT_ONCE)])
+
+
+def _interpolated(nodes: FloatArray, values: FloatArray, targets: FloatArray,
+                  count: int) -> FloatArray:
     first = np.clip(np.searchsorted(nodes, targets) - count // 2, 0, len(nodes) - count)
     around = first[:, None] + np.arange(count)
     x, y = nodes[around] - targets[:, None], values[around]
@@ -238,12 +252,67 @@ def interpolate(nodes: FloatArray, values: FloatArray, targets: FloatArray,
     return np.asarray(np.sum(np.prod(factors, axis=2) * y, axis=1))
 
 
+def read_stamps(base: TimeBase, axes: Sequence[tuple[FloatArray, FloatArray]],
+                held: bool) -> TimeBase:
+    """Return what stamps that jitter tell, by input and position (n,) of all `axes`.
+
+    Either a timer samples, and only the stamps are late; or the samples are late, and so is the
+    input, as of a loop that wakes late; or the samples are late, and a timer sets the input. The
+    last is looked for where the input is `held`.
+    """
+    if base.jitter is None or len(base.index) < _FEWEST:
+        return base
+    if _sampled_evenly([position for _, position in axes], base):
+        note = "the position is smoother as even samples: the stamps tell the period only"
+        return replace(base, jitter=None, notes=[*base.notes, note])
+    if not held or np.any(np.diff(base.index) != 1):
+        return base
+    earliest = float(np.quantile(base.jitter, _EARLIEST))
+    timer = replace(base, start=base.start + earliest, jitter=base.jitter - earliest,
+                    input_late=False)
+    left = [sum(math.log(_unforeseen(resample(position, each)[0], average_held(feed, each)))
+                for feed, position in axes) for each in (base, timer)]
+    if left[0] <= left[1]:
+        return base
+    note = "the motion says that the input changes at even times: only the samples are late"
+    return replace(timer, notes=[*base.notes, note])
+
+
+def _sampled_evenly(positions: Sequence[FloatArray], base: TimeBase) -> bool:
+    """Whether the samples were taken evenly.
+
+    A motion is smooth, and every error of its times makes it rougher: fourth differences are
+    compared, as they stand and moved to where the stamps put them. That alone makes white noise
+    smoother.
+    """
+    noise = np.random.default_rng(0).standard_normal(len(base.index))
+    return sum(_rougher_moved(values, base) - _rougher_moved(noise, base)
+               for values in positions) > 0.0
+
+
+def _rougher_moved(values: FloatArray, base: TimeBase) -> float:
+    """Logarithm of the power of fourth differences, moved over as it stands."""
+    even, moved = (max(float(np.mean(np.diff(x, 4)**2)), 1e-300)
+                   for x in (values, resample(values, base)[0]))
+    return math.log(moved / even)
+
+
+def _unforeseen(position: FloatArray, feed: FloatArray) -> float:
+    """RMS that a regression on the last samples of both leaves of the position."""
+    n = len(position)
+    y, u = position - position.mean(), feed - feed.mean()
+    past = np.column_stack([x[_PAST - k:n - k] for x in (y, u) for k in range(1, _PAST + 1)])
+    past /= np.maximum(np.sqrt(np.mean(past**2, axis=0)), 1e-300)
+    found = np.linalg.lstsq(past, y[_PAST:], rcond=None)[0]
+    return max(float(np.sqrt(np.mean((y[_PAST:] - past @ found)**2))), 1e-300)
+
+
 def average_held(values: FloatArray, base: TimeBase) -> FloatArray:
     """Average an input that is held from one stamp to the next over each even period.
 
     The integral of the input, its impulse on the stage, stays what it was.
     """
-    if base.jitter is None:
+    if base.jitter is None or not base.input_late:
         return values
     edges = base.start + base.period * base.index + base.jitter
     return mean_held(edges, values, base.start, base.period, base.length)[0][base.index]

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from dfm_stage.recording import Record, RecordError, read_record
-from dfm_stage.recording.time_base import TimeBase, average_held, find_time_base, resample
+from dfm_stage.recording.time_base import (
+    TimeBase,
+    average_held,
+    find_time_base,
+    read_stamps,
+    resample,
+)
 
 PERIOD = 1e-3
 COUNT = 4000
@@ -59,6 +65,47 @@ def test_even_samples_are_left_alone(tmp_path: Path) -> None:
     record, truth = jittered(SIGNALS["many"], 1e-5, 1, tmp_path)
     assert record.warnings == []
     assert np.abs(record.axis().position - truth).max() < 1e-9
+
+
+@pytest.mark.parametrize(("stamps", "samples", "moved"), [
+    (0.1, 0.0, False),   # a timer samples, and a computer stamps late
+    (0.1, 0.1, True), (0.3, 0.3, True)])
+def test_the_motion_says_whether_samples_or_only_stamps_jitter(stamps, samples, moved,
+                                                               tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    late = rng.uniform(-1, 1, COUNT)
+    time, taken = (PERIOD * (np.arange(COUNT) + share * late) for share in (stamps, samples))
+    drive, noise = rng.normal(size=(2, COUNT))
+    position = SIGNALS["sine 40 Hz"](taken) + 3e-7 * noise
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack((time, drive, position)), fmt="%.12e", delimiter=",",
+               header="time_s,input_v,position_m", comments="")
+    record = read_record(path)
+    assert bool(np.abs(record.axis().position - position).max() > 1e-9) == moved
+    assert moved or np.allclose(record.axis().input, drive, rtol=1e-11)
+    assert any("the stamps tell the period only" in w for w in record.warnings) != moved
+
+
+@pytest.mark.parametrize("by_timer", [True, False])
+@pytest.mark.parametrize("noise", [0.0, 3e-3])
+def test_the_motion_says_whether_the_input_jitters_with_the_samples(by_timer, noise) -> None:
+    """A lag of 20 ms behind an input that a timer sets, or a loop that wakes late."""
+    rng = np.random.default_rng(6)
+    late = np.minimum(0.1 * np.abs(rng.standard_normal(COUNT)), 0.4)
+    drive, tick = rng.normal(size=COUNT), PERIOD * np.arange(COUNT)
+    taken = tick + PERIOD * late
+    sets = tick if by_timer else taken
+    states = np.zeros(COUNT + 1)     # at the times at which the input is set
+    for k in range(COUNT - 1):
+        states[k + 1] = drive[k] + (states[k] - drive[k]) * np.exp((sets[k] - sets[k + 1]) / 0.02)
+    position = drive + (states[:-1] - drive) * np.exp((sets - taken) / 0.02)
+    base = base_of(taken)
+    assert base.jitter is not None
+    seen = position + noise * np.std(position) * rng.normal(size=COUNT)
+    found = read_stamps(base, [(drive, seen)], held=True)
+    assert found.input_late != by_timer
+    assert np.allclose(found.jitter, taken - tick, atol=5e-3 * PERIOD) or not by_timer
+    assert read_stamps(base, [(drive, seen)], held=False) is base
 
 
 def base_of(time: np.ndarray, gaps: str = "longest") -> TimeBase:
