@@ -32,8 +32,8 @@ RETUNE_GAIN = decision(
     meaning="Fall that makes new values of the base parameters worth telling.",
     set_on=FIRST_FORM)
 RETUNE_RATIO = decision(
-    "RETUNE_RATIO", 1.002, "1", meaning="Fitted RMS with the given values over that with new "
-    "ones, above which they are worth telling.", set_on=FIRST_FORM)
+    "RETUNE_RATIO", 1.002, "1", meaning="RMS that one model leaves over what another does, "
+    "above which the difference is worth telling.", set_on=FIRST_FORM)
 HELD_OUT_FLOOR = decision(
     "HELD_OUT_FLOOR", 1.2, "1",
     meaning="Held-out RMS over the noise floor up to which a model explains everything.",
@@ -358,8 +358,8 @@ STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration ste
 STEPS_BEFORE_LINEAR = _search("STEPS_BEFORE_LINEAR", 60e6, "steps", "The same for any with a "
                               "nonlinear force.", BOUND)
 CONVENTION_PRICE = decision(
-    "CONVENTION_PRICE", 2, "1", meaning="Parameters that another convention of the input counts "
-    "for; it must spare more.", set_on="derivation: its kind and its shift")
+    "CONVENTION_PRICE", 1, "1", meaning="Parameters that another convention of the input counts "
+    "for; it must spare more.", set_on="derivation: its kind; when it acts is measured")
 HOLDS_DIFFER = decision(
     "HOLDS_DIFFER", 0.05, "sampling rates", meaning="Frequency of a mode from which an error of "
     "the input's timing may look like it.", set_on="derivation: below it a hold weakens the input "

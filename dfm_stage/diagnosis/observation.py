@@ -138,9 +138,9 @@ def observe(record: Record, model: Model, axis: str | None = None,
                                     for _ in loss.input)).by(found)
 
 
-def alike(runs: Sequence[Observation]) -> list[Observation]:
-    """The runs with what they say together of their inputs, and with a measured velocity beside
-    the position only where all of them have one.
+def alike(runs: Sequence[Observation], late: float = 0.0) -> list[Observation]:
+    """The runs with what they say together of their inputs to a stage that is known to be `late`
+    (samples), and with a measured velocity beside the position only where all of them have one.
 
     Raises
     ------
@@ -151,8 +151,9 @@ def alike(runs: Sequence[Observation]) -> list[Observation]:
         if run.measures != runs[0].measures:
             raise DiagnosisError(f"{run.name}: the output is a {run.measures}, that of "
                                  f"{runs[0].name} a {runs[0].measures}; use records of one kind")
-    told = [run if run.convention is convention else run.by(convention) for run, convention
-            in zip(runs, agreed([each.convention for each in runs]), strict=True)]
+    known = [each.behind(late) for each in agreed([each.convention for each in runs])]
+    told = [run if run.convention is convention else run.by(convention)
+            for run, convention in zip(runs, known, strict=True)]
     if all(run.velocity is not None for run in told):
         return told
     return [replace(run, velocity=None) for run in told]

@@ -1,7 +1,9 @@
 """Another convention of the input in the place of a linear effect.
 
-What an error of the input's timing leaves looks like a mode far above the motion. Where a linear
-effect is found, the records are judged by the other conventions, too.
+A held input cannot act before half a sample; one that is not held may act later, with a lag of the
+stage behind it. The kind of hold is then told by what the model leaves with each. What an error of
+the input's timing leaves looks like a mode far above the motion: where a linear effect is found,
+the records are judged by the other conventions, too.
 """
 
 from __future__ import annotations
@@ -9,19 +11,39 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from dfm_stage.diagnosis.decisions import CONVENTION_PRICE, CONVENTION_WORSE, HOLDS_DIFFER
+from dfm_stage.diagnosis.decisions import (
+    CONVENTION_PRICE,
+    CONVENTION_WORSE,
+    HOLDS_DIFFER,
+)
 from dfm_stage.diagnosis.evidence import Evidence
+from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.identification.convention import LATENESS, Hold, reinterpreted
+from dfm_stage.identification.coordinates import late_parameters, lateness
+from dfm_stage.identification.decisions import HOLD_CLEAR
 from dfm_stage.identification.system import is_nonlinear
-from dfm_stage.model import EFFECTS
+from dfm_stage.model import EFFECTS, Model
+
+
+def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
+    """The trial by the kind of hold that leaves clearly least before any effect is added, with
+    that fit; only where the model has a lag or delay to fit, because an effect that is late would
+    stand for a kind otherwise."""
+    search = trial.search
+    if late_parameters(search.model, search.free):
+        for other in by_other_conventions(trial):
+            found = other.search.begin()
+            if found.ok and found.rms**2 < HOLD_CLEAR * first.rms**2:
+                trial, first = other, found
+    return trial, first
 
 
 def has_linear_effect(h: Hypothesis) -> bool:
-    """Whether an effect was found that is a linear part of many parameters, at a frequency at
-    which kinds of hold differ."""
+    """Whether an effect was found that is a linear part of several parameters; a mode, at a
+    frequency at which kinds of hold differ."""
     return any(EFFECTS[n].stamp is not None and EFFECTS[n].wave is None and not is_nonlinear(n)
                and len(EFFECTS[n].parameters) > CONVENTION_PRICE and _is_fast(h, n)
                for n in h.names)
@@ -42,13 +64,20 @@ def by_other_conventions(trial: Trial) -> Iterator[Trial]:
     for kind in LATENESS:
         if any(c.hold != kind for c in known):
             old = trial.search
-            search = Search(old.model, _by(runs, kind), old.free, library=old.library,
+            search = Search(old.model, _by(runs, kind, old.model), old.free, library=old.library,
                             again=old.again, step=old.step)
-            yield Trial(search, _by(held, kind), trial.seed)
+            yield Trial(search, _by(held, kind, old.model), trial.seed)
 
 
-def _by(runs: Sequence[Observation], kind: Hold) -> list[Observation]:
-    return [replace(run.by(reinterpreted(run.convention, kind)), window=0) for run in runs]
+def _by(runs: Sequence[Observation], kind: Hold, model: Model) -> list[Observation]:
+    late = late_samples(model)
+    return [replace(run.by(reinterpreted(run.convention, kind).behind(late)), window=0)
+            for run in runs]
+
+
+def late_samples(model: Model) -> float:
+    """By how many samples a stage is late by what its model says."""
+    return lateness(model, tuple(model.parameters())) / model.sample_period
 
 
 def is_simpler(other: tuple[Hypothesis, Evidence], found: tuple[Hypothesis, Evidence]) -> bool:

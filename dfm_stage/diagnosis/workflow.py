@@ -53,8 +53,10 @@ from dfm_stage.diagnosis.observation import (
 )
 from dfm_stage.diagnosis.other_convention import (
     by_other_conventions,
+    clearest,
     has_linear_effect,
     is_simpler,
+    late_samples,
 )
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
@@ -140,7 +142,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     runs, held, chosen_of = _observed(wanted[:len(records)], wanted[len(records):])
     warnings = [*(each.words for each in chosen_of), *(
         f"{r.provenance.source}: {w}" for r in (*records, *holdout) for w in r.warnings)]
-    both = alike([*runs, *held])
+    both = alike([*runs, *held], late_samples(one))
     runs, held = both[:len(runs)], both[len(runs):]
     warnings += [lost_samples(run.name, run.lost_s) for run in (*runs, *held) if run.lost_s]
     whole = [run for run in runs if not run.of]
@@ -197,6 +199,8 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
         raise DiagnosisError(f"model {search.model.name}: cannot be simulated on "
                              f"{search.runs[0].name}: the motion escapes or the parameters leave "
                              "their limits; correct the model")
+    if not is_noise(first):
+        trial, first = clearest(trial, first)
     found = _judged(trial, first, warnings, split)
     if has_linear_effect(found[1]):
         found = _simplest(found, warnings, split)
@@ -222,10 +226,11 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
 
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
-    """What was found, or what another convention of the input makes of it if that is simpler."""
+    """What was found, or what another convention of the input makes of it if that is simpler;
+    of those that leave less before any effect is added."""
     for trial in by_other_conventions(found[0]):
         first = trial.search.begin()
-        if first.ok:
+        if first.ok and first.rms < found[1].bare.rms:
             other = _judged(trial, first, warnings, split)
             if is_simpler(other[1:], found[1:]):
                 found = other

@@ -74,6 +74,19 @@ class Convention:
         """Whether the input is what every simulator takes: held, and neither early nor late."""
         return self.hold == "zero" and self.shift == 0.0
 
+    @property
+    def before_it_is_set(self) -> bool:
+        """Whether a held input would surely act before it is set."""
+        return self.hold == "zero" and self.late is not None and self.late_sigma is not None \
+            and self.late < -HELD_SIGMAS * self.late_sigma
+
+    def behind(self, late: float) -> Convention:
+        """Return the same for a stage that is known to be `late` (samples) by itself: an input
+        that acts early in spite of it was set so much earlier."""
+        if self.source != "estimated" or self.shift >= 0.0 or late <= 0.0:
+            return self
+        return replace(self, shift=self.shift - late, late=late)
+
     def to_dict(self, record: str) -> dict[str, Any]:
         """As diagnosis.json and identify.json keep it."""
         return {"record": record, "input_hold": self.hold,

@@ -42,6 +42,14 @@ def late_parameters(model: Model, names: Sequence[str]) -> dict[str, str]:
     return {n: kinds[n] for n in names if n in kinds}
 
 
+def lateness(model: Model, names: Sequence[str]) -> float:
+    """Seconds by which parameters `names` make the force late, to first order."""
+    per_second = {"coil": model.base.get("coil_resistance", 0.0)}
+    values = model.parameters()
+    return sum(values.get(n, 0.0) / per for n, kind in late_parameters(model, names).items()
+               if (per := per_second.get(kind, 1.0)) > 0.0)
+
+
 @dataclass(frozen=True)
 class Coordinates:
     """`forward` takes values of `names` (n,) to those of `fitted` (n,), `backward` back.

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from dfm_stage.arrays import Array
+from dfm_stage.identification.convention import LATENESS, reinterpreted
 from dfm_stage.identification.coordinates import late_parameters
-from dfm_stage.identification.decisions import SAME_PERIOD
+from dfm_stage.identification.decisions import HOLD_CLEAR, SAME_PERIOD
 from dfm_stage.identification.errors import IdentificationError
 from dfm_stage.identification.evaluation import Evaluation, hold_out, judged, residual_tests
 from dfm_stage.identification.frequency_response import FrequencyResponse, frequency_response
@@ -152,7 +153,8 @@ def identify(records: Sequence[Source | Record], *, model: Model | None = None,
         transfer = _sprung_or_free(responses, transfer, warnings)
     start, names, others = _starting_model(sources[0], model, transfer, free, fixed)
     step("model")
-    fit = fit_model(start, [s.run() for s in sources], names, noise=noise, starts=others)
+    sources, holdout, fit = _of_clearest_hold(sources, holdout, lambda given: fit_model(
+        start, [s.run() for s in given], names, noise=noise, starts=others))
     if fit.estimate.status == "failed":
         raise IdentificationError(f"{sources[0].name}: {fit.estimate.message}")
     if fit.estimate.status != "converged":
@@ -176,6 +178,29 @@ def identify(records: Sequence[Source | Record], *, model: Model | None = None,
                           transfer, evaluations, held_out, tests, lines, frequency, ratio, gain,
                           paper, tuple(warnings),
                           tuple(s.convention.to_dict(s.name) for s in (*sources, *holdout)))
+
+
+def _of_clearest_hold(sources: list[Source], holdout: list[Source],
+                      fitted: Callable[[list[Source]], ModelFit]
+                      ) -> tuple[list[Source], list[Source], ModelFit]:
+    """The records by the kind of hold that leaves clearly least, and the fit, where the estimated
+    one would act before half a sample, as no held input does."""
+    found = fitted(sources)
+    known = [each.convention for each in (*sources, *holdout)]
+    if any(c.source == "given" for c in known) or not any(c.before_it_is_set for c in known):
+        return sources, holdout, found
+    for kind in LATENESS:
+        told = [replace(each, known=reinterpreted(each.convention, kind))
+                for each in (*sources, *holdout)]
+        own, rest = told[:len(sources)], told[len(sources):]
+        other = fitted(own) if any(c.hold != kind for c in known) else found
+        if _left(other) < HOLD_CLEAR * _left(found):
+            sources, holdout, found = own, rest, other
+    return sources, holdout, found
+
+
+def _left(fit: ModelFit) -> float:
+    return sum(float(part.residual @ part.residual) for part in fit.fits)
 
 
 def summary(fit: ModelFit) -> tuple[Quantity, Quantity, Quantity]:
