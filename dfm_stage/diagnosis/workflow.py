@@ -328,6 +328,8 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
         fits = {n: search.fitted((n,), first, [hits[n]]) for n in sorted(relatives & hits.keys())}
     else:
         fits = {n: search.in_place_of(own, n, (n,), h.fit) for n in relatives for own in h.names}
+    search.reweigh(found[0].search.weights, found[0].search.noise)
+    fits = {n: search.fitted((n,), each) for n, each in fits.items() if each.ok}
     fits = {n: each for n, each in fits.items() if each.ok and (
         len(h.names) > 1 or len(each.system.free) < len(h.fit.system.free))}
     name = min(fits, key=lambda n: fits[n].rms, default="")

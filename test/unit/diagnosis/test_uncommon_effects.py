@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.measured import make_case, measured_plan
-from dfm_stage.diagnosis import DiagnosisError, diagnose
+from dfm_stage.diagnosis import DiagnosisError, diagnose, workflow
 from dfm_stage.diagnosis.workflow import may_stand_alone
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import Model, Simulator, model_from_dict
@@ -214,3 +214,35 @@ def test_an_effect_that_may_not_be_named_must_be_one() -> None:
                  Provenance("run", "csv"))
     with pytest.raises(DiagnosisError, match="without: there is no effect hum"):
         diagnose([run], BELIEVED, without=["hum"])
+
+
+class Twins:
+    """A search in which the twin of a second mode ends early by loose weights."""
+
+    def __init__(self) -> None:
+        self.weights, self.noise = "loose", 1.0
+
+    def reweigh(self, weights: str, noise: float) -> None:
+        self.weights, self.noise = weights, noise
+
+    def in_place_of(self, *_: object) -> SimpleNamespace:
+        return fit_of(2.0, 5)
+
+    def fitted(self, *_: object) -> SimpleNamespace:
+        return fit_of(1.0 if self.weights == "tight" else 2.0, 5)
+
+
+def fit_of(rms: float, free: int) -> SimpleNamespace:
+    return SimpleNamespace(ok=True, rms=rms, system=SimpleNamespace(free=range(free)))
+
+
+def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch) -> None:
+    """By those of the whole gap its fit ends far above the noise, and a second mode stays."""
+    taken = SimpleNamespace(names=("sensor_mount",))
+    monkeypatch.setattr(workflow, "_to_noise", lambda *_: (taken, None))
+    monkeypatch.setattr(workflow, "verdict", lambda _: SimpleNamespace(complete=True))
+    own = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1))
+    found = own, SimpleNamespace(names=("second_mode",), fit=fit_of(1.01, 7)), None
+    wide = SimpleNamespace(search=Twins())
+    other = workflow._one_for_all(wide, None, found, {"sensor_mount"}, (), split=False)
+    assert other[1] is taken
