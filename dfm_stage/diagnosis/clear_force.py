@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.decisions import (
     LEAST_PREDICTABLE,
     MARGIN_OVER_LARGER,
     PARTIAL_SHARE,
+    RETUNE_RATIO,
 )
 from dfm_stage.diagnosis.effect_fits import inside
 from dfm_stage.diagnosis.evidence import Evidence, Heard
@@ -81,8 +82,8 @@ def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Seq
     else fitted to the motion, begun from what the forces say of it, or as given where that is
     outside its limits.
 
-    None where that does not lower the held-out gap, or where the forces balance only with a mass
-    outside its limits: then no size beside it is to be believed.
+    None where that does not lower the held-out gap clearly, or where the forces balance only with
+    a mass outside its limits: then no size beside it is to be believed.
     """
     search, names = trial.search, tuple(heard.added)
     search.step(f"fitting {' and '.join(names)}, which the force domain names")
@@ -103,7 +104,7 @@ def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Seq
         return None
     h = Hypothesis(names, found, bare)
     evidence = with_witness(gather(trial, h, warnings, split, graded=True), seen)
-    if evidence.extended.held_out.power >= evidence.retuned.held_out.power:
+    if RETUNE_RATIO**2 * evidence.extended.held_out.power >= evidence.retuned.held_out.power:
         return None
     moved = fit(found.model, search.runs, search.parameters(model), search.weights,
                 earlier=found.locals, noise=search.noise).model.parameters()

@@ -31,6 +31,7 @@ DropReason = Enum("DropReason", [
     "REFITTED",       # the others alone, refitted, predict held-out records better
     "LINE_OF_INPUT",  # a vibration at a line of the input, beside a remainder
     "AT_BOUND",       # a parameter is at its bound, and without an interval
+    "NO_SIZE",        # the interval of its size holds zero
     # where a remainder stays:
     "BLOCKS",         # held-out blocks are not worse without it
     "SMALL_PART",     # takes too little of what is left on held-out blocks

@@ -201,12 +201,15 @@ class Trial:
     def at_bound(self, h: Hypothesis) -> Hypothesis:
         """Drop effects of which a parameter has no interval: the fit ran to the bound of what the
         effect can be, and stands for something else there; so does a sine of which the records
-        show but a part."""
+        show but a part. One whose size may be zero is not shown."""
         values = h.fit.quantities
         for name in reversed(h.names):
             own = [q for address, q in values.items() if address.startswith(f"{name}.")]
-            if cycles(name, h.fit.model, self.search.runs) < FEWEST_CYCLES or any(
-                    q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own):
-                self.dropped[name] = DropReason.AT_BOUND
+            sizes = [q for size in EFFECTS[name].sizes
+                     if (q := values.get(f"{name}.{size}")) is not None]
+            unbound = cycles(name, h.fit.model, self.search.runs) < FEWEST_CYCLES or any(
+                q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own)
+            if unbound or (len(sizes) == 1 and sizes[0].covers(0.0)):
+                self.dropped[name] = DropReason.AT_BOUND if unbound else DropReason.NO_SIZE
                 return self.at_bound(h.without(name, self.search))
         return h

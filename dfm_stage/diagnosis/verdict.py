@@ -191,7 +191,8 @@ def judge_hypothesis(e: Evidence) -> Outcome:
     allowed = NOT_EXERCISED if idle else 0.0
     if idle and e.retuned.held_out == e.given.held_out:  # other values were fitted
         allowed += (RETUNE_RATIO**2 - 1.0) * e.retuned.held_out.chi2
-    if not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed:
+    if not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed or (
+            e.extended.held_out.power > RETUNE_RATIO**2 * e.retuned.held_out.power):
         return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
     if e.extended.remainder:
         return Outcome(False, Reason.NEAR, (Doubt(Reason.NEAR, names),))

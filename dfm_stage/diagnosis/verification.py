@@ -79,6 +79,9 @@ def weights_like(runs: Sequence[Observation], known: Weights) -> Weights:
                   *velocity) for run in runs)
 
 
+LINES_APART = 2
+"""Lines of a record by which a sine stands clear of its neighbour. Where the reading wanders,
+lines farther away have less power by themselves."""
 LINES_BESIDE = (-2, -1, 1, 2)
 """Lines of the input, counted from a vibration's own, at which its surrogates stand."""
 
@@ -136,9 +139,11 @@ def surrogate_test(model: Model, name: str, runs: Sequence[Observation], weights
 
 
 def _neighbours(own: float, runs: Sequence[Observation]) -> list[float]:
-    """Frequencies (Hz) beside that of a vibration, one and two lines of the input away."""
+    """Frequencies (Hz) beside that of a vibration, one and two lines of the input away; where that
+    does not repeat, LINES_APART and twice as many lines of the record."""
     run = runs[0]
-    samples = run.periodicity.period if run.periodicity is not None else run.input.size // 8
+    repeats = run.periodicity
+    samples = run.input.size // LINES_APART if repeats is None else repeats.period
     apart = 1.0 / (samples * run.sample_period)
     return [own + k * apart for k in LINES_BESIDE if own + k * apart > 0.0] or [own + apart]
 

@@ -60,6 +60,7 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.REFITTED: "refitted without it, the others predict held-out records better",
     DropReason.LINE_OF_INPUT: "stands at a line of the input, as the model's own error does",
     DropReason.AT_BOUND: "its parameters run to the edge of their range",
+    DropReason.NO_SIZE: "the interval of its size holds zero",
     DropReason.BLOCKS: "held-out blocks are not clearly worse without it",
     DropReason.SMALL_PART: "takes little of what is left on held-out blocks",
     DropReason.UNHEARD: "the force domain, which can judge it, finds none of it",

@@ -16,6 +16,7 @@ from benchmarks.fault_outcome import Fault, Outcome, Tally
 from benchmarks.fault_sight import WITNESSED, heard, recorded
 
 NOW_NS = 10_000_000_000
+COST = "no real-time priority: normal (killed and still written to: /stage/x/controller)"
 LAST = {"enabled": True, "voltage": 0.5, "current": 0.1, "position": 1e-3}
 
 
@@ -37,11 +38,9 @@ def sights(age_s: float, **last):
 
 
 @pytest.mark.parametrize(("said", "explained"), [
-    ("/stage/sim_plant: no real-time priority: normal (killed and still written to: "
-     "/stage/x/controller)", False),
+    (f"/stage/sim_plant: {COST}", False),
     ("/stage/x/amplifier_driver: output at zero until clear and arm: stale command", True),
-    ("/stage/x/amplifier_driver: no real-time priority: normal (killed and still written to: "
-     "/stage/x/controller); waiting for controller", True),
+    (f"/stage/x/amplifier_driver: {COST}; waiting for controller", True),
 ])
 def test_what_a_killed_node_costs_the_others_is_no_explanation(tmp_path, said, explained):
     campaign = Campaign(tmp_path)

@@ -77,6 +77,7 @@ EFFECT = CrossAxisCoupling(
     memory=False,
     shown_by="motion of the other axis, not correlated with this one's",
     optional=("stiffness",),
+    size=("ratio", "stiffness"),
     classes=(Equivalence(("cross_axis_coupling", "second_mode"),
                          "the other axis not recorded",
                          "a record of both axes with one driven at a time"),),

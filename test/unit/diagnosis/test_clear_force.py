@@ -125,6 +125,15 @@ def test_what_makes_the_held_out_motion_worse_is_not_taken(trial):
     assert by_force(trial, trial.search.begin(), trial.witness, wrong, (), split=False) is None
 
 
+def test_what_hardly_moves_the_stage_is_not_taken(trial):
+    """A false mount of the sensor explained 99 % of the force, and 0.003 % of the motion."""
+    heard = clear_force(trial.witness)
+    (address, size), = heard.sizes.items()
+    faint = replace(heard, sizes={address: replace(size, value=1e-4 * size.value)},
+                    start={**heard.start, address: 1e-4 * size.value})
+    assert by_force(trial, trial.search.begin(), trial.witness, faint, (), split=False) is None
+
+
 def test_a_fit_begins_at_the_given_damping_where_forces_balance_below_zero(trial):
     heard = clear_force(trial.witness)
     below = replace(heard, start={**heard.start, "damping": -0.5})

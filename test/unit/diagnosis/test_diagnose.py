@@ -3,14 +3,17 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dfm_stage.cli.diagnose_report import write_report
-from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose
+from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose, verification
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.verification import SurrogateTest
+from dfm_stage.identification.periods import Periodicity
 from dfm_stage.model import EFFECTS, save_model
 from dfm_stage.recording import AxisRecord, Record
 
@@ -127,6 +130,14 @@ def test_a_drift_may_resemble_itself_shifted_and_a_vibration_may_not_resemble_it
     assert not SurrogateTest(4.7e6, original=8.0e5, without=4.8e6, best=7.0e5).passed(per_run=True)
     assert not SurrogateTest(4.7e6, original=4.8e4, without=4.8e6, best=7.0e5,
                         outstanding=3.0).passed(per_run=True)
+
+
+def test_the_neighbours_of_a_vibration_lie_close_where_the_input_does_not_repeat():
+    """Farther away a wandering reading has less power by itself, and any line of it stands out."""
+    run = Observation("run", np.sin(np.arange(10_000.0) ** 2 / 9e4), np.zeros(10_000), 1e-3)
+    assert verification._neighbours(0.35, [run]) == pytest.approx([0.15, 0.55, 0.75])
+    repeating = replace(run, periodicity=Periodicity(2000, 0, 5))
+    assert verification._neighbours(5.25, [repeating]) == pytest.approx([4.25, 4.75, 5.75, 6.25])
 
 
 def test_a_drift_of_the_reading_is_named():

@@ -79,6 +79,19 @@ def test_an_effect_at_its_bound_is_dropped():
     assert trial.dropped == {"second_mode": DropReason.AT_BOUND}
 
 
+@pytest.mark.parametrize(("name", "sizes", "kept"), [
+    ("creep", {"stiffness": (-5.0, 16.0)}, False), ("creep", {"stiffness": (1.0, 16.0)}, True),
+    ("quadratic_damping", {"coefficient": (0.0, 3.0)}, False),
+    ("cross_axis_coupling", {"ratio": (-1.0, 1.0), "stiffness": (-1.0, 1.0)}, True)])
+def test_an_effect_whose_size_may_be_zero_is_not_shown(monkeypatch, name, sizes, kept):
+    """Of two sizes each may be zero where both are not."""
+    monkeypatch.setitem(INTERVALS, (name,), {
+        f"{name}.{size}": Quantity(sum(ends) / 2.0, "", ends) for size, ends in sizes.items()})
+    trial = Trial(OneFit(), [])
+    assert trial.at_bound(start(name)).names == ((name,) if kept else ())
+    assert trial.dropped == ({} if kept else {name: DropReason.NO_SIZE})
+
+
 @pytest.mark.parametrize(("hertz", "kept"), [(0.085, ()), (0.25, ("periodic_disturbance",))])
 def test_a_vibration_of_less_than_two_cycles_is_a_wandering_reading(hertz, kept):
     search = OneFit()

@@ -117,6 +117,12 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "lowers the fitted gap, not the held-out one": (
         case(CLEAR, left(1e-6, held=1e-6, remainder=True), left(held=2e-6), (FRICTION,)),
         "unknown", (), Reason.REMAINDER),
+    "better in held-out chi-square, and worse by 0.15 % of the RMS": (
+        case(CLEAR, left(1e-6, held=0.0), left(held=5.5e-9, held_above=-50.0), (FRICTION,)),
+        "named", ("coulomb_friction",), Reason.AT_FLOOR),
+    "better in held-out chi-square, and worse by 0.25 % of the RMS": (
+        case(CLEAR, left(1e-6, held=0.0), left(held=7.1e-9, held_above=-50.0), (FRICTION,)),
+        "none", (), Reason.NOISE),
     "no better on held-out records": (
         case(CLEAR, left(1e-6, held=0.0), left(0.0), (FRICTION,)), "none", (), Reason.NOISE),
     "comes near, but a line is left": (

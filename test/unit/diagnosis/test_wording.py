@@ -147,6 +147,7 @@ def test_warnings_stand_in_the_order_in_which_they_arose():
     (Rejection("creep", Rejected.EXCLUDED, about="the model has it {already}"),
      "the model has it {already}"),
     (Rejection("creep", DropReason.AT_BOUND), "its parameters run to the edge of their range"),
+    (Rejection("creep", DropReason.NO_SIZE), "the interval of its size holds zero"),
     (Rejection("creep", Rejected.COLOUR, 123.0),
      "chi-square falls by 123 where noise is taken as white, which it is not"),
     (Rejection("creep", Rejected.SHARE, 0.123), "could take 12% of the gap at best"),
