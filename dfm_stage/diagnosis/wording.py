@@ -146,7 +146,8 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
         yield f"the readings lie {value:.3g} {e.unit} from where the model has them"
         yield PARTED
         return
-    yield f"chi-square rises by {format_number(found.loss)} without it (limit {FIRST:g})"
+    if e.heard is None:
+        yield f"chi-square rises by {format_number(found.loss)} without it (limit {FIRST:g})"
     yield (f"held-out RMS {format_quantity(seen.without.held_out.rms, e.unit)} without it, "
            f"{format_quantity(e.extended.held_out.rms, e.unit)} with it")
     yield f"{EFFECTS[found.name].meaning}: {EFFECTS[found.name].equation}"

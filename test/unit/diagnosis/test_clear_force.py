@@ -116,6 +116,7 @@ def test_the_model_has_the_size_that_the_force_domain_gives(trial):
     assert d["gap"]["judged"] == "force"
     assert "judged in force alone" in sentence(e, v)
     assert d["effects"][0]["gap_share"] > 0.95
+    assert not any("chi-square" in line for line in d["effects"][0]["evidence"])
 
 
 def test_what_makes_the_held_out_motion_worse_is_not_taken(trial):
