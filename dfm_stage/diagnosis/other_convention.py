@@ -21,6 +21,7 @@ from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.verdict import Verdict
 from dfm_stage.identification.convention import LATENESS, Hold, reinterpreted
 from dfm_stage.identification.coordinates import late_parameters, lateness
 from dfm_stage.identification.decisions import HOLD_CLEAR
@@ -41,12 +42,12 @@ def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     return trial, first
 
 
-def has_linear_effect(h: Hypothesis) -> bool:
-    """Whether an effect was found that is a linear part of several parameters; a mode, at a
+def has_linear_effect(h: Hypothesis, told: Verdict) -> bool:
+    """Whether an effect is told that is a linear part of several parameters; a mode, at a
     frequency at which kinds of hold differ."""
     return any(EFFECTS[n].stamp is not None and EFFECTS[n].wave is None and not is_nonlinear(n)
                and len(EFFECTS[n].parameters) > CONVENTION_PRICE and _is_fast(h, n)
-               for n in h.names)
+               for n in (found.name for found in told.effects))
 
 
 def _is_fast(h: Hypothesis, name: str) -> bool:

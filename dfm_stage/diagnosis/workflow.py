@@ -202,7 +202,7 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     if not is_noise(first):
         trial, first = clearest(trial, first)
     found = _judged(trial, first, warnings, split)
-    if has_linear_effect(found[1]):
+    if has_linear_effect(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)
     trial, hypothesis, evidence = found
     search = trial.search

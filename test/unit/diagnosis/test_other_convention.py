@@ -16,6 +16,7 @@ from dfm_stage.diagnosis.other_convention import (
     is_simpler,
 )
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.verdict import Found, Reason, Verdict
 from dfm_stage.identification import Source, identify
 from dfm_stage.identification.convention import Convention, reinterpreted
 from dfm_stage.model import EFFECTS, Model
@@ -112,12 +113,18 @@ def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
     (("amplifier_bandwidth",), False),
     (("periodic_disturbance",), False), ((), False)])
 def test_only_a_linear_part_of_several_parameters_stands_for_timing(names, linear):
-    assert has_linear_effect(found(names)) is linear
+    assert has_linear_effect(found(names), told(*names)) is linear
+    assert not has_linear_effect(found(names), told())   # unknown: nothing to replace
 
 
 @pytest.mark.parametrize(("frequency", "fast"), [(49.0, False), (51.0, True)])
 def test_a_mode_below_a_twentieth_of_the_sampling_rate_does_not(frequency, fast):
-    assert has_linear_effect(found(("second_mode",), frequency)) is fast
+    mode = found(("second_mode",), frequency)
+    assert has_linear_effect(mode, told("second_mode")) is fast
+
+
+def told(*names: str) -> Verdict:
+    return Verdict("named", Reason.AT_FLOOR, tuple(Found(n, (n,), 1.0, 100.0) for n in names))
 
 
 def found(names, frequency=160.0):
