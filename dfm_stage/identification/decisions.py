@@ -172,8 +172,8 @@ TIMING_BLOCKS = decision(
 HOLD_CLEAR = decision(
     "HOLD_CLEAR", 0.5, "1", meaning="Power that another kind of hold leaves before any effect is "
     "added, over that of the estimated kind, below which it is the kind.",
-    set_on="six cases of three seeds that are not held: below 0.25; 90 of seed 424242 that lack "
-    "an effect: above 0.8 where the model has a lag to fit; looked at while it was set")
+    set_on="six cases of three seeds that are not held: below 0.25; 90 others of seed 424242, "
+    "which lack an effect: above 0.8 where the model has a lag to fit; looked at while it was set")
 EARLY_SHIFT = decision(
     "EARLY_SHIFT", 0.1, "samples", meaning="A shift smaller than this is none.",
     set_on=TIMING_FORM)
