@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dfm_stage.diagnosis.decisions import MOST_TO_ONE
-from dfm_stage.identification.coordinates import late_parameters
+from dfm_stage.identification.coordinates import late_parameters, lateness
 from dfm_stage.identification.run import Run
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
@@ -66,12 +66,11 @@ def late_splits(model: Model, free: tuple[str, ...]) -> list[Parameters]:
     Lag, delay and inductance act alike to first order, and a search may end in a local minimum
     where one stands in for another. Empty where fewer than two are free.
     """
-    values = model.parameters()
     per_second = {"coil": model.base.get("coil_resistance", 0.0)}
     unit = {n: per_second.get(kind, 1.0) for n, kind in late_parameters(model, free).items()}
     if len(unit) < 2 or min(unit.values()) <= 0.0:
         return []
-    whole = sum(values.get(n, 0.0) / u for n, u in unit.items())
+    whole = lateness(model, free)
     if whole <= 0.0:
         return []
     rest = (1.0 - MOST_TO_ONE) / (len(unit) - 1)

@@ -190,10 +190,12 @@ def _of_clearest_hold(sources: list[Source], holdout: list[Source],
     if any(c.source == "given" for c in known) or not any(c.before_it_is_set for c in known):
         return sources, holdout, found
     for kind in LATENESS:
+        if all(c.hold == kind for c in known):
+            continue
         told = [replace(each, known=reinterpreted(each.convention, kind))
                 for each in (*sources, *holdout)]
         own, rest = told[:len(sources)], told[len(sources):]
-        other = fitted(own) if any(c.hold != kind for c in known) else found
+        other = fitted(own)
         if _left(other) < HOLD_CLEAR * _left(found):
             sources, holdout, found = own, rest, other
     return sources, holdout, found
