@@ -26,6 +26,7 @@ from dfm_stage.diagnosis.decisions import (
     PROPOSED,
     RIVAL_GAIN,
     SHORT_LIST,
+    SMALL_SHARE,
 )
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
@@ -123,7 +124,7 @@ def _proposed(search: Search,
     for each in listed:
         allowed = all(n in search.library and n not in search.barred for n in each.names)
         if each.names and allowed and frozenset(each.names) not in told \
-                and each.share > RIVAL_GAIN * seen.best.share:
+                and each.share > max(RIVAL_GAIN * seen.best.share, SMALL_SHARE):
             told.add(frozenset(each.names))
             yield ({n: _parameters(each, n) for n in each.names},
                    {n: v for n, v in each.parameters.items() if "." not in n})

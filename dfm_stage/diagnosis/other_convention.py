@@ -14,7 +14,9 @@ from dataclasses import replace
 from dfm_stage.diagnosis.decisions import (
     CONVENTION_PRICE,
     CONVENTION_WORSE,
+    FIRST_SHARE,
     HOLDS_DIFFER,
+    MOST_STEPS,
 )
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit
@@ -81,10 +83,27 @@ def late_samples(model: Model) -> float:
     return lateness(model, tuple(model.parameters())) / model.sample_period
 
 
+def may_be_simpler(trial: Trial, first: Fit, h: Hypothesis) -> bool:
+    """Whether a fit by a convention explains the fitted records as well as `h` does, with fewer
+    parameters: the `first`, or one of a short search, because a whole one takes as long as that
+    of `h` did."""
+    search = trial.search
+    if not _as_well(first, h):
+        search.begin_work(FIRST_SHARE * MOST_STEPS)
+        if len(h.names) > 1:
+            search.grown((), first, len(h.names) - 1)
+        else:
+            search.alone(first)
+    return any(_as_well(found, h) for found in (first, *search.fits.values()))
+
+
+def _as_well(other: Fit, h: Hypothesis) -> bool:
+    spared = len(h.fit.system.free) - len(other.system.free)
+    return other.ok and spared > CONVENTION_PRICE and other.rms <= CONVENTION_WORSE * h.fit.rms
+
+
 def is_simpler(other: tuple[Hypothesis, Evidence], found: tuple[Hypothesis, Evidence]) -> bool:
     """Whether one explains the fitted and the held-out records as well, with fewer parameters: by
     more than a convention counts for."""
-    spared = len(found[0].fit.system.free) - len(other[0].fit.system.free)
-    return other[0].fit.ok and spared > CONVENTION_PRICE \
-        and other[0].fit.rms <= CONVENTION_WORSE * found[0].fit.rms \
+    return _as_well(other[0].fit, found[0]) \
         and other[1].extended.held_out.rms <= CONVENTION_WORSE * found[1].extended.held_out.rms

@@ -57,6 +57,7 @@ from dfm_stage.diagnosis.other_convention import (
     has_linear_effect,
     is_simpler,
     late_samples,
+    may_be_simpler,
 )
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
@@ -230,7 +231,7 @@ def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
     of those that leave less before any effect is added."""
     for trial in by_other_conventions(found[0]):
         first = trial.search.begin()
-        if first.ok and first.rms < found[1].bare.rms:
+        if first.ok and first.rms < found[1].bare.rms and may_be_simpler(trial, first, found[1]):
             other = _judged(trial, first, warnings, split)
             if is_simpler(other[1:], found[1:]):
                 found = other
@@ -372,14 +373,17 @@ def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -
         part = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
         if stays_open(part[2]):
             return part
-    trial.search.begin_work(FIRST_SHARE * MOST_STEPS)
-    names, found = trial.search.grown((), first, rounds=1)
+    search = trial.search
+    search.begin_work(FIRST_SHARE * MOST_STEPS)
+    names, found = search.grown((), first, rounds=1)
     if part is None and leaves_gross(found):
         part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
         if stays_open(part[2]) and leaves_gross(part[1].fit):
             return part
         if part[0] is trial and part[1].names:
             names, found = part[1].names, part[1].fit
+        elif not part[1].names and leaves_gross(found := _begun_anew(search, names, found)):
+            return _by_force(trial, Hypothesis((), first, first), warnings, split) or part
     h, evidence = _to_noise(trial, names, found, MOST_STEPS - (steps_taken() - begun), warnings,
                             split)
     if not needs_grading(evidence):
@@ -392,6 +396,13 @@ def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -
     if part[1].names or forced is not None:
         return forced or part
     return trial, h, replace(evidence, witness=part[2].witness, judged=part[2].judged)
+
+
+def _begun_anew(search: Search, names: Names, found: Fit) -> Fit:
+    """The fit of effects that were found together begun with each screened beside the others:
+    where it ends in a far minimum, nothing of it stands by itself either."""
+    search.begin_work(LEAST_STEPS)
+    return search.restarted(names, found) or found
 
 
 def _to_noise(trial: Trial, names: Names, found: Fit, steps: float, warnings: Sequence[str],

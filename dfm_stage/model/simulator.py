@@ -134,6 +134,7 @@ class Simulator:
                 effect.sense or effect.stage == "sensor" for effect in effects)):
             rows[slots.READING] = -1
         out = np.empty((int(rows.max()) + 1, len(inputs)))
+        prepare(plan.layout, theta, work)
         _check(_simulate(plan, theta, work, float(past_input), inputs, force, neighbour,
                          steady_state, rows, out))
         if not np.isfinite(out[slots.POSITION, -1]):
@@ -214,10 +215,15 @@ class Simulator:
         chosen[slots.SIGNALS.index(signal)] = 0
         status = np.zeros(len(table), dtype=np.int64)
 
-        def part(rows: range) -> None:
-            work = plan.work()
-            for row in rows:
+        order = _alike_together(table[:, :plan.layout[slots.AT_INITIAL]])
+
+        def part(places: range) -> None:
+            work, ready = plan.work(), b""
+            for row, what in order[places.start:places.stop]:
                 a, b = spans[row]
+                if what != ready:
+                    prepare(plan.layout, table[row], work)
+                    ready = what
                 status[row] = _simulate(plan, table[row], work,
                                         float(inputs[a - 1]) if a else float(past_input),
                                         inputs[a:b], force[a:b], neighbour[a:b], steady_state,
@@ -327,11 +333,18 @@ def rounding_of(model: Model) -> tuple[Rounding, ...]:
                  for use in model.effects if (hook := use.effect.encode) is not None)
 
 
+def _alike_together(parameters: Array) -> list[tuple[int, bytes]]:
+    """Every row of `parameters` (P, n) and what it holds, those that hold the same in a row: for
+    these the work array, which takes as long as some hundred samples, is prepared once."""
+    first: dict[bytes, int] = {}
+    rows = [(row, values.tobytes()) for row, values in enumerate(parameters)]
+    return sorted(rows, key=lambda each: first.setdefault(each[1], each[0]))
+
+
 def _simulate(plan: Plan, theta: Array, work: Array, past_input: float, inputs: Array,
               force: Array, other: Array, steady_state: bool, rows: Layout, out: Array) -> int:
     """Fill `out` as `kernel.record.run` does, from the initial or the periodic state; return
-    whether there was one."""
-    prepare(plan.layout, theta, work)
+    whether there was one. `work` is prepared for the parameters in `theta`."""
     reset(plan.layout, theta, past_input, work)
     status = settle(plan, theta, work, inputs, force, other) if steady_state else SETTLED
     if status == SETTLED:

@@ -125,6 +125,19 @@ def test_what_the_force_domain_bears_out_is_paid_for_with_its_near_rivals():
     assert grading._paid(None) == set()
 
 
+def test_a_set_that_hardly_explains_the_missing_force_is_not_proposed():
+    """Near a resonance forces nearly cancel, and what is missing of them says little."""
+    def proposed(share):
+        alone = SimpleNamespace(names=("creep",), share=share, parameters={})
+        seen = SimpleNamespace(best=alone, singles=(alone,), pairs=(), cannot_tell=False)
+        return [list(new) for new, _ in grading._proposed(
+            SimpleNamespace(library=("creep",), barred=set()), seen)]
+
+    assert proposed(0.11) == [["creep"]]
+    assert proposed(0.07) == []
+    assert proposed(-3.0) == []
+
+
 def test_a_search_among_common_effects_begins_with_none_of_a_wider_one():
     def fit(rms, name):
         return SimpleNamespace(ok=True, rms=rms, name=name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from dfm_stage.diagnosis.other_convention import (
     by_other_conventions,
     has_linear_effect,
     is_simpler,
+    may_be_simpler,
 )
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import Found, Reason, Verdict
@@ -155,3 +157,29 @@ class Fitted:
 def test_it_must_explain_as_much_with_fewer_parameters(free, rms, held_out, simpler):
     other, found = Fitted(free, rms, held_out), Fitted(7, 1.0, 1.0)
     assert is_simpler((other, other), (found, found)) is simpler
+
+
+@pytest.mark.parametrize(("bare", "short", "free", "names", "asked", "may"), [
+    (1.0, 9.0, 5, ("creep",), None, True),                      # without any effect
+    (3.0, 1.0, 5, ("creep",), "alone", True), (3.0, 1.1, 5, ("creep",), "alone", False),
+    (3.0, 1.0, 6, ("creep",), "alone", False),                  # with as many parameters
+    (3.0, 1.0, 5, ("creep", "second_mode"), 1, True),
+    (3.0, 1.1, 5, ("creep", "second_mode", "saturation"), 2, False)])
+def test_a_convention_is_judged_where_a_short_search_explains_as_much(
+        bare, short, free, names, asked, may):
+    """Judged in full, each of two other kinds took as long as the search that found a mode."""
+    done, fits = [], {}
+
+    def found(by):
+        done.append(by)
+        fits["short"] = fitted(short, free)
+
+    search = SimpleNamespace(begin_work=lambda _: None, alone=lambda _: found("alone"), fits=fits,
+                             grown=lambda _names, _first, rounds: found(rounds))
+    h = SimpleNamespace(names=names, fit=fitted(1.0, 7))
+    assert may_be_simpler(SimpleNamespace(search=search), fitted(bare, 3), h) is may
+    assert done == ([] if asked is None else [asked])
+
+
+def fitted(rms, free):
+    return SimpleNamespace(ok=True, rms=rms, system=SimpleNamespace(free=range(free)))

@@ -246,3 +246,42 @@ def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch) -> Non
     wide = SimpleNamespace(search=Twins())
     other = workflow._one_for_all(wide, None, found, {"sensor_mount"}, (), split=False)
     assert other[1] is taken
+
+
+class Gap:
+    """A search whose first effects leave `left` times the noise, and `minimum` in a fit begun
+    anew."""
+
+    def __init__(self, left: float, minimum: float) -> None:
+        self.left, self.minimum = left, minimum
+
+    def begin_work(self, _: float) -> None:
+        pass
+
+    def grown(self, *_: object, rounds: int = 1) -> tuple[tuple[str, ...], SimpleNamespace]:
+        return ("creep",), leaving(self.left)
+
+    def restarted(self, *_: object) -> SimpleNamespace:
+        return leaving(self.minimum)
+
+
+def leaving(rms: float) -> SimpleNamespace:
+    return SimpleNamespace(ok=True, chi2=100.0 * rms**2, white=np.zeros(100),
+                           system=SimpleNamespace(springless=False, runs=[
+                               SimpleNamespace(driven=True)]))
+
+
+@pytest.mark.parametrize(("left", "minimum", "on"), [
+    (10.0, 10.0, False),    # nothing explains a part, and the noise is far
+    (10.0, 1.0, True),      # the fit had ended in a far minimum
+    (1.2, 1.2, True)])      # no gross remainder
+def test_the_search_to_the_noise_ends_where_nothing_explains_a_part(
+        left, minimum, on, monkeypatch):
+    nothing = SimpleNamespace(names=(), fit=leaving(left))
+    trial = SimpleNamespace(search=Gap(left, minimum), witness=None)
+    monkeypatch.setattr(workflow, "_explaining", lambda *_: (trial, nothing, "graded"))
+    monkeypatch.setattr(workflow, "stays_open", lambda _: False)
+    monkeypatch.setattr(workflow, "_to_noise", lambda *_: (nothing, "tested"))
+    monkeypatch.setattr(workflow, "needs_grading", lambda _: False)
+    found = workflow._explained(trial, leaving(50.0), (), split=False)
+    assert found[2] == ("tested" if on else "graded")

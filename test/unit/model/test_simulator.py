@@ -106,17 +106,17 @@ def test_rows_of_run_many_are_runs_of_changed_models() -> None:
 def test_rows_that_see_a_part_of_the_input_are_runs_of_it() -> None:
     model = load_model("paper_stage").with_effect("cubic_stiffness", {"k3": 1e6})
     feed = np.random.default_rng(1).standard_normal(500)
-    parts = [slice(0, 200), slice(200, 500), slice(0, 200), slice(120, 320)]
-    rows = np.array([[600.0, 0.0], [600.0, 1e-3], [700.0, 2e-3], [650.0, 0.0]])
+    parts = [slice(0, 200), slice(200, 500), slice(0, 200), slice(120, 320), slice(100, 300)]
+    rows = np.array([[600.0, 0.0], [600.0, 1e-3], [700.0, 2e-3], [650.0, 0.0], [600.0, 2e-3]])
     found = Simulator(model).run_many(feed, ["stiffness", "initial.position"], rows, parts=parts,
                                       past_input=0.3)
-    assert found.shape == (4, 300)
+    assert found.shape == (5, 300)
     for row, part, (stiffness, position) in zip(found, parts, rows, strict=True):
         alone = Simulator(model.with_parameters({"stiffness": stiffness})).run(
             feed[part], initial={"position": position},
             past_input=float(feed[part.start - 1]) if part.start else 0.3)
         assert np.array_equal(row[:alone.output.size], alone.output)
-    with pytest.raises(SimulationError, match="3 parts for 4 rows"):
+    with pytest.raises(SimulationError, match="3 parts for 5 rows"):
         Simulator(model).run_many(feed, ["stiffness", "initial.position"], rows, parts=parts[:3])
 
 
