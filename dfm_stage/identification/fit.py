@@ -74,7 +74,9 @@ class Fit:
         scaled = self.jacobian / norms
         inverse = np.linalg.pinv(scaled.T @ scaled, rcond=RANK_TOLERANCE**2) / np.outer(norms,
                                                                                        norms)
-        wider = self._physical(replace(self._estimate, covariance=inverse @ middle @ inverse,
+        shown = [k for k, u in enumerate(self.system.unknowns) if u.part is None]
+        inverse = inverse[shown]
+        wider = self._physical(replace(self._estimate, covariance=inverse @ middle @ inverse.T,
                                        determined=None, dof=dof))
         return {n: max(q, wider[n], key=_width) for n, q in self.quantities.items()}
 
@@ -82,7 +84,7 @@ class Fit:
     def _estimate(self) -> Estimate:
         solution = Solution(self.x, self.white, self.jacobian, self.chi2, 0, self.converged,
                             np.zeros(self.x.size, bool), "")
-        return assemble(Criterion(self.system, self.weights), solution, {}, 0)
+        return assemble(Criterion(self.system, self.weights), solution, {}, 0, judged=False)
 
     def _physical(self, estimate: Estimate) -> dict[str, Quantity]:
         found = to_physical(estimate, self.system.groups, self.model)

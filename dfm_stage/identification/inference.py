@@ -22,11 +22,13 @@ from dfm_stage.identification.noise import NoiseModel, score_covariance
 from dfm_stage.identification.problem import Problem
 from dfm_stage.identification.result import Estimate, SegmentFit
 
+Places = NDArray[np.int64]
+
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariance (n, n) of the unknowns with its degrees of freedom; which of them (n,) have a
-    share in a direction that the data do not see, and those directions (k, n)."""
+    """Covariance (k, k) of those unknowns that are wanted, with its degrees of freedom; which of
+    all (n,) have a share in a direction that the data do not see, and those directions (m, n)."""
 
     covariance: Array
     dof: float
@@ -34,22 +36,22 @@ class Uncertainty:
     blind: Array
 
 
-def uncertainty(criterion: Criterion, solution: Solution) -> Uncertainty:
-    """The sandwich covariance of the weighted residuals, the score's spectrum taken run by run."""
+def uncertainty(criterion: Criterion, solution: Solution, wanted: Places) -> Uncertainty:
+    """The sandwich covariance of the weighted residuals of the unknowns `wanted` (k,), the
+    score's spectrum taken run by run."""
     extra = solution.x.size - criterion.problem.start.size
     scale = np.concatenate((criterion.problem.scale, np.ones(extra)))
-    inverse, lost, blind = _inverse(solution.jacobian, scale)
-    middle = np.zeros((solution.x.size, solution.x.size))
+    root, lost, blind = _inverse_root(solution.jacobian, scale)
+    covariance = np.zeros((wanted.size, wanted.size))
     dof, row = 0.0, 0
     for size in _sizes(criterion, solution.x):
         rows = slice(row, row + size)
         row += size
-        part, part_dof = score_covariance(solution.jacobian[rows], solution.residual[rows],
-                                          inverse)
-        middle += part
+        taken = solution.jacobian[rows] @ root
+        part, part_dof = score_covariance(taken @ root[wanted].T, solution.residual[rows], taken)
+        covariance += part
         dof += part_dof
-    return Uncertainty(inverse @ middle @ inverse, min(dof, float(max(row - lost.size, 1))), lost,
-                       blind)
+    return Uncertainty(covariance, min(dof, float(max(row - lost.size, 1))), lost, blind)
 
 
 def _sizes(criterion: Criterion, z: Array) -> list[int]:
@@ -59,24 +61,29 @@ def _sizes(criterion: Criterion, z: Array) -> list[int]:
 
 
 def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
-             iterations: int, fits: tuple[SegmentFit, ...] = ()) -> Estimate:
-    """The estimate that a minimum stands for; the weights' own coefficients are left out. `fits`
-    are those of `run_fits`, where they are wanted."""
-    problem, shown = criterion.problem, criterion.problem.start.size
-    found = uncertainty(criterion, solution)
-    covariance, lost = found.covariance[:shown, :shown], found.lost[:shown]
+             iterations: int, fits: tuple[SegmentFit, ...] = (), *,
+             judged: bool = True) -> Estimate:
+    """The estimate that a minimum stands for; the weights' own coefficients and the states of
+    windows are left out. `fits` are those of `run_fits`, where they are wanted; unless `judged`,
+    nothing is said of what cannot be told apart."""
+    problem = criterion.problem
+    shown = np.array([k for k, u in enumerate(problem.unknowns) if u.part is None], np.int64)
+    unknowns = [problem.unknowns[k] for k in shown]
+    found = uncertainty(criterion, solution, shown)
+    covariance, lost = found.covariance, found.lost[shown]
     determined = covariance.copy() if np.any(found.lost) else None
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
     names = tuple(u.name if u.run is None else f"{u.name}[{problem.runs[u.run].name}]"
-                  for u in problem.unknowns)
-    verdict = _verdict(criterion, solution)
-    at_bound = tuple(names[j] for j in np.flatnonzero(solution.at_bound[:shown]))
+                  for u in unknowns)
+    verdict = _verdict(criterion, solution) if judged else Identifiability((), "not judged")
+    at_bound = tuple(names[j] for j in np.flatnonzero(solution.at_bound[shown]))
     status, message = _status(solution, verdict, at_bound)
     return Estimate(
-        names, tuple(u.unit for u in problem.unknowns), solution.x[:shown].copy(), covariance,
-        problem.low, problem.high, held, found.dof, verdict, fits, solution.cost, status, message,
-        iterations, at_bound, determined=determined, blind=found.blind[:, :shown])
+        names, tuple(u.unit for u in unknowns), solution.x[shown], covariance,
+        problem.low[shown], problem.high[shown], held, found.dof, verdict, fits, solution.cost,
+        status, message, iterations, at_bound, determined=determined,
+        blind=found.blind[:, shown])
 
 
 def run_fits(criterion: Criterion, solution: Solution) -> tuple[SegmentFit, ...]:
@@ -120,19 +127,19 @@ def closest(criterion: Criterion, index: int, z: Array) -> Array:
     return closer if float(closer @ closer) < float(gap @ gap) else gap
 
 
-def _inverse(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return (J^T J)+ (p, p), which unknowns have a share in a direction that is lost, and those
-    directions (k, p)."""
+def _inverse_root(jacobian: Array, scale: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return R (n, r) with (J^T J)+ = R R^T, so that J R is orthonormal, which unknowns have a
+    share in a direction that is lost, and those directions (m, n)."""
     norms = column_norms(jacobian, scale)
     scaled = jacobian / norms
     singular, right = spectral(scaled.T @ scaled)
     kept = singular > RANK_TOLERANCE * singular[0]
-    inverse = (right[kept].T / singular[kept] ** 2) @ right[kept]
+    root = (right[kept] / singular[kept, None] / norms).T
     unseen = ~np.isfinite(norms)
     lost = np.any(np.abs(right[~kept]) > SHARE_OF_LOST, axis=0) | unseen
     blind = np.vstack([right[~kept] / norms, np.eye(norms.size)[unseen]])
     blind[:, unseen] = np.where(blind[:, unseen] == 1.0, 1.0, 0.0)
-    return np.asarray(inverse / np.outer(norms, norms)), lost, blind
+    return np.asarray(root), lost, blind
 
 
 def _verdict(criterion: Criterion, solution: Solution) -> Identifiability:

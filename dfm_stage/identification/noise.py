@@ -93,16 +93,17 @@ def default_order(samples: int) -> int:
     return int(min(60, max(2, samples // 50)))
 
 
-def score_covariance(jacobian: Array, white: Array,
-                     inverse: Array | None = None) -> tuple[Array, float]:
-    """Return J^T S J (p, p), S the autocovariance of `white`, and its degrees of freedom.
+def score_covariance(scores: Array, white: Array,
+                     taken: Array | None = None) -> tuple[Array, float]:
+    """Return G^T S G (p, p), S the autocovariance of `white`, and its degrees of freedom.
 
-    `jacobian` (N, p) and `white` (N,) are in the units of the weighted residual. The middle of
+    `scores` G (N, p) and `white` (N,) are in the units of the weighted residual. The middle of
     the sandwich covariance (Huber 1967; Soderstrom and Stoica 1989, ch. 7): the spectrum is
     estimated with a Parzen window of about sqrt(N) lags, degrees of freedom 3.71 N / lags.
-    With `inverse` = (J^T J)^-1 of the whole fit, the power that the fit itself took out of each
-    band is put back: the spectrum is divided by one minus the leverage of its neighbourhood, as
-    MacKinnon and White (1985) do sample by sample.
+    With `taken` (N, r), the part in these samples of orthonormal columns that span the slopes of
+    the whole fit, the power that the fit itself took out of each band is put back: the spectrum
+    is divided by one minus the leverage of its neighbourhood, as MacKinnon and White (1985) do
+    sample by sample.
     """
     samples = white.size
     lags = int(min(max(math.sqrt(samples), 4), samples // 4))
@@ -110,11 +111,13 @@ def score_covariance(jacobian: Array, white: Array,
     centred = white - white.mean()
     spectrum = _smoothed(np.abs(np.fft.rfft(centred, size)) ** 2 / samples, size, lags)
     spectrum = np.maximum(spectrum, 1e-3 * max(float(np.mean(centred**2)), 1e-300))
-    transform = np.fft.rfft(jacobian, size, axis=0)
-    if inverse is not None:
-        leverage = np.einsum("ki,ij,kj->k", transform.conj(), inverse, transform,
-                             optimize=True).real / samples
-        spectrum = spectrum / np.clip(1.0 - _smoothed(leverage, size, lags), 0.2, 1.0)
+    if taken is not None:
+        leverage = np.zeros(spectrum.size)
+        for column in taken.T:
+            leverage += np.abs(np.fft.rfft(column, size)) ** 2
+        leverage = _smoothed(leverage / samples, size, lags)
+        spectrum = spectrum / np.clip(1.0 - leverage, 0.2, 1.0)
+    transform = np.fft.rfft(scores, size, axis=0)
     weight = np.full(spectrum.size, 2.0)
     weight[0] = weight[-1] = 1.0
     middle = (transform.conj().T * (weight * spectrum / size)) @ transform
