@@ -28,7 +28,8 @@ from dfm_stage.model.formula import Formula, FormulaEffect, formula_of
 from dfm_stage.model.parameter import ModelError
 
 MOST_OFFERED = 3
-"""Formulas that are fitted and offered at most: each is compiled and fitted."""
+"""Formulas that are fitted and offered at most: each is compiled and fitted, and one at least,
+though it may take all the work that is allowed."""
 
 
 def wants_formulas(v: Verdict) -> bool:
@@ -82,7 +83,8 @@ def with_formulas(trial: Trial, h: Hypothesis, evidence: Evidence, v: Verdict) -
     lists = [_proposals(trial, *start) for start in starts]
     proposals = [each[k] for k in range(MOST_OFFERED) for each in lists if k < len(each)]
     fits = [f for k, p in enumerate(proposals[:MOST_OFFERED])
-            if (f := _fitted(trial, p, k)) is not None and _pays(f, evidence)]
+            if (k == 0 or own.steps < own.most_steps)
+            and (f := _fitted(trial, p, k)) is not None and _pays(f, evidence)]
     offers = _ranked(fits, change)
     taken = {*EFFECTS.keys(), *(use.name for use in own.model.effects)}
     free = [n for k in range(1, len(taken) + MOST_OFFERED + 1)
