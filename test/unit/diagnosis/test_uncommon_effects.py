@@ -258,7 +258,7 @@ class Gap:
     def begin_work(self, _: float) -> None:
         pass
 
-    def grown(self, *_: object, rounds: int = 1) -> tuple[tuple[str, ...], SimpleNamespace]:
+    def grown(self, *_: object, **__: object) -> tuple[tuple[str, ...], SimpleNamespace]:
         return ("creep",), leaving(self.left)
 
     def restarted(self, *_: object) -> SimpleNamespace:

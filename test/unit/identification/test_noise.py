@@ -64,3 +64,21 @@ def test_score_covariance_is_that_of_repeated_experiments():
     # As if white: wrong by the spectrum's shape, several times.
     naive = np.var(coloured(0)) * np.sum(jacobian**2, axis=0)
     assert np.max(np.abs(np.log(naive / np.diag(expected)))) > np.log(2.0)
+
+
+def test_the_band_that_a_fit_took_is_put_back():
+    """A fit of forty neighbouring lines takes their power out of what is left."""
+    samples = 2048
+    t = np.arange(samples)
+    lines = np.arange(100, 140)
+    columns = np.column_stack([f(2.0 * np.pi * k * t / samples) for k in lines
+                               for f in (np.cos, np.sin)])
+    taken = columns / np.linalg.norm(columns, axis=0)
+    noise = np.random.default_rng(3).standard_normal((200, samples))
+    left = noise - (noise @ taken) @ taken.T
+    probe = np.cos(2.0 * np.pi * 120 * t / samples)[:, None]
+    plain, back = (np.mean([score_covariance(probe, r, use)[0][0, 0] for r in left])
+                   for use in (None, taken))
+    true = float(np.sum(probe**2))
+    assert plain < 0.5 * true
+    assert back == pytest.approx(true, rel=0.25)
