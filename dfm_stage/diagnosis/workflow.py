@@ -399,8 +399,8 @@ def _explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -
 
 
 def _begun_anew(search: Search, names: Names, found: Fit) -> Fit:
-    """The fit of effects that were found together begun with each screened beside the others:
-    where it ends in a far minimum, nothing of it stands by itself either."""
+    """A fit that begins with each effect screened beside the others, where that leaves less. A fit
+    in a far minimum explains no part, though its effects are the right ones."""
     search.begin_work(LEAST_STEPS)
     return search.restarted(names, found) or found
 

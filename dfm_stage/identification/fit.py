@@ -74,8 +74,7 @@ class Fit:
         scaled = self.jacobian / norms
         inverse = np.linalg.pinv(scaled.T @ scaled, rcond=RANK_TOLERANCE**2) / np.outer(norms,
                                                                                        norms)
-        shown = [k for k, u in enumerate(self.system.unknowns) if u.part is None]
-        inverse = inverse[shown]
+        inverse = inverse[self.system.told]
         wider = self._physical(replace(self._estimate, covariance=inverse @ middle @ inverse.T,
                                        determined=None, dof=dof))
         return {n: max(q, wider[n], key=_width) for n, q in self.quantities.items()}

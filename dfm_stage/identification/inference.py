@@ -66,8 +66,7 @@ def assemble(criterion: Criterion, solution: Solution, held: dict[str, float],
     """The estimate that a minimum stands for; the weights' own coefficients and the states of
     windows are left out. `fits` are those of `run_fits`, where they are wanted; unless `judged`,
     nothing is said of what cannot be told apart."""
-    problem = criterion.problem
-    shown = np.array([k for k, u in enumerate(problem.unknowns) if u.part is None], np.int64)
+    problem, shown = criterion.problem, criterion.problem.told
     unknowns = [problem.unknowns[k] for k in shown]
     found = uncertainty(criterion, solution, shown)
     covariance, lost = found.covariance, found.lost[shown]

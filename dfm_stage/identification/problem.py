@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dfm_stage.arrays import Array
 from dfm_stage.identification.run import Run
@@ -103,6 +104,11 @@ class Problem:
             else:
                 out[0][self.rows[k]] = column[self.runs[index].skip:]
         return left
+
+    @cached_property
+    def told(self) -> NDArray[np.int64]:
+        """The places of the unknowns that an estimate tells: all but those of windows."""
+        return np.array([k for k, u in enumerate(self.unknowns) if u.part is None], np.int64)
 
     @cached_property
     def rows(self) -> list[int]:
