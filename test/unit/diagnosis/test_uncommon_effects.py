@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.measured import make_case, measured_plan
-from dfm_stage.diagnosis import DiagnosisError, diagnose, workflow
-from dfm_stage.diagnosis.workflow import may_stand_alone
+from dfm_stage.diagnosis import DiagnosisError, diagnose, explaining, uncommon
+from dfm_stage.diagnosis.uncommon import may_stand_alone
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import Model, Simulator, model_from_dict
 from dfm_stage.model.registry import ALL, library_of
@@ -239,12 +239,12 @@ def fit_of(rms: float, free: int) -> SimpleNamespace:
 def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch) -> None:
     """By those of the whole gap its fit ends far above the noise, and a second mode stays."""
     taken = SimpleNamespace(names=("sensor_mount",))
-    monkeypatch.setattr(workflow, "_to_noise", lambda *_: (taken, None))
-    monkeypatch.setattr(workflow, "verdict", lambda _: SimpleNamespace(complete=True))
+    monkeypatch.setattr(uncommon, "to_noise", lambda *_: (taken, None))
+    monkeypatch.setattr(uncommon, "verdict", lambda _: SimpleNamespace(complete=True))
     own = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1))
     found = own, SimpleNamespace(names=("second_mode",), fit=fit_of(1.01, 7)), None
     wide = SimpleNamespace(search=Twins())
-    other = workflow._one_for_all(wide, None, found, {"sensor_mount"}, (), split=False)
+    other = uncommon._one_for_all(wide, None, found, {"sensor_mount"}, (), split=False)
     assert other[1] is taken
 
 
@@ -279,9 +279,9 @@ def test_the_search_to_the_noise_ends_where_nothing_explains_a_part(
         left, minimum, on, monkeypatch):
     nothing = SimpleNamespace(names=(), fit=leaving(left))
     trial = SimpleNamespace(search=Gap(left, minimum), witness=None)
-    monkeypatch.setattr(workflow, "_explaining", lambda *_: (trial, nothing, "graded"))
-    monkeypatch.setattr(workflow, "stays_open", lambda _: False)
-    monkeypatch.setattr(workflow, "_to_noise", lambda *_: (nothing, "tested"))
-    monkeypatch.setattr(workflow, "needs_grading", lambda _: False)
-    found = workflow._explained(trial, leaving(50.0), (), split=False)
+    monkeypatch.setattr(explaining, "_explaining", lambda *_: (trial, nothing, "graded"))
+    monkeypatch.setattr(explaining, "stays_open", lambda _: False)
+    monkeypatch.setattr(explaining, "to_noise", lambda *_: (nothing, "tested"))
+    monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
+    found = explaining.explained(trial, leaving(50.0), (), split=False)
     assert found[2] == ("tested" if on else "graded")

@@ -1,0 +1,147 @@
+"""When uncommon effects are looked for, and when what they explain is taken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dfm_stage.diagnosis.alike import shares_class
+from dfm_stage.diagnosis.decisions import (
+    FIRST_SHARE,
+    FURTHER,
+    FURTHER_PART,
+    MOST_STEPS,
+    NEAR_NOISE,
+)
+from dfm_stage.diagnosis.explaining import Judgement, explained, is_noise, to_noise
+from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.grading import beside_main
+from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.verdict import is_clearly_more, is_coloured_noise, main_effect, verdict
+from dfm_stage.model import EFFECTS
+
+
+def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) -> Judgement:
+    """What the effects of the search explain; where they leave a remainder, what these and the
+    uncommon ones do, if that is clearly more; where they do not, one uncommon effect that does in
+    the place of several. Before that search a first look says whether it is worth while."""
+    alone = _one_uncommon(trial, first, warnings, split)
+    if alone is not None:
+        return alone
+    found = explained(trial, first, warnings, split)
+    said = verdict(found[2])
+    relatives = _relatives(trial, found[1]) if said.complete else set()
+    coloured = is_coloured_noise(found[2])
+    if not trial.uncommon or (said.complete and not relatives and not coloured):
+        return found
+    trial.search.step("looking for uncommon effects, too")
+    search = trial.search.widened(trial.uncommon)
+    first, wide = search.begin(), Trial(search, trial.held, trial.seed)
+    if coloured:
+        return _in_the_colour(wide, first, found, warnings, split)
+    if said.complete:
+        return _one_for_all(wide, first, found, relatives, warnings, split)
+    heard = said.kind != "named" and _may_explain(wide, found)
+    if heard or _leaves_less(wide, first, found):
+        among_all = explained(wide, first, warnings, split)
+        if is_clearly_more(among_all[2], found[2]):
+            return among_all
+    return _beside_main(trial, found, warnings, split)
+
+
+def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
+                  split: bool) -> Judgement | None:
+    """One uncommon effect that leaves only noise where no common one does by itself; a search for
+    several common ones would end in more than noise, and late."""
+    search = trial.search
+    if not trial.uncommon or search.runs[0].window or is_noise(first):
+        return None
+    search.begin_work(FIRST_SHARE * MOST_STEPS)
+    _, common = search.alone(first)
+    if is_noise(common):
+        return None
+    search.step("looking for uncommon effects, too")
+    wide = Trial(search.widened(trial.uncommon), trial.held, trial.seed)
+    names, found = wide.search.alone_of(trial.uncommon, first, common)
+    if not may_stand_alone(search, found, common):
+        return None
+    other = wide, *to_noise(wide, names, found, MOST_STEPS, warnings, split)
+    return other if len(other[1].names) == 1 and verdict(other[2]).complete else None
+
+
+def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],
+                   split: bool) -> Judgement:
+    """The verdict on coloured noise, or an uncommon effect that leaves only noise: what acts
+    rarely does not repeat with the input, and passes for noise with a colour."""
+    if not _leaves_less(wide, first, found):
+        return found
+    other = explained(wide, first, warnings, split)
+    said = verdict(other[2])
+    return other if other[1].names and said.complete else found
+
+
+def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
+                 split: bool) -> Judgement:
+    """What was found to explain a part, with the effects beside the main one compared with the
+    uncommon ones, too. In windows the force domain alone proposes rivals, and it has done so."""
+    own, h, evidence = found
+    if len(h.names) < 2 or not evidence.graded or evidence.heard is not None \
+            or own.search.runs[0].window:
+        return found
+    own.search.step("comparing uncommon effects, too")
+    wide = Trial(own.search.widened(trial.uncommon), own.held, own.seed, dropped=own.dropped)
+    wide.witness = own.witness
+    return wide, *beside_main(wide, h, main_effect(evidence).name, own.search.library, warnings,
+                              split)
+
+
+def _relatives(trial: Trial, h: Hypothesis) -> set[str]:
+    """The uncommon effects that may stand behind what was found: behind several effects those of
+    the class of one, behind a single one those that can be the same motion."""
+    return {n for n in trial.uncommon for own in h.names
+            if n in EFFECTS[own].twins or (len(h.names) > 1 and shares_class(n, own))}
+
+
+def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
+                 warnings: Sequence[str], split: bool) -> Judgement:
+    """What was found to leave only noise, or one of its `relatives` that leaves no more, if that
+    has fewer parameters or stands for several."""
+    h, search = found[1], wide.search
+    if len(h.names) > 1:
+        hits = {hit.name: hit for hit in reversed(search.screened(first, ())[1])}
+        fits = {n: search.fitted((n,), first, [hits[n]]) for n in sorted(relatives & hits.keys())}
+    else:
+        fits = {n: search.in_place_of(own, n, (n,), h.fit) for n in relatives for own in h.names}
+    search.reweigh(found[0].search.weights, found[0].search.noise)
+    fits = {n: search.fitted((n,), each) for n, each in fits.items() if each.ok}
+    fits = {n: each for n, each in fits.items() if each.ok and (
+        len(h.names) > 1 or len(each.system.free) < len(h.fit.system.free))}
+    name = min(fits, key=lambda n: fits[n].rms, default="")
+    if not name or fits[name].rms > h.fit.rms:
+        return found
+    other = wide, *to_noise(wide, (name,), fits[name], MOST_STEPS, warnings, split)
+    return other if len(other[1].names) == 1 and verdict(other[2]).complete else found
+
+
+def _may_explain(wide: Trial, found: Judgement) -> bool:
+    """Whether the force domain, which takes seconds, has not said that the effects of a search
+    without the uncommon ones explain most."""
+    seen = wide.witness
+    return seen is None or not seen.explained_by(found[0].search.library)
+
+
+def _leaves_less(wide: Trial, first: Fit, found: Judgement) -> bool:
+    """Whether the first effects of a search among all leave clearly less above the noise than what
+    was found."""
+    if found[0].search.runs[0].window:
+        return False
+    _, other = wide.search.grown((), first, rounds=1)
+    noise = found[2].noise.rms**2
+    return other.rms**2 - noise < (1.0 - FURTHER_PART) * (found[1].fit.rms**2 - noise)
+
+
+def may_stand_alone(search: Search, found: Fit, common: Fit) -> bool:
+    """Whether one uncommon effect comes near the noise and explains more than the best common one
+    does, its parameters paid for."""
+    return found.chi2 <= NEAR_NOISE * found.white.size \
+        and search.score(found) <= search.score(common) - FURTHER
