@@ -222,16 +222,17 @@ class Fits:
 
     def in_place_of(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
-        are the same motion (`Effect.twins`), beside the base that leaves less: that of `current`,
-        or that without any effect."""
+        are the same motion (`Effect.twins`), beside the base that leaves least: that of `current`,
+        that without any effect, or that given."""
         use = current.model.effect(name)
         assert use is not None  # noqa: S101 (who calls has found it)
         typical = next(iter(starts(twin, self.conditions(current.model))), EFFECTS[twin].defaults)
         begin = Hit.at(twin, {**typical, **EFFECTS[name].twins[twin](use.parameters)})
-        base = {n: v for n, v in self.fitted((), current).model.base.items() if n in self.free}
-        models = current.model, current.model.with_parameters(base)
-        first = min(models, key=lambda m: self._fit(
-            self._with(m, names, [begin])[0], (), current, iterations=0).chi2)
+        bases = (current.model, self.fitted((), current).model, self.model)
+        first = min((current.model.with_parameters(
+            {n: v for n, v in each.base.items() if n in self.free}) for each in bases),
+            key=lambda m: self._fit(self._with(m, names, [begin])[0], (), current,
+                                    iterations=0).chi2)
         found = self._from(first, names, current, [begin], math.inf, limit=STEPS_BEFORE_LINEAR)
         known = self.fits.get((frozenset(names), self.weighing))
         return known if known is not None and known.chi2 <= found.chi2 else self.keep(names, found)

@@ -155,9 +155,11 @@ class Trial:
         """
         not_exercised = []
         for name in h.names:
-            passed = surrogate_test(h.fit.model, name, self.held, self.held_weights,
-                                    self.search.noise, self.seed).passed(
-                                        bool(EFFECTS[name].per_run))
+            without = h.bare if len(h.names) == 1 else h.without(name, self.search).fit
+            passed = surrogate_test(
+                h.fit.model, name, self.held, self.held_weights, self.search.noise, self.seed
+            ).passed(bool(EFFECTS[name].per_run),
+                     without.chi2 - h.fit.chi2 if without.ok else 0.0)
             if passed is None and not self.search.barred:
                 not_exercised.append(name)
             elif not passed:

@@ -11,6 +11,7 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     NOT_EXERCISED,
+    NOT_EXERCISED_SHARE,
     OUTSTANDING,
     PER_RUN_GAIN,
     SELF_SIMILAR,
@@ -98,9 +99,10 @@ class SurrogateTest:
     best: float
     outstanding: float = 1.0
 
-    def passed(self, per_run: bool) -> bool | None:
-        """Whether the effect does better than its surrogates; None where it does nothing here."""
-        if not per_run and self.contribution < NOT_EXERCISED:
+    def passed(self, per_run: bool, fall: float = 0.0) -> bool | None:
+        """Whether the effect does better than its surrogates; None where it does nothing here,
+        or next to nothing beside what it explains of the fitted runs (`fall` in chi-square)."""
+        if not per_run and self.contribution < max(NOT_EXERCISED, NOT_EXERCISED_SHARE * fall):
             return None
         if per_run or math.isinf(self.best):
             gain = self.without - self.original

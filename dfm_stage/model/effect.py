@@ -29,7 +29,8 @@ velocity of the driven point, `actuator` (N) the force of an actuator of constan
     What is added to the command u, given for time t (s), after dead time and limit.
 `command(u, z, period, p) -> V or A`
     What the actuator makes of a command u that lasts a period (s), before dead time and limit. `z`
-    are `registers` numbers that it keeps from one command to the next, zero at first.
+    are `registers` numbers that it keeps from one command to the next, zero at first. Fits give
+    it each command as `substeps` equal ones, for what it does within a sample.
 `sense(x, t, other, p) -> m`
     What is added to the encoder's reading at time `t` (s); `other` (m) is the position of the
     neighbouring axis.
@@ -178,6 +179,7 @@ class Effect:
     states: tuple[str, ...] = ()
     stage: Literal["modes", "amplifier", "mechanics", "sensor"] = "mechanics"
     registers: int = 0
+    substeps: int = 1
     force: Callable[..., float] | None = field(default=None, repr=False)
     friction: Callable[..., float] | None = field(default=None, repr=False)
     advance: Callable[..., float] | None = field(default=None, repr=False)

@@ -1,5 +1,7 @@
 """The library's simulator with the true model gives the corpus's data, far below the noise."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,20 +10,23 @@ from benchmarks.corpus.case import Truth, make_truth, shown
 from benchmarks.corpus.plan import EFFECTS, CaseSpec
 from benchmarks.corpus.uncommon import UNCOMMON
 from benchmarks.corpus.wide import WideSpec
+from dfm_stage.model import EFFECTS as USUAL
 from dfm_stage.model import EffectUse, Model, Simulator, model_from_dict
 
 SHARE_OF_NOISE, TIMING_S = 0.002, 0.02e-6
 KINKS = (0.01, 0.1e-6)  # the simulator steps across kinks: below 0.7 % of the noise
 WIDER = {"presliding_friction": (0.05, 0.2e-6),  # the simulator's Stribeck term, 0.02 and 0.08 us
-         "slew_limit": (0.5, 1.5e-6),  # it holds the mean of a ramp over a sample: 0.4 and 1.1 us
+         "slew_limit": (0.01, 0.1e-6),  # it holds a ramp's mean over a quarter sample
          **dict.fromkeys(("end_stop", "backlash", "directional_friction", "one_sided_cable",
                           "load_dependent_friction"), KINKS)}
 
 
-def by_simulator(truth: Truth, number: int) -> object:
+def by_simulator(truth: Truth, number: int) -> SimpleNamespace:
+    """As a fit simulates it: with substeps within each sample where an effect asks for them."""
     setup = truth.setup
     base = setup.stage.base
-    model = Model("truth", 1e-3, base=base, effects=tuple(
+    steps = max((USUAL[n].substeps for n in setup.effects), default=1)
+    model = Model("truth", 1e-3 / steps, base=base, effects=tuple(
         EffectUse(name, values) for name, values in setup.effects.items()))
     simulator = Simulator(model)
     first = truth.outputs[number]
@@ -31,7 +36,8 @@ def by_simulator(truth: Truth, number: int) -> object:
     more = {}
     if number in setup.other:
         more["other"] = setup.other[number][1][::plant.OTHER_PER_SAMPLE]
-    return simulator.run(first[0], initial=start, **more)
+    found = simulator.run(np.repeat(first[0], steps), initial=start, **more)
+    return SimpleNamespace(reading=found.reading[::steps], current=found.current[::steps])
 
 
 @pytest.mark.parametrize("name", [*EFFECTS, *UNCOMMON])
