@@ -210,6 +210,8 @@ def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[
               "between", "intervals beside a remainder hold the pseudo-true value", 98.0),
         _rate("interval_physical_percent", (hit for s in scores for hit in s.physical), 90.0,
               "at least", "intervals beside a remainder of at most 1 % hold the physical value")]
+    found.insert(0, _rate("no_answer_percent", (s.answer == ERROR for s in scores), 0.0,
+                          "at most", "cases without an answer: an error, or out of time"))
     times = [s.seconds for s in scores if s.seconds is not None]
     if times:
         found.append(Figure(

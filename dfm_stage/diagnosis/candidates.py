@@ -45,16 +45,20 @@ def starts(name: str, at: Conditions) -> list[Parameters]:
 
 
 def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
-    """Cycles that a sine makes in the longest run, or over the widest motion of one; infinite for
-    other effects. Where nothing drives the stage, those that tell a vibration or a second mode
+    """Cycles that a sine makes in the longest run, or over the widest motion of one, which is the
+    reading without what the sine itself adds; infinite for other effects. Where nothing drives the stage, those that tell a vibration or a second mode
     from the stage's own motion: the beats between them."""
     wave = EFFECTS[name].wave
     free = FREQUENCY in EFFECTS[name].defaults and not any(r.driven for r in runs)
     if wave is None and not free:
         return math.inf
-    value = model.parameters()[f"{name}.{FREQUENCY if wave is None else wave.parameter}"]
+    known = model.parameters()
+    value = known[f"{name}.{FREQUENCY if wave is None else wave.parameter}"]
     if wave is not None and wave.over == "position":
-        return max(float(np.ptp(r.output)) for r in runs) / max(value, 1e-300)
+        own = 0.0 if EFFECTS[name].sense is None else sum(
+            known[f"{name}.{size}"] for size in EFFECTS[name].sizes)
+        widest = max(float(np.ptp(r.output)) for r in runs) - 2.0 * own
+        return max(widest, 0.0) / max(value, 1e-300)
     own = math.sqrt(model.base.get("stiffness", 0.0) / model.base["mass"]) / (2.0 * math.pi) \
         if free else 0.0
     return abs(value - own) * max(r.input.size * r.sample_period for r in runs)

@@ -132,6 +132,7 @@ def test_kept_answers_make_figures(tmp_path: Path) -> None:
     assert figures["measured.remainder_right_percent"].met is False
     assert figures["measured.remainder_wrong_percent"].met is True
     assert figures["measured.outsider_wrong_percent"].bar is None
+    assert figures["measured.no_answer_percent"].value == 0.0
     assert "10 %: right 1 of 2" in measured_report(scores)
 
 

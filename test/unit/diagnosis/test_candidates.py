@@ -26,3 +26,14 @@ def test_a_vibration_is_told_from_free_motion_by_their_beats(driven, frequency, 
                                                    "damping_ratio": 0.01})
     assert cycles("second_mode", coupled, [run]) == pytest.approx(
         math.inf if driven else expected)
+
+
+@pytest.mark.parametrize(("amplitude", "expected"), [(1e-6, 9.99), (0.4e-3, 6.0), (2e-3, 0.0)])
+def test_an_error_of_the_reading_does_not_make_the_motion_across_it_wider(amplitude, expected):
+    """Two millimetres are read. What the error itself may add to that is no motion."""
+    run = Observation("run", np.ones(3), np.array([-1e-3, 0.0, 1e-3]), 1e-3)
+    values = {"amplitude": amplitude, "period": 0.2e-3, "phase": 0.0}
+    erring = STAGE.with_effect("encoder_periodic_error", values)
+    assert cycles("encoder_periodic_error", erring, [run]) == pytest.approx(expected)
+    pulled = STAGE.with_effect("cogging", values)
+    assert cycles("cogging", pulled, [run]) == pytest.approx(10.0)
