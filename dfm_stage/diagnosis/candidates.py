@@ -46,8 +46,9 @@ def starts(name: str, at: Conditions) -> list[Parameters]:
 
 def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
     """Cycles that a sine makes in the longest run, or over the widest motion of one, which is the
-    reading without what the sine itself adds; infinite for other effects. Where nothing drives the stage, those that tell a vibration or a second mode
-    from the stage's own motion: the beats between them."""
+    reading without what the sine itself adds; infinite for other effects. Where nothing drives the
+    stage, those that tell a vibration or a second mode from the stage's own motion: the beats
+    between them."""
     wave = EFFECTS[name].wave
     free = FREQUENCY in EFFECTS[name].defaults and not any(r.driven for r in runs)
     if wave is None and not free:
