@@ -160,7 +160,7 @@ def _missing(key: str, published: Mapping[str, Any]) -> Figure:
     promised = wide == wide
     return Figure(key, math.nan, published["unit"],
                   published["value"] - wide if promised else None, "published",
-                  published["value"], how="not told", bar_kind="between" if promised else None,
+                  published["value"], how="not named", bar_kind="between" if promised else None,
                   bar_to=published["value"] + wide if promised else None)
 
 

@@ -1,4 +1,4 @@
-"""Countable rules of prose, for the pages and the docstrings of the public interface.
+"""Countable rules of prose and tables, for the pages and the docstrings of the public interface.
 
 Run by ./run lint, or alone: `./run exec python tools/prose.py [FILE ...]`. Code, tables, headings,
 formulas and the targets of links do not count. The mean is that of a page, or of a package.
@@ -28,6 +28,7 @@ _INLINE = ((re.compile(r"!\[[^\]]*\]\([^)]*\)"), ""), (re.compile(r"``[^`]+``|`[
            (re.compile(r"\[((?:[^\]\[]|\[[^\]]*\])*)\]\([^)]*\)"), r"\1"),
            (re.compile(r"[*_]{1,3}(?=\S)|(?<=\S)[*_]{1,3}"), ""))
 _NO_PROSE = re.compile(r"\s*(\||#|>>>|\.\.\. |:::|!!! |- *\[ \])")
+_RULE = re.compile(r"\|[\s:|-]+\|\s*")
 _ITEM = re.compile(r"\s*(?:[-*+]|\d+[.)])\s+")
 _SHORT = re.compile(r"\b(e\.g|i\.e|cf|vs|ch|sec|fig|figs|eq|eqs|no|al|approx|resp|St)\.(?=\s)",
                     re.IGNORECASE)
@@ -119,8 +120,21 @@ def complaints(place: str, parts: Iterable[tuple[str, Paragraph]]) -> list[Compl
 
 def of_page(page: Path) -> list[Complaint]:
     """Hold one page against the rules."""
-    name = _name(page)
-    return complaints(name, ((name, each) for each in paragraphs(page.read_text("utf-8"))))
+    name, text = _name(page), page.read_text("utf-8")
+    return complaints(name, ((name, each) for each in paragraphs(text))) + [
+        Complaint(name, line, "a table without a line of headings",
+                  "delete the empty line above, or give it headings") for line in headless(text)]
+
+
+def headless(text: str) -> Iterator[int]:
+    """Yield the lines at which a table begins without headings: no reader shows it as a table."""
+    for hidden in _HIDDEN:
+        text = hidden.sub(lambda found: "\n" * found[0].count("\n"), text)
+    lines = ["", *text.split("\n"), ""]
+    for number, (before, line, after) in enumerate(zip(lines, lines[1:], lines[2:],
+                                                       strict=False), 1):
+        if line.startswith("|") and not before.startswith("|") and not _RULE.fullmatch(after):
+            yield number
 
 
 def of_package(package: str) -> list[Complaint]:

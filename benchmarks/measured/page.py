@@ -12,7 +12,8 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ def read_results(path: Path = KEPT) -> dict[str, Result]:
 def answers(results: Mapping[str, Result],
             table: Mapping[str, MeasuredRecord] | None = None) -> str:
     """What was expected of each record, and what was answered."""
-    rows = ["| record | expected | answered | | held-out RMS left | processor time |",
+    rows = ["| record | expected | answered | judged | held-out RMS left | processor time |",
             "|---|---|---|---|---|---|"]
     for name, record in (table or load_records()).items():
         mark = " (set rules)" if record.set_rules else ""
@@ -76,7 +77,21 @@ def answers(results: Mapping[str, Result],
             row += [f"{result.verdict}{': ' + told if told else ''}", judged + reason,
                     "" if left is None else f"{left:.3g} %", f"{result.seconds:.0f} s"]
         rows.append("| " + " | ".join(row) + " |")
-    return "\n".join(rows)
+    return "\n".join([*_totals(results, table or load_records()), *rows])
+
+
+def _totals(results: Mapping[str, Result], table: Mapping[str, MeasuredRecord]) -> list[str]:
+    """How many answers are right, silent and wrong, and of the blind ones; no line where none is
+    there."""
+    def of(names: Sequence[str]) -> str:
+        counts = Counter(results[n].judged for n in names)
+        return ", ".join(f"{counts[each]} {each}" for each in ("right", "silent", "wrong"))
+
+    run = [n for n in table if n in results]
+    blind = [n for n in run if not table[n].set_rules]
+    words = (f"All {len(run)} records: {of(run)}. The {len(blind)} that did not set rules: "
+             f"{of(blind)}.")
+    return [words, ""] if run else []
 
 
 def _expected(record: MeasuredRecord, most: int | None = None) -> str:
@@ -143,7 +158,7 @@ def sources(table: Mapping[str, MeasuredRecord] | None = None) -> str:
                   f"- Fitted: {fitted}. Held out: {held or 'the last 30 %'}.",
                   f"- Started from: {_start(r)}.",
                   f"- Expected: {_expected(r)}.", *_also(r),
-                  f"- Reason: {r.expected.why.strip()}",
+                  f"- Reason, as written before the first diagnosis: {r.expected.why.strip()}",
                   *(f"- Published: {each}." for each in r.published),
                   f"- `./run bench real --data DIR --only {name}`", ""]
     return "\n".join(parts).rstrip()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
@@ -96,6 +97,7 @@ def _rounds(options: argparse.Namespace) -> int:
     """Diagnose, and again with each further experiment."""
     model = load_model(options.model)
     out = output_folder(options.out)
+    _keep_given(Path(options.model), out)
     fitted, held = list(options.runs), list(options.holdout)
     found = _once(options, model, fitted, held, out)
     for number in range(1, options.rounds + 1 if options.run else 0):
@@ -106,6 +108,17 @@ def _rounds(options: argparse.Namespace) -> int:
         fitted.append(str(bag))
         found = _once(options, model, fitted, held, out)
     return 0
+
+
+GIVEN = "model_given.yaml"
+"""The first model that was given, where the one to go on with takes its place."""
+
+
+def _keep_given(model: Path, out: Path) -> None:
+    if model.resolve() == (out / "model.yaml").resolve() and not (out / GIVEN).exists():
+        write_output(out / GIVEN, model.read_bytes())
+        print(f"diagnose: {model} will be replaced by the model to go on with; the one given is "
+              f"kept as {GIVEN}", file=sys.stderr)
 
 
 def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],

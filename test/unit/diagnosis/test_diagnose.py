@@ -254,6 +254,20 @@ def test_the_command_writes_all_files(tmp_path, capsys):
     assert "named" in capsys.readouterr().out
 
 
+def test_the_first_model_given_is_kept_where_another_takes_its_place(tmp_path, capsys):
+    from dfm_stage.cli.diagnose import GIVEN, _keep_given
+
+    given, out = tmp_path / "out" / "model.yaml", tmp_path / "out"
+    _keep_given(tmp_path / "model.yaml", out)
+    assert not list(tmp_path.iterdir())
+    for text in ("first", "second"):
+        out.mkdir(exist_ok=True)
+        given.write_text(text)
+        _keep_given(given, out)
+    assert (out / GIVEN).read_text() == "first"
+    assert capsys.readouterr().err.count(GIVEN) == 1
+
+
 def test_unusable_input_is_exit_code_2(tmp_path, capsys):
     from dfm_stage.cli.diagnose import main
 

@@ -58,3 +58,7 @@ def test_noise_floor_from_periods(multisine):
     noise = 0.01 * np.random.default_rng(0).standard_normal(wave.size)
     assert noise_floor_from_periods(wave + noise, 1000) == pytest.approx(0.01, rel=0.03)
     assert noise_floor_from_periods(wave[:1500], 1000) is None
+    settling = np.exp(-np.arange(wave.size) / 80.0) * np.sin(0.05 * np.arange(wave.size))
+    for size in (2000, wave.size):
+        assert noise_floor_from_periods((wave + noise + settling)[:size], 1000) == pytest.approx(
+            0.01, rel=0.07)

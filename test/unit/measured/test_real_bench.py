@@ -109,7 +109,9 @@ def test_results_fill_their_rows_and_leave_the_others(tmp_path: Path):
     page.write_results(path, {"emps": one})
     page.write_results(path, {"beam": replace(one, judged="right")})
     results = page.read_results(path)
-    rows = {row.split("`")[1]: row for row in page.answers(results).splitlines()[2:]}
+    totals, _, _, _, *lines = page.answers(results).splitlines()
+    assert totals.startswith("All 2 records: 1 right, 0 silent, 1 wrong.")
+    rows = {row.split("`")[1]: row for row in lines}
     assert "**wrong**: `partial` was not expected | 7 % | 12 s" in rows["emps"]
     assert "| right |" in rows["beam"]
     assert page.NOT_RUN in rows["silverbox"]

@@ -83,3 +83,10 @@ def test_the_exit_code_says_whether_the_pages_keep_to_the_rules(tmp_path: Path) 
                               capture_output=True, text=True)
         assert done.returncode == code
         assert done.stdout.startswith("page.md:1: ") == bool(code)
+
+
+def test_a_table_that_an_empty_line_tears_is_found() -> None:
+    table = "| a | b |\n|---|---|\n| 1 | 2 |\n"
+    assert list(prose.headless(f"Text.\n\n{table}\nMore.")) == []
+    assert list(prose.headless(f"{table}\n| 3 | 4 |\n")) == [5]
+    assert list(prose.headless(f"```\n| 3 | 4 |\n```\n{table}")) == []
