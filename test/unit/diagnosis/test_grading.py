@@ -232,6 +232,22 @@ def test_small_sets_come_first_and_one_that_takes_nearly_all_is_the_last(
     assert (names, seen) == (("coulomb_friction",), fitted)
 
 
+@pytest.mark.parametrize(("margin", "fewer", "chosen"), [
+    (-2.5, 1, "coulomb_friction"), (0.0, 1, "coulomb_friction"), (0.1, 1, None), (-2.5, 0, None)])
+def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(margin, fewer, chosen):
+    """An eddy-current brake fits a record of dry friction better by its second parameter."""
+    def fit(parameters):
+        return SimpleNamespace(system=SimpleNamespace(free=("p",) * parameters))
+
+    rival = grading.Rival("coulomb_friction", 900.0, fit(4 - fewer))
+    h = grading.Hypothesis(("eddy_current_damping",), fit(4), fit(2),
+                           {"eddy_current_damping": [rival]})
+    seen = SimpleNamespace(effects=[SimpleNamespace(name="eddy_current_damping", rivals=[
+        SimpleNamespace(name="coulomb_friction", margin=margin)])])
+    found = grading._simpler_rival(h, seen)
+    assert (None if found is None else found[1].name) == chosen
+
+
 @pytest.mark.slow
 def test_an_effect_stands_beside_the_given_base_where_held_out_records_refute_another():
     """A vibration beside damping that grows with position, which bends the base."""
