@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dfm_stage.model.effect import Effect
+from collections.abc import Sequence
+
+from dfm_stage.model.effect import Effect, Equivalence
 from dfm_stage.model.registry import ALL, EFFECTS, UNCOMMON, library_of
 
 HEAD = """\
@@ -37,6 +39,13 @@ SOURCES = """
 """
 
 
+def _alike(effect: Effect, effects: Sequence[Effect]) -> list[Equivalence]:
+    """The classes of an effect, and those by which others alone say that they are the same."""
+    said = {m for c in effect.classes for m in c.members}
+    return [*effect.classes, *(c for other in effects if other.name not in said
+                               for c in other.classes if effect.name in c.members)]
+
+
 def effect_table() -> str:
     """The text of docs/effects.md: parameters, equivalence classes and sources of all effects."""
     effects = [EFFECTS[name] for name in sorted(library_of([ALL]))]
@@ -44,7 +53,7 @@ def effect_table() -> str:
                  _parameters(e), e.side, e.shown_by)
             for e in effects]
     classes = [_row(f"`{e.name}`", ", ".join(f"`{m}`" for m in c.members if m != e.name), c.on,
-                    c.split_by) for e in effects for c in e.classes]
+                    c.split_by) for e in effects for c in _alike(e, effects)]
     sources = [f"- `{e.name}`: {e.source}\n" for e in effects]
     return "".join([HEAD, *rows, CLASSES, *classes, SOURCES, *sources])
 
