@@ -100,14 +100,18 @@ class SurrogateTest:
     outstanding: float = 1.0
 
     def passed(self, per_run: bool, fall: float = 0.0) -> bool | None:
-        """Whether the effect does better than its surrogates; None where it does nothing here,
-        or next to nothing beside what it explains of the fitted runs (`fall` in chi-square)."""
-        if not per_run and self.contribution < max(NOT_EXERCISED, NOT_EXERCISED_SHARE * fall):
+        """Whether the effect does better than its surrogates; None where it does nothing here, or
+        no better and next to nothing beside what it explains of the fitted runs (`fall` in
+        chi-square)."""
+        if not per_run and self.contribution < NOT_EXERCISED:
             return None
         if per_run or math.isinf(self.best):
             gain = self.without - self.original
-            return gain > max(PER_RUN_GAIN, self.outstanding * (self.without - self.best))
-        return self.original < min(self.best, self.without)
+            better = gain > max(PER_RUN_GAIN, self.outstanding * (self.without - self.best))
+        else:
+            better = self.original < min(self.best, self.without)
+        little = not per_run and self.contribution < NOT_EXERCISED_SHARE * fall
+        return None if little and not better else better
 
 
 def surrogate_test(model: Model, name: str, runs: Sequence[Observation], weights: Weights,
