@@ -75,8 +75,9 @@ NOT_EXERCISED = decision(
     "nothing about an effect.", set_on=HELD_OUT_FORM)
 NOT_EXERCISED_SHARE = decision(
     "NOT_EXERCISED_SHARE", 1e-3, "1", meaning="The same, over the fall in fitted chi-square that "
-    "the effect brings, for one that does no better than its surrogates.", set_on="derivation: the rest of a model is wrong by 3 % of what an "
-    "effect moves before a fit shows it, and would pass for the effect's fault")
+    "the effect brings, for one that does no better than its surrogates.",
+    set_on="derivation: the rest of a model is wrong by 3 % of what an effect moves before a fit "
+    "shows it, and would pass for the effect's fault")
 SURROGATES = decision(
     "SURROGATES", 5, "1", meaning="Surrogates of an effect: its contribution shifted in time.",
     set_on=FIRST_FORM)
