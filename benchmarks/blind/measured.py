@@ -5,9 +5,10 @@
 
 Every case is written as files, read as a user's files are, and answered; answers, with labels in
 a folder apart, are kept when they are given, and the figures are made from these files alone.
-`--fresh` draws a seed and keeps it in DIR. `--pseudo N` then fits the first N cases with a
-remainder, where they are named, to records 20 times as long and without noise (slow), and judges
-the intervals by that.
+`--fresh` draws a seed and keeps it in DIR. `--held N` adds N records of a held input, and N of
+other conventions, of which only the convention is asked. `--pseudo N` then fits the first N cases
+with a remainder, where they are named, to records 20 times as long and without noise (slow), and
+judges the intervals by that.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from typing import Any
 
 from benchmarks.blind.measured_scoring import (
     MeasuredScore,
+    Timing,
     judge_measured,
     judge_timing,
     measured_figures,
@@ -51,6 +53,7 @@ from benchmarks.corpus.measured.truth import make_setup
 DEVELOPMENT_SEED = 30_001
 CASES = {"remainder": 320, "outsider": 207, "nuisance": 304, "convention": 96}
 LONGER = 20
+TIMING = "timing.json"
 Find = Callable[[dict[str, Any], float, Mapping[str, float]], Mapping[str, Any]]
 """From columns, sample period and base parameters to an entry of `conventions`."""
 
@@ -159,6 +162,22 @@ def keep_pseudo_true(job: MeasuredJob) -> Path | None:
     return job.pseudo_path
 
 
+def convention_by_library(columns: Mapping[str, Any], period: float,
+                          base: Mapping[str, float]) -> Mapping[str, Any]:
+    """What the library says of the input of one record, as an entry of `conventions`."""
+    from dfm_stage.diagnosis.observation import alike, observe
+    from dfm_stage.diagnosis.other_convention import late_samples
+    from dfm_stage.model import Model
+    from dfm_stage.recording import AxisRecord, Provenance, Record
+
+    axis = AxisRecord(columns["input_v"], columns["position_m"],
+                      reference=columns.get("reference_m"))
+    model = Model("believed", period, dict(base))
+    record = Record(columns["time_s"], period, {"x": axis}, Provenance("run.csv", "csv"))
+    seen, = alike([observe(record, model)], late_samples(model))
+    return seen.convention.to_dict(seen.record)
+
+
 def timing_rates(cases: int, seed: int, find: Find) -> dict[str, tuple[int, int]]:
     """Hits and cases of `held` (timing corrected in vain), `found` (conventions found where lag
     and delay are below 0.2 sample) and `untold` (found elsewhere), by records alone."""
@@ -193,6 +212,12 @@ def read_measured(folder: Path) -> list[MeasuredScore]:
     return scores
 
 
+def read_timing(folder: Path) -> Timing:
+    """The kept `timing_rates` of a folder; none where they were not asked for."""
+    path = folder / TIMING
+    return json.loads(path.read_text("utf-8")) if path.exists() else {}
+
+
 def in_processes(work: Callable[[MeasuredJob], Any], todo: Sequence[MeasuredJob],
                  workers: int) -> None:
     """Do every job; progress goes to stderr."""
@@ -223,11 +248,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.pseudo:
         in_processes(keep_pseudo_true, [job for job in todo if job.spec.group == "remainder"][
             :options.pseudo], options.jobs)
-    scores = read_measured(folder)
-    text = f"seed {seed}, {len(scores)} cases\n\n{measured_report(scores)}\n"
+    if options.held:
+        write_whole(folder / TIMING, json.dumps(
+            timing_rates(options.held, seed, convention_by_library), indent=1) + "\n")
+    scores, timing = read_measured(folder), read_timing(folder)
+    text = f"seed {seed}, {len(scores)} cases\n\n{measured_report(scores, timing)}\n"
     write_whole(folder / "report.txt", text)
     write_whole(folder / "figures.json", json.dumps(
-        [figure.to_dict() for figure in measured_figures(scores)], indent=1) + "\n")
+        [figure.to_dict() for figure in measured_figures(scores, timing)], indent=1) + "\n")
     print(text)
     return 0
 
@@ -249,6 +277,7 @@ def _options() -> argparse.ArgumentParser:
                         help=f"default: {' '.join(f'{n}={c}' for n, c in CASES.items())}")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--resume", action="store_true", help="keep what was answered")
+    parser.add_argument("--held", type=int, default=0, metavar="N")
     parser.add_argument("--pseudo", type=int, default=0, metavar="N")
     return parser
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -174,8 +174,13 @@ def _rate(key: str, hits: Iterable[bool], bar: float | None, kind: BarKind, what
         bar_kind=kind if judged else None, bar_to=bar_to if judged else None)
 
 
-def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[Figure]:
-    """The rates against what was promised, keys ending in `suffix`."""
+Timing = Mapping[str, Sequence[int]]
+"""Of `timing_rates`: hits and cases of "held", "found" and "untold"."""
+
+
+def measured_figures(scores: Sequence[MeasuredScore],
+                     timing: Timing | None = None) -> list[Figure]:
+    """The rates against what was promised."""
     of = {group: [s for s in scores if s.group == group]
           for group in ("remainder", UNCOMMON, "outsider", "nuisance", "convention")}
     beside, outside, nothing = of["remainder"], of["outsider"], of["nuisance"]
@@ -184,7 +189,8 @@ def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[
               "effects that make at least 70 % of the gap named in their class; "
               f"to the name {sum(s.exact for s in beside)}"),
         _rate("remainder_shown_right_percent", (s.right for s in beside if s.shown), 90.0,
-              "at least", "of the same where it makes so much of the held-out gap, too"),
+              "at least", "of those whose effect makes as much of the held-out gap, too, named "
+              "in their class"),
         _rate("remainder_wrong_percent", (s.wrong_name for s in beside), 2.0, "at most",
               "of the same with a name outside the class"),
         _rate("outsider_wrong_percent", (s.wrong_name for s in outside), 3.0, "at most",
@@ -218,14 +224,28 @@ def measured_figures(scores: Sequence[MeasuredScore], suffix: str = "") -> list[
             "measured.case_seconds", statistics.median(times), "s", how=(
                 f"median processor time of {len(times)} cases; 90 % within "
                 f"{np.percentile(times, 90.0):.1f} s, longest {max(times):.1f} s")))
-    return [replace(figure, key=figure.key + suffix) for figure in found]
+    return found + _timing_figures(timing or {})
 
 
-def measured_report(scores: Sequence[MeasuredScore]) -> str:
+def _timing_figures(timing: Timing) -> list[Figure]:
+    """The rates of records of which only the convention was asked."""
+    def hits(name: str) -> list[bool]:
+        found, cases = timing[name]
+        return [True] * found + [False] * (cases - found)
+
+    return [] if not timing else [
+        _rate("record_false_timing_percent", hits("held"), 0.0, "at most",
+              "records of a held input alone whose timing was corrected"),
+        _rate("record_convention_found_percent", hits("found"), 95.0, "at least",
+              "records alone, less than 0.2 sample late, whose convention was found; beside them "
+              f"not corrected where lag hides it {timing['untold'][0]} of {timing['untold'][1]}")]
+
+
+def measured_report(scores: Sequence[MeasuredScore], timing: Timing | None = None) -> str:
     """Rates, the remainder's by its share, answers by kind, and what was wrong, as text."""
     lines = ["RATES"]
     lines += [f"  {f.key:38s} {f.value:6.1f} {f.unit}  bar {f.bar}  {f.how}"
-              for f in measured_figures(scores)]
+              for f in measured_figures(scores, timing)]
     lines += ["", "REMAINDER BY SHARE OF THE GAP'S POWER"]
     by_share: dict[float, list[MeasuredScore]] = defaultdict(list)
     for score in scores:

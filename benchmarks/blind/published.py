@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.measured import read_measured
+from benchmarks.blind.measured import read_measured, read_timing
 from benchmarks.blind.measured_scoring import measured_figures
 from benchmarks.blind.rates import LARGE, large_effects, limits_of, shares_by_severity
 from benchmarks.blind.scoring import Score, wilson
@@ -189,10 +189,10 @@ def keep(folder: Path) -> None:
 
 def keep_measured(folder: Path) -> None:
     """Keep the rates and the wrong answers of one seed of `benchmarks.blind.measured`."""
-    scores = read_measured(folder)
+    scores, timing = read_measured(folder), read_timing(folder)
     figures = [{name: each[name] for name in ("key", "value", "unit", "bar", "bar_kind", "met",
                                               "how")}
-               for each in (figure.to_dict() for figure in measured_figures(scores))
+               for each in (figure.to_dict() for figure in measured_figures(scores, timing))
                if each["value"] is not None]
     for each in figures:
         each["value"] = round(each["value"], 3)

@@ -5,7 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.blind.measured import MeasuredJob, read_measured, timing_rates
+from benchmarks.blind.measured import (
+    MeasuredJob,
+    convention_by_library,
+    read_measured,
+    read_timing,
+    timing_rates,
+)
 from benchmarks.blind.measured_scoring import (
     UNCOMMON,
     judge_measured,
@@ -145,6 +151,18 @@ def test_timing_rates_ask_for_every_record_and_show_no_truth() -> None:
         return {}
 
     rates = timing_rates(4, 7, find)
+    figures = {f.key: f for f in measured_figures([], rates)}
+    assert figures["measured.record_false_timing_percent"].value == 0.0
+    assert figures["measured.record_convention_found_percent"].how.startswith(
+        f"{rates['found'][0]} of {rates['found'][1]} ")
     assert rates["held"] == (0, 4)
     assert rates["found"][1] + rates["untold"][1] == 4
     assert all(names <= {"time_s", "input_v", "position_m", "reference_m"} for names in seen)
+
+
+def test_the_library_answers_for_a_record_alone(tmp_path: Path) -> None:
+    rates = timing_rates(2, 7, convention_by_library)
+    assert rates["held"] == (0, 2)
+    assert read_timing(tmp_path) == {}
+    (tmp_path / "timing.json").write_text(json.dumps(rates))
+    assert read_timing(tmp_path)["held"] == [0, 2]
