@@ -28,7 +28,7 @@ _INLINE = ((re.compile(r"!\[[^\]]*\]\([^)]*\)"), ""), (re.compile(r"``[^`]+``|`[
            (re.compile(r"\[((?:[^\]\[]|\[[^\]]*\])*)\]\([^)]*\)"), r"\1"),
            (re.compile(r"[*_]{1,3}(?=\S)|(?<=\S)[*_]{1,3}"), ""))
 _NO_PROSE = re.compile(r"\s*(\||#|>>>|\.\.\. |:::|!!! |- *\[ \])")
-_RULE = re.compile(r"\|[\s:|-]+\|\s*")
+_RULE = re.compile(r"\|[\s:|-]*-[\s:|-]*\|\s*")
 _ITEM = re.compile(r"\s*(?:[-*+]|\d+[.)])\s+")
 _SHORT = re.compile(r"\b(e\.g|i\.e|cf|vs|ch|sec|fig|figs|eq|eqs|no|al|approx|resp|St)\.(?=\s)",
                     re.IGNORECASE)

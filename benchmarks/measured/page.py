@@ -63,7 +63,8 @@ def answers(results: Mapping[str, Result],
     """What was expected of each record, and what was answered."""
     rows = ["| record | expected | answered | judged | held-out RMS left | processor time |",
             "|---|---|---|---|---|---|"]
-    for name, record in (table or load_records()).items():
+    listed = table or load_records()
+    for name, record in listed.items():
         mark = " (set rules)" if record.set_rules else ""
         row = [f"[`{name}`](#{name}){mark}", _expected(record, MOST_NAMES)]
         result = results.get(name)
@@ -77,7 +78,7 @@ def answers(results: Mapping[str, Result],
             row += [f"{result.verdict}{': ' + told if told else ''}", judged + reason,
                     "" if left is None else f"{left:.3g} %", f"{result.seconds:.0f} s"]
         rows.append("| " + " | ".join(row) + " |")
-    return "\n".join([*_totals(results, table or load_records()), *rows])
+    return "\n".join([*_totals(results, listed), *rows])
 
 
 def _totals(results: Mapping[str, Result], table: Mapping[str, MeasuredRecord]) -> list[str]:

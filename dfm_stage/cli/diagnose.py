@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -97,9 +98,10 @@ def _rounds(options: argparse.Namespace) -> int:
     """Diagnose, and again with each further experiment."""
     model = load_model(options.model)
     out = output_folder(options.out)
-    _keep_given(Path(options.model), out)
+    given = Path(options.model)
+    replaced = given.read_bytes() if given.resolve() == (out / "model.yaml").resolve() else None
     fitted, held = list(options.runs), list(options.holdout)
-    found = _once(options, model, fitted, held, out)
+    found = _once(options, model, fitted, held, out, replaced)
     for number in range(1, options.rounds + 1 if options.run else 0):
         if found.next_experiment is None:
             break
@@ -110,19 +112,22 @@ def _rounds(options: argparse.Namespace) -> int:
     return 0
 
 
-GIVEN = "model_given.yaml"
-"""The first model that was given, where the one to go on with takes its place."""
+GIVEN = "model_given{}.yaml"
+"""A model that was given, where the one to go on with takes its place; from the second on with a
+number."""
 
 
-def _keep_given(model: Path, out: Path) -> None:
-    if model.resolve() == (out / "model.yaml").resolve() and not (out / GIVEN).exists():
-        write_output(out / GIVEN, model.read_bytes())
-        print(f"diagnose: {model} will be replaced by the model to go on with; the one given is "
-              f"kept as {GIVEN}", file=sys.stderr)
+def _keep_given(content: bytes, out: Path) -> None:
+    path = next(path for number in count(1) for path in [out / GIVEN.format(
+        "" if number == 1 else f"_{number}")] if not path.exists() or path.read_bytes() == content)
+    write_output(path, content)
+    print(f"diagnose: model.yaml in {out} is replaced by the model to go on with; the one given "
+          f"is kept as {path.name}", file=sys.stderr)
 
 
-def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
-          held: Sequence[str], out: Path) -> Diagnosis:
+def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str], held: Sequence[str],
+          out: Path, replaced: bytes | None = None) -> Diagnosis:
+    """Diagnose once; `replaced` is the content of the model file that the answer replaces."""
     from dfm_stage.diagnosis import diagnose
     from dfm_stage.diagnosis.formula_offer import accepted_in
     from dfm_stage.identification.model_fit import default_free
@@ -155,6 +160,8 @@ def _once(options: argparse.Namespace, model: Model, fitted: Sequence[str],
         text = write_json(out / "diagnosis.json", {
             **found.to_dict(), "records": list(fitted), "holdout": list(held),
             "recorded_ns": [each.provenance.start_ns for each in records]})
+        if replaced is not None:
+            _keep_given(replaced, out)
         save_model(replace(_with_gap(found), sample_period=model.sample_period),
                    out / "model.yaml")
         _next(found, out / "next_experiment.yaml")

@@ -7,7 +7,7 @@ without it, and no rival outside its class does as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 
 from dfm_stage.diagnosis.alike import at_upper_end, shares_class
 from dfm_stage.diagnosis.candidates import cycles
@@ -92,30 +92,27 @@ def _standing(trial: Trial, names: Names, found: Fit, bare: Fit, warnings: Seque
     search, seen = trial.search, trial.witness
     allowed = among or (lambda _: search.library)
     dropped: dict[str, DropReason] = {}
+    before: set[frozenset[str]] = set()
     while True:
+        before.add(frozenset(names))
         search.begin_work(max(search.most_steps - search.steps, LEAST_STEPS))
         found = search.settled(names, found) if names else found
         h = trial.no_worse(Hypothesis(names, found, bare, {
             n: list(_rivals(search, seen, n, names, found, allowed(n)))
             for n in names}))
         judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
-        weakest, simpler = fallen(judged), _simpler_rival(h, judged)
+        weakest = fallen(judged)
         if weakest is not None:
             name, reason = weakest
-            better = _better_rival(h, judged, name)
-            if better is not None and better.name in dropped:
-                better = None
+            better = _better_rival(h, judged, name, dropped)
             dropped[name] = reason
-        elif simpler is not None:
-            name, better = simpler
         else:
-            trial.dropped.update({n: r for n, r in dropped.items() if n not in names})
-            return h, judged
-        if better is not None:
-            names, found = tuple(better.name if n == name else n for n in names), better.fit
-        else:
-            names = tuple(n for n in names if n != name)
-            found = search.once(names, found)
+            name, better = next(_simpler_rivals(h, judged, before), ("", None))
+            if better is None:
+                trial.dropped.update({n: r for n, r in dropped.items() if n not in names})
+                return h, judged
+        names = _with_rival(names, name, better)
+        found = search.once(names, found) if better is None else better.fit
 
 
 def _proposed(search: Search,
@@ -279,21 +276,33 @@ def _screened(search: Search, name: str, rest: Names, without: Fit, among: Names
     return listed[:GRADED_RIVALS]
 
 
-def _better_rival(h: Hypothesis, judged: Evidence, name: str) -> Rival | None:
+def _with_rival(names: Names, name: str, rival: Rival | None) -> Names:
+    """The same with a rival in the place of one, or without that one."""
+    instead = () if rival is None else (rival.name,)
+    return tuple(m for n in names for m in (instead if n == name else (n,)))
+
+
+def _better_rival(h: Hypothesis, judged: Evidence, name: str,
+                  dropped: Container[str]) -> Rival | None:
     """The rival that leaves least of what leaves less than the effect itself; else the one that
-    held-out blocks clearly prefer."""
+    held-out blocks clearly prefer; none that was dropped."""
     rivals = h.rivals.get(name, ())
     better = [r for r in rivals if r.cost < 0.0]
     margins = {r.name: r.margin for x in judged.effects if x.name == name for r in x.rivals}
     preferred = [r for r in rivals if margins[r.name] < -BLOCK_MARGIN]
-    return min(better, key=lambda r: r.cost, default=None) or min(
+    found = min(better, key=lambda r: r.cost, default=None) or min(
         preferred, key=lambda r: margins[r.name], default=None)
+    return None if found is None or found.name in dropped else found
 
 
-def _simpler_rival(h: Hypothesis, judged: Evidence) -> tuple[str, Rival] | None:
-    """An effect, and a rival with fewer parameters that predicts held-out blocks no worse: an
-    effect with more of them bends to what the fitted records alone have."""
-    return next(((x.name, r) for x in judged.effects
-                 for evidence in x.rivals if evidence.margin <= 0.0
-                 for r in h.rivals.get(x.name, ()) if r.name == evidence.name
-                 and len(r.fit.system.free) < len(h.fit.system.free)), None)
+def _simpler_rivals(h: Hypothesis, judged: Evidence,
+                    before: Container[frozenset[str]]) -> Iterator[tuple[str, Rival]]:
+    """Effects, each with a rival that has fewer parameters and predicts held-out blocks better: an
+    effect with more of them bends to what the fitted records alone have. No set that was judged
+    `before` comes back."""
+    for x in judged.effects:
+        margins = {r.name: r.margin for r in x.rivals}
+        for r in h.rivals.get(x.name, ()):
+            if len(r.fit.system.free) < len(h.fit.system.free) and margins[r.name] < 0.0 \
+                    and frozenset(_with_rival(h.names, x.name, r)) not in before:
+                yield x.name, r

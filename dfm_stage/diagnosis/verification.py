@@ -101,8 +101,8 @@ class SurrogateTest:
 
     def passed(self, per_run: bool, fall: float = 0.0) -> bool | None:
         """Whether the effect does better than its surrogates; None where it does nothing here, or
-        no better and next to nothing beside what it explains of the fitted runs (`fall` in
-        chi-square)."""
+        no better, no harm, and next to nothing beside what it explains of the fitted runs (`fall`
+        in chi-square)."""
         if not per_run and self.contribution < NOT_EXERCISED:
             return None
         if per_run or math.isinf(self.best):
@@ -110,7 +110,8 @@ class SurrogateTest:
             better = gain > max(PER_RUN_GAIN, self.outstanding * (self.without - self.best))
         else:
             better = self.original < min(self.best, self.without)
-        little = not per_run and self.contribution < NOT_EXERCISED_SHARE * fall
+        little = not per_run and self.contribution < NOT_EXERCISED_SHARE * fall \
+            and self.original < self.without + NOT_EXERCISED
         return None if little and not better else better
 
 

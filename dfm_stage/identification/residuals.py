@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise, takewhile
 from typing import Any
 
 import numpy as np
 
 from dfm_stage.arrays import Array, Lines
-from dfm_stage.identification.periods import FEWEST_PERIODS, WINDOWS_A_PERIOD, settled_from
+from dfm_stage.identification.periods import FEWEST_PERIODS, settled_from
 
 LEVEL = 0.01
 """A test is failed when its p value falls below this."""
@@ -24,9 +25,9 @@ STRENGTH = 1e-6
 """Over the largest: directions of the input that carry less do not count as excited."""
 FEWEST_TO_SPLIT = 3
 """Periods, to tell what repeats from what does not, line by line."""
-SCATTER = 4.0
-"""Standard errors of white noise by which a window of two unlike periods stands out; one that does
-so by chance costs a window, and no accuracy."""
+QUARTERS, DIES_OUT = 4, 10.0
+"""Parts of a period, and the power of one over that of the next from which a transient dies out in
+it: noise does not fall so from part to part, and a slower transient is in the last part, too."""
 
 
 @dataclass(frozen=True)
@@ -148,26 +149,18 @@ def line_residuals(residual: Array, period: int, lines: Lines,
 def noise_floor_from_periods(output: Array, period: int) -> float | None:
     """Return the RMS of what does not repeat in `output` (N,), None below two periods.
 
-    Leading periods that still hold a transient are left out, of two periods the part of both in
-    which they still come closer. Slow drift of the mean counts as noise.
+    Leading periods that still hold a transient are left out, of two periods the quarters of both
+    over which it dies out. Slow drift of the mean counts as noise.
     """
     count = output.size // period
     if count < FEWEST_PERIODS:
         return None
     rows = output[output.size - count * period:].reshape(count, period)
-    rows = rows[min(settled_from(np.fft.rfft(rows, axis=1)), count - FEWEST_PERIODS):]
+    moving = np.fft.rfft(rows, axis=1)[:, 1:]
+    rows = rows[min(settled_from(moving), count - FEWEST_PERIODS):]
     apart = np.sum((rows - rows.mean(axis=0)) ** 2, axis=0) / (len(rows) - 1)
     if len(rows) == FEWEST_PERIODS:
-        apart = apart[_closer_until(apart):]
+        quarters = [part.mean() for part in np.array_split(apart, QUARTERS)]
+        dying = (before > DIES_OUT * after > 0.0 for before, after in pairwise(quarters))
+        apart = apart[period // QUARTERS * sum(takewhile(bool, dying)):]
     return float(np.sqrt(np.mean(apart)))
-
-
-def _closer_until(apart: Array) -> int:
-    """The first sample from which squared differences (N,) of two periods are no larger than in
-    the last quarter."""
-    window = max(apart.size // WINDOWS_A_PERIOD, 1)
-    means = apart[:apart.size - apart.size % window].reshape(-1, window).mean(axis=1)
-    early = means.size - max(means.size // 4, 1)
-    limit = float(means[early:].mean()) * (1.0 + SCATTER * math.sqrt(2.0 / window))
-    large = np.flatnonzero(means[:early] > limit)
-    return int(large[-1] + 1) * window if large.size else 0

@@ -321,7 +321,8 @@ class System(Problem):
         """One signal (P, N) of one run for rows (P, m) of parameters."""
         drive = Drive(run.input) if run.drive is None else run.drive
         if not light:
-            drive = drive.finer(max((u.effect.substeps for u in self.model.effects), default=1))
+            substeps = max((u.effect.substeps for u in self.model.effects), default=1)
+            drive = drive.finer(-(-substeps // drive.factor))
         simulator = self._stepping(drive.factor, light)
         periodic = run.start == "periodic" and run.period is not None
         driven = drive.values[:drive.factor * (run.period or 0)] if periodic else drive.values

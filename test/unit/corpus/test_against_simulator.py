@@ -16,7 +16,7 @@ from dfm_stage.model import EffectUse, Model, Simulator, model_from_dict
 SHARE_OF_NOISE, TIMING_S = 0.002, 0.02e-6
 KINKS = (0.01, 0.1e-6)  # the simulator steps across kinks: below 0.7 % of the noise
 WIDER = {"presliding_friction": (0.05, 0.2e-6),  # the simulator's Stribeck term, 0.02 and 0.08 us
-         "slew_limit": (0.01, 0.1e-6),  # it holds a ramp's mean over a quarter sample
+         "slew_limit": (0.05, 0.05e-6),  # it holds a ramp's mean over a quarter sample: 2 %
          **dict.fromkeys(("end_stop", "backlash", "directional_friction", "one_sided_cable",
                           "load_dependent_friction"), KINKS)}
 

@@ -254,18 +254,28 @@ def test_the_command_writes_all_files(tmp_path, capsys):
     assert "named" in capsys.readouterr().out
 
 
-def test_the_first_model_given_is_kept_where_another_takes_its_place(tmp_path, capsys):
-    from dfm_stage.cli.diagnose import GIVEN, _keep_given
+def test_a_model_given_is_kept_where_another_takes_its_place(tmp_path, capsys):
+    from dfm_stage.cli.diagnose import main
 
-    given, out = tmp_path / "out" / "model.yaml", tmp_path / "out"
-    _keep_given(tmp_path / "model.yaml", out)
-    assert not list(tmp_path.iterdir())
-    for text in ("first", "second"):
-        out.mkdir(exist_ok=True)
-        given.write_text(text)
-        _keep_given(given, out)
-    assert (out / GIVEN).read_text() == "first"
-    assert capsys.readouterr().err.count(GIVEN) == 1
+    feed = truth.multisine(1)[:2000]
+    noise = truth.NOISE * np.random.default_rng(3).standard_normal(feed.size)
+    rows = np.column_stack([truth.PERIOD * np.arange(feed.size), feed, truth.move(feed) + noise])
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", comments="",
+               header="time_s,input_v,position_m")
+    given = tmp_path / "model.yaml"
+    texts = []
+    for name in ("first", "second"):
+        save_model(replace(truth.believed(), name=name), given)
+        texts.append(given.read_bytes())
+        for record in ("none.csv", "run.csv", "run.csv"):
+            main([str(tmp_path / record), "--model", str(given), "--out", str(tmp_path),
+                  "--library", "back_emf", "--no-report"])
+            if record == "run.csv":
+                given.write_bytes(texts[-1])
+    assert [path.read_bytes() for path in (tmp_path / "model_given.yaml",
+                                           tmp_path / "model_given_2.yaml")] == texts
+    assert not (tmp_path / "model_given_3.yaml").exists()
+    assert capsys.readouterr().err.count("is kept as") == 4
 
 
 def test_unusable_input_is_exit_code_2(tmp_path, capsys):

@@ -13,6 +13,15 @@ import pytest
 from benchmarks.blind.measured import diagnosed_files
 from benchmarks.corpus.measured import make_case, measured_plan
 from dfm_stage.diagnosis import diagnose, grading
+from dfm_stage.diagnosis.evidence import (
+    EffectEvidence,
+    Errors,
+    Evidence,
+    ModelEvidence,
+    Motion,
+    Noise,
+    RivalEvidence,
+)
 from dfm_stage.model import EFFECTS, Model, load_model
 from dfm_stage.recording import AxisRecord, Provenance, Record, read_record
 
@@ -232,20 +241,50 @@ def test_small_sets_come_first_and_one_that_takes_nearly_all_is_the_last(
     assert (names, seen) == (("coulomb_friction",), fitted)
 
 
-@pytest.mark.parametrize(("margin", "fewer", "chosen"), [
-    (-2.5, 1, "coulomb_friction"), (0.0, 1, "coulomb_friction"), (0.1, 1, None), (-2.5, 0, None)])
-def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(margin, fewer, chosen):
-    """An eddy-current brake fits a record of dry friction better by its second parameter."""
-    def fit(parameters):
-        return SimpleNamespace(system=SimpleNamespace(free=("p",) * parameters))
+PARAMETERS = {"coulomb_friction": 3, "eddy_current_damping": 4}
+"""Free parameters of a fit with each effect."""
 
-    rival = grading.Rival("coulomb_friction", 900.0, fit(4 - fewer))
-    h = grading.Hypothesis(("eddy_current_damping",), fit(4), fit(2),
-                           {"eddy_current_damping": [rival]})
-    seen = SimpleNamespace(effects=[SimpleNamespace(name="eddy_current_damping", rivals=[
-        SimpleNamespace(name="coulomb_friction", margin=margin)])])
-    found = grading._simpler_rival(h, seen)
-    assert (None if found is None else found[1].name) == chosen
+
+@pytest.mark.parametrize(("margin", "unheard", "judged"), [
+    (-2.5, "", ["eddy_current_damping", "coulomb_friction"]),
+    (0.0, "", ["eddy_current_damping"]),  # no block tells
+    (-2.5, "coulomb_friction", ["eddy_current_damping", "coulomb_friction",
+                                "eddy_current_damping"])])
+def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(monkeypatch, margin,
+                                                                        unheard, judged):
+    """An eddy-current brake fits a record of dry friction better by its second parameter. Where
+    dry friction falls for another reason, the brake comes back and stays."""
+    def errors(power):
+        return Errors(1.0, 1.0, 100, power)
+
+    fits = {n: SimpleNamespace(ok=True, chi2=0.0, system=SimpleNamespace(free=("p",) * k))
+            for n, k in PARAMETERS.items()}
+    seen = []
+
+    def gather(_trial, h, *_, **__):
+        name, = h.names
+        other, = PARAMETERS.keys() - {name}
+        seen.append(name)
+        left, bare = (ModelEvidence(errors(1.0), errors(p)) for p in (0.1, 1.0))
+        heard = {"force_share": 0.3, "in_best": False} if name == unheard else {}
+        rival = RivalEvidence(other, 0.0, 0.0, errors(0.1), related=True,
+                              margin=margin if other == "coulomb_friction" else 2.5,
+                              larger=PARAMETERS[other] > PARAMETERS[name])
+        return Evidence(("r",), "m", Noise(1.0, ""), Motion(1.0), bare, bare, left, (
+            EffectEvidence(name, {}, bare, (rival,), margin=9.0, **heard),), graded=True)
+
+    monkeypatch.setattr(grading, "gather", gather)
+    monkeypatch.setattr(grading, "with_witness", lambda e, _: e)
+    monkeypatch.setattr(grading, "_rivals", lambda _s, _w, name, *_: [
+        grading.Rival(n, 100.0 if n == "coulomb_friction" else -100.0, fits[n])
+        for n in PARAMETERS if n != name])
+    search = SimpleNamespace(most_steps=1e9, steps=0.0, library=tuple(PARAMETERS),
+                             begin_work=lambda _: None, settled=lambda _, f: f)
+    trial = SimpleNamespace(search=search, witness=None, no_worse=lambda h: h, dropped={})
+    h, _ = grading._standing(trial, ("eddy_current_damping",), fits["eddy_current_damping"],
+                             fits["coulomb_friction"], (), False)
+    assert seen == judged
+    assert h.names == (judged[-1],)
 
 
 @pytest.mark.slow

@@ -99,6 +99,7 @@ def test_an_effect_next_to_nothing_beside_the_fitted_records_is_not_exercised(fa
     """A mount at 435 Hz moved a slow scan by 30; of fast records it explained five million."""
     assert SurrogateTest(30.5, 102.0, 100.0, 96.0).passed(per_run=False, fall=fall) is passed
     assert SurrogateTest(30.5, 80.0, 100.0, 96.0).passed(per_run=False, fall=fall) is True
+    assert SurrogateTest(30.5, 121.0, 100.0, 96.0).passed(per_run=False, fall=fall) is False
 
 
 @pytest.mark.parametrize(("original", "passed"), [(84.0, True), (86.0, False)])
