@@ -159,7 +159,8 @@ def _show_scans(bags: dict[str, Path], picture: Path) -> None:
         axes[1 + index].plot(time_s, error * 1e6, color=f"C{index}", linewidth=0.8)
         axes[1 + index].set_ylabel(f"error / um\n{label}")
     axes[0].set_ylabel("position / mm")
-    axes[0].legend(loc="upper right")
+    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
+                   frameon=False)
     axes[-1].set_xlabel("time / s")
     for each in axes:
         each.grid(alpha=0.3)
