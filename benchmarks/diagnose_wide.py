@@ -49,7 +49,7 @@ def figures(quick: bool = False, *, cases: int | None = None, seed: int | None =
     todo = [Job(spec, folder, baselines=False, resume=resume, rivals=False)
             for spec in wide_plan(cases or (QUICK_CASES if quick else BLOCK), chosen)]
     answers = run_all(todo, workers)
-    run_all(todo, workers, add_rivals)
+    run_all([job for job in todo if job.answer_path in answers], workers, add_rivals)
     scores = read_scores(answers)
     found = summary(chosen, scores)
     text = "\n".join([*rate_rows(found["figures"]), "", *effect_rows(found["by_effect"]), "",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from benchmarks.corpus.case import Case, Truth, make_truth, shown
+from benchmarks.corpus.case import Case, NoUsableDrawError, Truth, make_truth, shown
 from benchmarks.corpus.case_files import write_label, write_whole
 from benchmarks.corpus.plan import CaseSpec
 from benchmarks.corpus.rivals import pair_separability, separability
@@ -68,12 +69,17 @@ def diagnosed(case: Case) -> dict[str, Any]:
 def run_case(job: Job, answerer: Answerer | None = None) -> Path:
     """Answer one case and keep the answer and, apart from it, the label; return the answer's
     file. With `resume` a case that was answered, or took too long, is left as it is; one that
-    ended in another error is run again."""
+    ended in another error is run again. One that cannot be made is left out, with a line that says
+    so."""
     if job.resume and _answered(job):
         return job.answer_path
     kept: dict[str, Any] = {"spec": job.spec.to_dict()}
     begin = time.perf_counter()
-    truth = make_truth(job.spec)
+    try:
+        truth = make_truth(job.spec)
+    except NoUsableDrawError as error:
+        print(f"left out: {error}", file=sys.stderr, flush=True)
+        return job.answer_path
     case = shown(truth)
     kept["generation_s"] = time.perf_counter() - begin
     answered = answerer or diagnosed

@@ -84,10 +84,14 @@ class Truth:
     rng: np.random.Generator
 
 
+class NoUsableDrawError(ValueError):
+    """A case that cannot be made: an effect of which no size has the severity asked for."""
+
+
 def make_truth(spec: CaseSpec, samples: int = SAMPLES) -> Truth:
     """Draw and simulate what a specification asks for: the same every time.
 
-    Raises ValueError if twelve draws in a row gave no usable case.
+    Raises NoUsableDrawError if twelve draws in a row gave no usable case.
     """
     source = np.random.SeedSequence(spec.seed, spawn_key=(spec.stream, spec.index))
     reason = ""
@@ -97,7 +101,7 @@ def make_truth(spec: CaseSpec, samples: int = SAMPLES) -> Truth:
             return _attempt(spec, rng, samples)
         except ValueError as error:
             reason = str(error)
-    raise ValueError(f"case {spec.index} of seed {spec.seed} ({spec.kind}): {reason}")
+    raise NoUsableDrawError(f"case {spec.index} of seed {spec.seed} ({spec.kind}): {reason}")
 
 
 def _attempt(spec: CaseSpec, rng: np.random.Generator, samples: int) -> Truth:

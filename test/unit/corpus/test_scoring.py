@@ -6,13 +6,15 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.blind import trial
 from benchmarks.blind.baselines import pysindy_answer, stepwise_answer
 from benchmarks.blind.rates import accuracy, beside, confusion, figures_of, limits, report
 from benchmarks.blind.scoring import detection_limit, judge, wilson
 from benchmarks.blind.trial import Job, run_case
 from benchmarks.corpus import case_plan, make_case
+from benchmarks.corpus.case import NoUsableDrawError
 from benchmarks.corpus.plan import CaseSpec
-from benchmarks.diagnose import read_scores
+from benchmarks.diagnose import read_scores, run_all
 
 
 def label(kind="effect", effects=("coulomb_friction",), expected=("named",), group=(), **more):
@@ -184,6 +186,17 @@ def test_a_failing_answer_is_a_wrong_one(tmp_path) -> None:
     run_case(Job(CaseSpec(5, 3, "none"), tmp_path, baselines=False),
              lambda case: {"verdict": "none", "effects": []})
     assert read_scores([path])[0].exact
+
+
+def test_a_case_that_cannot_be_made_is_left_out(tmp_path, monkeypatch, capsys) -> None:
+    def none(spec):
+        raise NoUsableDrawError("case 6: no scale gives a severity of 10")
+
+    monkeypatch.setattr(trial, "make_truth", none)
+    path = run_case(Job(CaseSpec(6, 3, "effect", ("slew_limit",), 10.0), tmp_path))
+    assert not path.exists()
+    assert capsys.readouterr().err == "left out: case 6: no scale gives a severity of 10\n"
+    assert run_all([], 1) == []
 
 
 def test_baselines_name_what_a_term_can_say() -> None:
