@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.corpus.case import Case
@@ -17,10 +18,11 @@ def model_of(case: Case) -> Model:
 def records_of(case: Case, kind: str) -> list[Record]:
     """The case's records ("run") or held-out records ("holdout")."""
     runs = case.records if kind == "run" else case.holdout
-    return [_record(run, f"{kind}_{i}", case.sample_period) for i, run in enumerate(runs)]
+    return [record_of(run, f"{kind}_{i}", case.sample_period) for i, run in enumerate(runs)]
 
 
-def _record(run: dict[str, Any], name: str, sample_period: float) -> Record:
+def record_of(run: Mapping[str, Any], name: str, sample_period: float) -> Record:
+    """One record from its columns."""
     axes = {"x": AxisRecord(run["input_v"], run["position_m"], current=run.get("current_a"),
                             reference=run.get("reference_m"))}
     if "other_position_m" in run:

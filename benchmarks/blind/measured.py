@@ -165,16 +165,13 @@ def keep_pseudo_true(job: MeasuredJob) -> Path | None:
 def convention_by_library(columns: Mapping[str, Any], period: float,
                           base: Mapping[str, float]) -> Mapping[str, Any]:
     """What the library says of the input of one record, as an entry of `conventions`."""
+    from benchmarks.blind.as_records import record_of
     from dfm_stage.diagnosis.observation import alike, observe
     from dfm_stage.diagnosis.other_convention import late_samples
     from dfm_stage.model import Model
-    from dfm_stage.recording import AxisRecord, Provenance, Record
 
-    axis = AxisRecord(columns["input_v"], columns["position_m"],
-                      reference=columns.get("reference_m"))
     model = Model("believed", period, dict(base))
-    record = Record(columns["time_s"], period, {"x": axis}, Provenance("run.csv", "csv"))
-    seen, = alike([observe(record, model)], late_samples(model))
+    seen, = alike([observe(record_of(columns, "run", period), model)], late_samples(model))
     return seen.convention.to_dict(seen.record)
 
 

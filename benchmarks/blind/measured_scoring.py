@@ -185,6 +185,8 @@ def measured_figures(scores: Sequence[MeasuredScore],
           for group in ("remainder", UNCOMMON, "outsider", "nuisance", "convention")}
     beside, outside, nothing = of["remainder"], of["outsider"], of["nuisance"]
     found = [
+        _rate("no_answer_percent", (s.answer == ERROR for s in scores), 0.0, "at most",
+              "cases without an answer: an error, or out of time"),
         _rate("remainder_right_percent", (s.right for s in beside), 90.0, "at least",
               "effects that make at least 70 % of the gap named in their class; "
               f"to the name {sum(s.exact for s in beside)}"),
@@ -216,8 +218,6 @@ def measured_figures(scores: Sequence[MeasuredScore],
               "between", "intervals beside a remainder hold the pseudo-true value", 98.0),
         _rate("interval_physical_percent", (hit for s in scores for hit in s.physical), 90.0,
               "at least", "intervals beside a remainder of at most 1 % hold the physical value")]
-    found.insert(0, _rate("no_answer_percent", (s.answer == ERROR for s in scores), 0.0,
-                          "at most", "cases without an answer: an error, or out of time"))
     times = [s.seconds for s in scores if s.seconds is not None]
     if times:
         found.append(Figure(

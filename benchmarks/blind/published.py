@@ -30,6 +30,7 @@ from benchmarks.blind.measured import read_measured, read_timing
 from benchmarks.blind.measured_scoring import measured_figures
 from benchmarks.blind.rates import LARGE, large_effects, limits_of, shares_by_severity
 from benchmarks.blind.scoring import Score, wilson
+from benchmarks.blind.wide_rates import rate_rows
 from benchmarks.diagnose import SEED, read_scores
 from dfm_stage.files import write_whole
 
@@ -165,15 +166,7 @@ def by_severity(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def measured_rates(path: Path = MEASURED) -> list[str]:
     """Rows of the table of cases that look like measurements, from the figures of a run."""
-    table = ["| figure | measured | bar | how |", "|---|---|---|---|"]
-    for each in json.loads(path.read_text("utf-8"))["figures"]:
-        what = each["key"].removeprefix("measured.").removesuffix("_percent").replace("_", " ")
-        bar = "" if each["bar"] is None else \
-            f"{each['bar_kind']} {each['bar']:g} {each['unit']}"
-        missed = " **missed**" if each["met"] is False else ""
-        table.append(f"| {what} | {each['value']:.1f} {each['unit']}{missed} | {bar} "
-                     f"| {each['how']} |")
-    return table
+    return rate_rows(json.loads(path.read_text("utf-8"))["figures"])
 
 
 def keep(folder: Path) -> None:

@@ -118,10 +118,11 @@ def rate_rows(figures: Sequence[Mapping[str, Any]]) -> list[str]:
     """The table of figures, as `Figure.to_dict` gives them, for a page."""
     rows = ["| figure | measured | bar | how |", "|---|---|---|---|"]
     for each in figures:
+        what = each["key"].partition(".")[2].removesuffix(SUFFIX).removesuffix("_percent")
         bar = "" if each["bar"] is None else f"{each['bar_kind']} {each['bar']:g} {each['unit']}"
         missed = " **missed**" if each["met"] is False else ""
         value = f"{each['value']:.{2 if each['unit'] == '1' else 1}f} {each['unit']}"
-        rows.append(f"| `{each['key']}` | {value.removesuffix(' 1')}{missed} | "
+        rows.append(f"| {what.replace('_', ' ')} | {value.removesuffix(' 1')}{missed} | "
                     f"{bar.removesuffix(' 1')} | {each['how']} |")
     return rows
 

@@ -90,9 +90,10 @@ def _totals(results: Mapping[str, Result], table: Mapping[str, MeasuredRecord]) 
 
     run = [n for n in table if n in results]
     blind = [n for n in run if not table[n].set_rules]
-    words = (f"All {len(run)} records: {of(run)}. The {len(blind)} that did not set rules: "
-             f"{of(blind)}.")
-    return [words, ""] if run else []
+    if not run:
+        return []
+    words = f"All {len(run)} records: {of(run)}."
+    return [f"{words} The {len(blind)} that did not set rules: {of(blind)}.", ""]
 
 
 def _expected(record: MeasuredRecord, most: int | None = None) -> str:
@@ -159,7 +160,7 @@ def sources(table: Mapping[str, MeasuredRecord] | None = None) -> str:
                   f"- Fitted: {fitted}. Held out: {held or 'the last 30 %'}.",
                   f"- Started from: {_start(r)}.",
                   f"- Expected: {_expected(r)}.", *_also(r),
-                  f"- Reason, as written before the first diagnosis: {r.expected.why.strip()}",
+                  f"- Reason: {r.expected.why.strip()}",
                   *(f"- Published: {each}." for each in r.published),
                   f"- `./run bench real --data DIR --only {name}`", ""]
     return "\n".join(parts).rstrip()

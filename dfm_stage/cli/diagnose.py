@@ -118,8 +118,8 @@ number."""
 
 
 def _keep_given(content: bytes, out: Path) -> None:
-    path = next(path for number in count(1) for path in [out / GIVEN.format(
-        "" if number == 1 else f"_{number}")] if not path.exists() or path.read_bytes() == content)
+    places = (out / GIVEN.format("" if number == 1 else f"_{number}") for number in count(1))
+    path = next(p for p in places if not p.exists() or p.read_bytes() == content)
     write_output(path, content)
     print(f"diagnose: model.yaml in {out} is replaced by the model to go on with; the one given "
           f"is kept as {path.name}", file=sys.stderr)

@@ -56,9 +56,9 @@ def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
     known = model.parameters()
     value = known[f"{name}.{FREQUENCY if wave is None else wave.parameter}"]
     if wave is not None and wave.over == "position":
-        own = 0.0 if EFFECTS[name].sense is None else sum(
+        amplitude = 0.0 if EFFECTS[name].sense is None else sum(
             known[f"{name}.{size}"] for size in EFFECTS[name].sizes)
-        widest = max(float(np.ptp(r.output)) for r in runs) - 2.0 * own
+        widest = max(float(np.ptp(r.output)) for r in runs) - 2.0 * amplitude
         return max(widest, 0.0) / max(value, 1e-300)
     own = math.sqrt(model.base.get("stiffness", 0.0) / model.base["mass"]) / (2.0 * math.pi) \
         if free else 0.0

@@ -160,7 +160,8 @@ def noise_floor_from_periods(output: Array, period: int) -> float | None:
     rows = rows[min(settled_from(moving), count - FEWEST_PERIODS):]
     apart = np.sum((rows - rows.mean(axis=0)) ** 2, axis=0) / (len(rows) - 1)
     if len(rows) == FEWEST_PERIODS:
-        quarters = [part.mean() for part in np.array_split(apart, QUARTERS)]
-        dying = (before > DIES_OUT * after > 0.0 for before, after in pairwise(quarters))
-        apart = apart[period // QUARTERS * sum(takewhile(bool, dying)):]
+        quarters = np.array_split(apart, QUARTERS)
+        dying = (before.mean() > DIES_OUT * after.mean() > 0.0
+                 for before, after in pairwise(quarters))
+        apart = np.concatenate(quarters[sum(takewhile(bool, dying)):])
     return float(np.sqrt(np.mean(apart)))

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks import formulas_found
-from benchmarks.blind import published
+from benchmarks.blind import published, wide_rates
 from benchmarks.blind.measured_scoring import MeasuredScore
 from benchmarks.blind.published import by_severity, kept, kept_misses, measured_rates, rates
+from benchmarks.blind.wide_rates import rate_rows
 from benchmarks.corpus import case_plan
 from benchmarks.diagnose import SEED
 
@@ -40,6 +41,10 @@ def test_the_shares_by_severity_are_those_of_the_kept_counts(counts):
 
 def test_the_rates_of_cases_that_look_like_measurements_are_those_kept():
     assert "\n".join(measured_rates()) in PAGE.read_text("utf-8")
+
+
+def test_the_rates_of_uncommon_effects_are_those_kept():
+    assert "\n".join(rate_rows(wide_rates.kept()["figures"])) in PAGE.read_text("utf-8")
 
 
 def test_a_run_of_measured_like_cases_is_kept_with_its_wrong_answers(monkeypatch, tmp_path):

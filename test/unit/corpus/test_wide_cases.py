@@ -173,7 +173,7 @@ def test_figures_rows_and_misses() -> None:
     assert values["diagnose.longest_case_seconds.wide"] == 70.0
     assert by_effect(scores) == {"one_sided_cable": {"effect_10": [1, 4], "left_out": [0, 1]}}
     assert effect_rows(found["by_effect"])[2] == "| `one_sided_cable` | 1 of 4 |  |  | 0 of 1 |"
-    assert "| `diagnose.class_size.wide` | 1.50 **missed** | at most 1.3 |" in "\n".join(
+    assert "| class size | 1.50 **missed** | at most 1.3 |" in "\n".join(
         rate_rows(found["figures"]))
     assert len(misses(scores).splitlines()) == 5
 

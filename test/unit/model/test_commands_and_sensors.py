@@ -10,6 +10,8 @@ import pytest
 from stage_equations import integrate
 
 from dfm_stage.identification import Run, fit_model
+from dfm_stage.identification.convention import Drive
+from dfm_stage.identification.system import System
 from dfm_stage.model import Model, Plant, Simulator
 from dfm_stage.model.linear import linear_part
 
@@ -62,6 +64,16 @@ def test_a_fit_follows_a_slewing_output_within_its_samples() -> None:
     found = fit_model(near, [Run("r", inputs, moved, PERIOD)], ["stiffness", "slew_limit.rate"])
     assert found.model.parameters()["slew_limit.rate"] == pytest.approx(rate, rel=5e-4)
     assert np.std(found.fits[0].residual) < 5e-6 * np.max(np.abs(moved))
+
+
+@pytest.mark.parametrize(("steps", "taken"), [(1, 4), (2, 4), (3, 6), (4, 4)])
+def test_an_input_of_several_steps_a_sample_is_split_only_as_far_as_needed(steps: int,
+                                                                          taken: int) -> None:
+    inputs = commands(100, 2)
+    run = Run("r", inputs, np.zeros(100), PERIOD, drive=Drive(np.repeat(inputs, steps), steps))
+    system = System(STAGE.with_effect("slew_limit", {"rate": 60.0}), [run], ["stiffness"])
+    system.residuals(system.start)
+    assert {factor for factor, _ in system._finer} == {taken}
 
 
 def test_plays_of_a_piezo() -> None:

@@ -90,3 +90,10 @@ def test_a_table_that_an_empty_line_tears_is_found() -> None:
     assert list(prose.headless(f"Text.\n\n{table}\nMore.")) == []
     assert list(prose.headless(f"{table}\n| 3 | 4 |\n")) == [5]
     assert list(prose.headless(f"```\n| 3 | 4 |\n```\n{table}")) == []
+
+
+def test_a_page_is_held_against_the_rule_of_tables(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("Text.\n\n| 3 | 4 |\n", "utf-8")
+    complaint, = prose.of_page(page)
+    assert str(complaint).startswith("page.md:3: a table without a line of headings")
