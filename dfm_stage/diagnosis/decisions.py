@@ -120,14 +120,15 @@ SAYS_NOTHING = decision(
     "block, over what the better one leaves of it, below which the block does not part them.",
     set_on="derivation: their powers then differ by a factor of two at most, and by chance")
 NAMED_SHARE = decision(
-    "NAMED_SHARE", 0.95, "1", meaning="Share of the predictable held-out gap from which effects "
-    "that leave a remainder are named; of what is left, what a further effect takes that may be "
-    "small, and that the force domain need not find.", set_on=CORPUS)
+    "NAMED_SHARE", 0.95, "1", meaning="Share of the held-out gap, or of the missing force, "
+    "from which effects that leave a remainder are named; of what is left, what a further effect "
+    "takes that may be small, and that the force domain need not find.", set_on=CORPUS)
 LEAST_PREDICTABLE = decision(
     "LEAST_PREDICTABLE", 0.8, "1", meaning="Share of the held-out gap that counts as predictable "
     "at least, whatever a black box predicts of it.", set_on=CORPUS)
 PARTIAL_SHARE = decision(
-    "PARTIAL_SHARE", 0.3, "1", meaning="The same from which they are told as a part; of the "
+    "PARTIAL_SHARE", 0.3, "1", meaning="Share of the predictable gap or force from which they are "
+    "told as a part; of the "
     "predictable force, what each effect must add that the force domain names alone.",
     set_on=REAL)
 SMALL_SHARE = decision(

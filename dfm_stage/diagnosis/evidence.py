@@ -78,7 +78,9 @@ class RivalEvidence:
     `distance_over_noise` is the length within which it yields, for an effect that has one.
     `margin` is by how much it loses on held-out blocks, in block standard errors; `related` says
     that the library has both in one class, `larger` that it has more parameters, `finished` that
-    there was work enough for its fit.
+    there was work enough for its fit, `ahead` that the force domain has it in its best set, and
+    the effect clearly behind; `repeats` that it is larger and makes the same motion: it contains
+    the effect, and the data show nothing of the rest.
     """
 
     name: str
@@ -90,6 +92,8 @@ class RivalEvidence:
     related: bool = True
     larger: bool = False
     finished: bool = True
+    ahead: bool = False
+    repeats: bool = False
 
 
 @dataclass(frozen=True)

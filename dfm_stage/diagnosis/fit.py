@@ -21,8 +21,11 @@ def system_of(model: Model, runs: Sequence[Observation], free: Sequence[str],
               noise: float = 0.0) -> System:
     """A model on runs as the diagnosis fits it: a body without a spring feels an unknown constant
     force in each run, and where nothing drives the stage, whatever moves was set going before."""
+    sensor = [state for use in model.effects if use.effect.stage == "sensor"
+              for state in use.effect.state_names]
     driven = any(run.driven for run in runs)
-    return System(model, runs, free, noise=noise, states=STATES if driven else None, pushed=True)
+    return System(model, runs, free, noise=noise, states=(*STATES, *sensor) if driven else None,
+                  pushed=True)
 
 
 def fit(model: Model, runs: Sequence[Observation], free: Sequence[str], weights: Weights, *,

@@ -10,7 +10,13 @@ import numpy as np
 
 from dfm_stage.diagnosis.alike import shares_class
 from dfm_stage.diagnosis.candidates import excluded
-from dfm_stage.diagnosis.decisions import AS_GIVEN, LEAST_HEARD, STEP_GRID
+from dfm_stage.diagnosis.decisions import (
+    AS_GIVEN,
+    BLOCK_MARGIN,
+    LEAST_HEARD,
+    SAYS_NOTHING,
+    STEP_GRID,
+)
 from dfm_stage.diagnosis.evidence import (
     Candidate,
     Comparison,
@@ -157,8 +163,11 @@ def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> Effe
         return x
     lead = min((m for n, m in seen.margins.items() if not shares_class(n, x.name)),
                default=math.inf)
+    behind = seen.margins.get(x.name, 0.0) > BLOCK_MARGIN
     return replace(x, force_share=alone[x.name] / predictable, force_margin=lead,
-                   in_best=any(n == x.name or shares_class(n, x.name) for n in seen.best.names))
+                   in_best=any(n == x.name or shares_class(n, x.name) for n in seen.best.names),
+                   rivals=tuple(replace(r, ahead=behind and r.name in seen.best.names)
+                                for r in x.rivals))
 
 
 def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
@@ -270,12 +279,21 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Prediction
     use = rival.fit.model.effect(rival.name)
     distance = math.inf if use is None else EFFECTS[rival.name].yields_within(use.parameters)
     seen = trial.predicted(rival.fit.model)
+    larger = len(rival.fit.system.free) > len(h.fit.system.free)
+    contains = larger and rival.name not in EFFECTS[name].twins  # each other's twins are one law
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
                          margin_between(seen.residuals, own.residuals, judged.change),
-                         shares_class(rival.name, name),
-                         len(rival.fit.system.free) > len(h.fit.system.free),
-                         rival.name not in trial.search.not_compared)
+                         shares_class(rival.name, name), larger,
+                         rival.name not in trial.search.not_compared,
+                         repeats=contains and _makes_the_same(seen, own, judged))
+
+
+def _makes_the_same(one: Prediction, other: Prediction, judged: Judged) -> bool:
+    """Whether the difference of two predictions drowns in the noise."""
+    apart = [[a[0] - b[0]] for a, b in zip(one.residuals, other.residuals, strict=True)] \
+        if one.residuals and other.residuals else []
+    return power(apart, judged.change) < SAYS_NOTHING * judged.noise_power
 
 
 def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:
@@ -286,11 +304,10 @@ def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:
             or system.runs[0].order:
         return None
     places = [k for k, u in enumerate(system.unknowns) if u.name == "offset"]
-    gram = bare.jacobian.T @ bare.jacobian
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    covariance = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale,
-                                                                                       scale)
-    sigmas = np.sqrt(np.diag(covariance)[places])
+    scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", bare.jacobian, bare.jacobian), 1e-300))
+    white = np.linalg.pinv(bare.jacobian.T @ bare.jacobian / np.outer(scale, scale), rcond=1e-10)
+    coloured = white @ (score_by_blocks(bare)[0] / np.outer(scale, scale)) @ white
+    sigmas = (np.sqrt(np.maximum(np.diag(white), np.diag(coloured))) / scale)[places]
     weight = float(np.sum(sigmas**-2.0))
     return Offset(names[0], float(np.sum(bare.x[places] / sigmas**2) / weight), weight ** -0.5,
                   bare.model.base.get("stiffness", 0.0))

@@ -8,6 +8,7 @@ the records are judged by the other conventions, too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -24,7 +25,7 @@ from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import Verdict
-from dfm_stage.identification.convention import LATENESS, Hold, reinterpreted
+from dfm_stage.identification.convention import LATENESS, Convention, Hold, reinterpreted
 from dfm_stage.identification.coordinates import late_parameters, lateness
 from dfm_stage.identification.decisions import HOLD_CLEAR
 from dfm_stage.identification.system import is_nonlinear
@@ -42,6 +43,39 @@ def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
             if found.ok and found.rms**2 < HOLD_CLEAR * first.rms**2:
                 trial, first = other, found
     return trial, first
+
+
+def timed(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
+    """The trial with estimated shifts of the input moved to where the model leaves least, with
+    that fit. The estimate knows no model, and a long record shows an error far below its standard
+    error: as a lag."""
+    known = [run.convention for run in (*trial.search.runs, *trial.held)]
+    steps = [c.sigma for c in known if _is_moved(c) and c.sigma is not None]
+    if not steps:
+        return trial, first
+    step = max(steps)
+    tried = [_tried(_moved(trial, by)) for by in (-step, step)]
+    before, here, after = tried[0][1].rms**2, first.rms**2, tried[1][1].rms**2
+    bend = before - 2.0 * here + after
+    if math.isfinite(bend) and bend > 0.0:
+        least = 0.5 * step * (before - after) / bend
+        tried.append(_tried(_moved(trial, min(max(least, -2.0 * step), 2.0 * step))))
+    return min(((trial, first), *tried), key=lambda each: each[1].rms if each[1].ok else math.inf)
+
+
+def _is_moved(known: Convention) -> bool:
+    return known.source in ("estimated", "others") and known.shift != 0.0
+
+
+def _moved(trial: Trial, by: float) -> Trial:
+    """The trial with every estimated shift that is not zero `by` samples later."""
+    return _of(trial, *([run.by(replace(run.convention, shift=run.convention.shift + by))
+                         if _is_moved(run.convention) else run for run in runs]
+                        for runs in (trial.search.runs, trial.held)))
+
+
+def _tried(trial: Trial) -> tuple[Trial, Fit]:
+    return trial, trial.search.begin()
 
 
 def has_linear_effect(h: Hypothesis, told: Verdict) -> bool:
@@ -66,10 +100,14 @@ def by_other_conventions(trial: Trial) -> Iterator[Trial]:
         return
     for kind in LATENESS:
         if any(c.hold != kind for c in known):
-            old = trial.search
-            search = Search(old.model, _by(runs, kind, old.model), old.free, library=old.library,
-                            again=old.again, step=old.step)
-            yield Trial(search, _by(held, kind, old.model), trial.seed)
+            yield _of(trial, *(_by(each, kind, trial.search.model) for each in (runs, held)))
+
+
+def _of(trial: Trial, runs: Sequence[Observation], held: Sequence[Observation]) -> Trial:
+    """The trial with nothing tried yet, on other forms of its records."""
+    old = trial.search
+    return Trial(Search(old.model, runs, old.free, library=old.library, again=old.again,
+                        step=old.step), held, trial.seed, uncommon=trial.uncommon)
 
 
 def _by(runs: Sequence[Observation], kind: Hold, model: Model) -> list[Observation]:

@@ -10,14 +10,22 @@ from dfm_stage.diagnosis.decisions import (
     FURTHER,
     FURTHER_PART,
     MOST_STEPS,
+    NAMED_SHARE,
     NEAR_NOISE,
 )
+from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.explaining import Judgement, explained, is_noise, to_noise
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.grading import beside_main
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.verdict import is_clearly_more, is_coloured_noise, main_effect, verdict
+from dfm_stage.diagnosis.verdict import (
+    explained_share,
+    is_clearly_more,
+    is_coloured_noise,
+    main_effect,
+    verdict,
+)
 from dfm_stage.model import EFFECTS
 
 
@@ -41,7 +49,7 @@ def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: b
         return _in_the_colour(wide, first, found, warnings, split)
     if said.complete:
         return _one_for_all(wide, first, found, relatives, warnings, split)
-    heard = said.kind != "named" and _may_explain(wide, found)
+    heard = explained_share(found[2]) < NAMED_SHARE and _may_explain(wide, found)
     if heard or _leaves_less(wide, first, found):
         among_all = explained(wide, first, warnings, split)
         if is_clearly_more(among_all[2], found[2]):
@@ -104,23 +112,27 @@ def _relatives(trial: Trial, h: Hypothesis) -> set[str]:
 
 def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
                  warnings: Sequence[str], split: bool) -> Judgement:
-    """What was found to leave only noise, or one of its `relatives` that leaves no more, if that
-    has fewer parameters or stands for several."""
+    """What was found to leave only noise, or what explains as much with fewer parameters: one of
+    its `relatives` in the place of all, or one that can be the same motion in the place of one."""
     h, search = found[1], wide.search
+    fits: dict[Names, Fit] = {}
     if len(h.names) > 1:
         hits = {hit.name: hit for hit in reversed(search.screened(first, ())[1])}
-        fits = {n: search.fitted((n,), first, [hits[n]]) for n in sorted(relatives & hits.keys())}
-    else:
-        fits = {n: search.in_place_of(own, n, (n,), h.fit) for n in relatives for own in h.names}
+        fits = {(n,): search.fitted((n,), first, [hits[n]])
+                for n in sorted(relatives & hits.keys())}
+    for own in h.names:
+        for twin in sorted(relatives & EFFECTS[own].twins.keys()):
+            names = tuple(twin if n == own else n for n in h.names)
+            fits[names] = search.in_place_of(own, twin, names, h.fit)
     search.reweigh(found[0].search.weights, found[0].search.noise)
-    fits = {n: search.fitted((n,), each) for n, each in fits.items() if each.ok}
-    fits = {n: each for n, each in fits.items() if each.ok and (
-        len(h.names) > 1 or len(each.system.free) < len(h.fit.system.free))}
-    name = min(fits, key=lambda n: fits[n].rms, default="")
-    if not name or fits[name].rms > h.fit.rms:
+    fits = {names: search.fitted(names, each) for names, each in fits.items() if each.ok}
+    fits = {names: each for names, each in fits.items()
+            if each.ok and len(each.system.free) < len(h.fit.system.free)}
+    names = min(fits, key=lambda each: search.score(fits[each]), default=())
+    if not names or search.score(fits[names]) > search.score(h.fit):
         return found
-    other = wide, *to_noise(wide, (name,), fits[name], MOST_STEPS, warnings, split)
-    return other if len(other[1].names) == 1 and verdict(other[2]).complete else found
+    other = wide, *to_noise(wide, names, fits[names], MOST_STEPS, warnings, split)
+    return other if len(other[1].names) == len(names) and verdict(other[2]).complete else found
 
 
 def _may_explain(wide: Trial, found: Judgement) -> bool:

@@ -216,7 +216,7 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
     explained = explained_share(e)
     kind: Kind = "unknown"
     if explained >= PARTIAL_SHARE and not _base_at_zero(e):
-        in_part = explained < NAMED_SHARE or bool(other_form(e)) or _at_zero(e, "damping")
+        in_part = not _takes_the_gap(e) or bool(other_form(e)) or _at_zero(e, "damping")
         kind = "partial" if in_part else "ambiguous" if undecided else "named"
     if kind == "unknown":
         return Verdict(kind, Reason.GRADED, rejected=tuple(_rejected(e, set())), remainder=True)
@@ -230,10 +230,21 @@ def _by_force(e: Evidence, heard: Heard) -> Verdict:
                         min(share / heard.predictable, 1.0))
                   for name, share in sorted(heard.added.items(), key=lambda each: -each[1]))
     undecided = tuple(m for f in found for m in f.members if len(f.members) > 1)
-    in_part = heard.explained < NAMED_SHARE or bool(other_form(e))
+    in_part = heard.share < NAMED_SHARE or bool(other_form(e))
     kind: Kind = "partial" if in_part else "ambiguous" if undecided else "named"
     return Verdict(kind, Reason.GRADED, found, undecided, (),
                    tuple(_rejected(e, set(heard.added))), True, "extended", "extended")
+
+
+def _takes_the_gap(e: Evidence) -> bool:
+    """Whether the effects explain nearly all of the held-out gap, or bring it to the noise. What a
+    black box cannot predict is no part of the gap only where it explains most of what the effects
+    leave: else a true model may predict more."""
+    left = e.extended.held_out.power
+    share, limit = above(e, left), e.judged.predictable
+    best = share if limit is None else min(above(e, limit**2), 1.0)
+    whole = best if best - share >= FURTHER_PART * (1.0 - share) else 1.0
+    return share >= NAMED_SHARE * whole or left <= HELD_OUT_FLOOR**2 * e.judged.noise_power
 
 
 def other_form(e: Evidence) -> tuple[str, ...]:
@@ -274,15 +285,16 @@ def _predictable(e: Evidence) -> float:
 
 
 def _graded_class(effect: EffectEvidence) -> tuple[str, ...]:
-    """The effect and the rivals that held-out blocks do not part from it; of its kind, those too
-    whose fit was cut short."""
+    """The effect and the rivals that held-out blocks do not part from it, or that the force domain
+    puts before it: two witnesses that disagree. Of its kind, those too whose fit was cut short."""
     return (effect.name, *(r.name for r in effect.rivals
-                           if _level(r) or (r.related and not r.finished)))
+                           if _level(r) or r.ahead or (r.related and not r.finished)))
 
 
 def _level(rival: RivalEvidence) -> bool:
     """Whether held-out blocks do not part a rival from an effect that leaves a remainder."""
-    return rival.margin < (MARGIN_OVER_LARGER if rival.larger else BLOCK_MARGIN)
+    limit = MARGIN_OVER_LARGER if rival.larger else BLOCK_MARGIN
+    return not rival.repeats and rival.margin < limit
 
 
 def fallen(e: Evidence) -> tuple[str, DropReason] | None:
@@ -330,11 +342,13 @@ def small_parts(e: Evidence) -> tuple[str, ...]:
 
 
 def _is_small(e: Evidence, x: EffectEvidence) -> bool:
-    """Whether the effect takes little of a held-out gap that exercises it, and the force domain
-    does not put it beside the others, nor does it take all that these leave."""
-    taken = x.without.held_out.power - e.extended.held_out.power
-    gap = e.retuned.held_out.power - e.judged.noise_power
-    return x.exercised and not x.confirmed and taken < SMALL_SHARE * gap and not _takes_all(e, x)
+    """Whether the effect takes little of the gap, the force domain does not put it beside the
+    others, nor does it take all that these leave. On held-out records; where these do not exercise
+    it, on the fitted ones."""
+    left, found, gap = (m.held_out if x.exercised else m.fitted
+                        for m in (x.without, e.extended, e.retuned))
+    small = left.power - found.power < SMALL_SHARE * (gap.power - e.judged.noise_power)
+    return small and not x.confirmed and not _takes_all(e, x)
 
 
 def _takes_all(e: Evidence, x: EffectEvidence) -> bool:
@@ -406,7 +420,7 @@ def _class(e: Evidence, effect: EffectEvidence) -> tuple[str, ...]:
 
 
 def _not_parted(e: Evidence, rival: RivalEvidence) -> bool:
-    if rival.distance_over_noise < PRESLIDING_DISTANCE or rival.price > MARGIN:
+    if rival.repeats or rival.distance_over_noise < PRESLIDING_DISTANCE or rival.price > MARGIN:
         return False
     return rival.price + rival.held_out.chi2 - e.extended.held_out.chi2 <= MARGIN
 

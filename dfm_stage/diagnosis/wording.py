@@ -120,19 +120,20 @@ def _verdict(e: Evidence, v: Verdict) -> str:
 
 def _part(e: Evidence, v: Verdict) -> str:
     """Effects that leave a remainder, with how much they explain and where that was judged."""
-    explained = min(explained_share(e), 1.0)
-    where = f"in {e.judged.signal}" + (
+    share, where = above(e, e.extended.held_out.power), f"in {e.judged.signal}" + (
         f", windows of {e.judged.window_s:.2g} s" if e.judged.window_s else "")
     what = _listed([" or ".join(map(_spoken, f.members)) for f in v.effects])
-    how = f"{explained:.0%} of what is predictable of the held-out gap ({where})"
+    of = f"the held-out gap's power ({where})"
     if e.heard is not None:
-        how = (f"{explained:.0%} of what is predictable of the missing force on held-out blocks "
-               "(judged in force alone)")
+        share, of = e.heard.share, ("the missing force's power on held-out blocks (judged in "
+                                    "force alone)")
+    how = f"{min(share, 1.0):.0%} of {of}"
+    possible = min(explained_share(e), 1.0)
+    if possible - share > WORTH_TELLING:
+        how += f", {possible:.0%} of what is predictable of it"
     if v.kind == "named":
-        left = max(1.0 - (above(e, e.extended.held_out.power) if e.heard is None
-                          else e.heard.share), 0.0)
-        return (f"The model lacks {what}: it explains {how}; a remainder of {100.0 * left:.2g} % "
-                f"of {'the gap' if e.heard is None else 'that force'}'s power stays.")
+        return (f"The model lacks {what}: it explains {how}; a remainder of "
+                f"{100.0 * max(1.0 - share, 0.0):.2g} % stays.")
     rest = "the true force has another form" if other_form(e) else \
         "the rest is in no effect of the library"
     return f"A part of what is missing behaves like {what}: {how}; {rest}."
@@ -222,7 +223,7 @@ def missing_force(s: Surface) -> str:
 
 
 WORTH_TELLING = 0.05
-"""Share of the missing force by which past motion must add to position and velocity."""
+"""Difference of two shares that is told beside the first."""
 MOSTLY = 0.5
 """Share below which most of the missing force does not follow the motion."""
 

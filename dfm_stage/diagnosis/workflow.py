@@ -26,6 +26,7 @@ from dfm_stage.diagnosis.other_convention import (
     is_simpler,
     late_samples,
     may_be_simpler,
+    timed,
 )
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
@@ -156,7 +157,7 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
                              f"{search.runs[0].name}: the motion escapes or the parameters leave "
                              "their limits; correct the model")
     if not is_noise(first):
-        trial, first = clearest(trial, first)
+        trial, first = clearest(*timed(trial, first))
     found = judged_among_all(trial, first, warnings, split)
     if has_linear_effect(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)

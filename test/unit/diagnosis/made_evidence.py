@@ -75,11 +75,11 @@ def at(margin: float, **more: object) -> RivalEvidence:
 
 
 def part(share: float, *rivals: RivalEvidence, predictable: float = 1.0, margin: float = 20.0,
-         gain: float = 0.0, **more: object) -> Evidence:
-    """A gap of 100 times the noise, of which friction takes a `share` of the power held out, where
-    a black box would take `predictable`."""
+         gain: float = 0.0, gap: float = 100.0 * NOISE, **more: object) -> Evidence:
+    """A gap (m), of which friction takes a `share` of the power held out, where a black box would
+    take `predictable`."""
     def leaving(part: float) -> ModelEvidence:
-        power = NOISE**2 + (1.0 - part) * (100.0 * NOISE) ** 2
+        power = NOISE**2 + (1.0 - part) * gap**2
         e = Errors(math.sqrt(power), COUNT * power / NOISE**2, COUNT, power=power)
         return ModelEvidence(e, e, findings=LEFT)
 

@@ -111,6 +111,16 @@ def test_a_small_further_effect_needs_the_force_domain_or_takes_all_that_is_left
     assert small_parts(e) == (() if named else ("force_offset",))
 
 
+@pytest.mark.parametrize(("share", "named"), [(0.11, True), (0.09, False)])
+def test_a_further_effect_that_held_out_records_do_not_exercise_is_judged_on_the_fitted_ones(
+        share, named):
+    e = part(0.99)
+    without = replace(e.extended, fitted=part(0.99 - share).extended.fitted)
+    mode = EffectEvidence("second_mode", {}, without, exercised=False)
+    assert small_parts(replace(e, effects=(*e.effects, mode))) == (
+        () if named else ("second_mode",))
+
+
 def test_a_small_effect_alone_is_not_a_further_one():
     assert small_parts(found(FRICTION)) == ()
 

@@ -12,6 +12,7 @@ import pytest
 
 from dfm_stage.diagnosis.clear_force import by_force, clear_force
 from dfm_stage.diagnosis.evidence import Heard
+from dfm_stage.diagnosis.gather import with_witness
 from dfm_stage.diagnosis.hypothesis import Trial
 from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.result import told
@@ -19,6 +20,7 @@ from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import verdict
 from dfm_stage.diagnosis.witness import Explained, Witness
 from dfm_stage.diagnosis.wording import sentence
+from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import EFFECTS
 
 _spec = importlib.util.spec_from_file_location("clear_force_truth",
@@ -27,6 +29,12 @@ assert _spec is not None
 assert _spec.loader is not None
 truth = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(truth)
+_made = importlib.util.spec_from_file_location("clear_force_made",
+                                               Path(__file__).with_name("made_evidence.py"))
+assert _made is not None
+assert _made.loader is not None
+made = importlib.util.module_from_spec(_made)
+_made.loader.exec_module(made)
 
 
 def explained(share: float, *names: str) -> Explained:
@@ -161,6 +169,22 @@ def test_most_of_a_part_is_told_as_a_part(trial):
     _, e = by_force(trial, trial.search.begin(), trial.witness, less, (), split=False)
     assert verdict(e).kind == "partial"
     assert np.isclose(verdict(e).effects[0].predictable_share, 0.7 / 0.95)
+
+
+@pytest.mark.parametrize(("seen", "ahead"), [
+    (said(FRICTION, explained(0.6, "eddy_current_damping"), eddy_current_damping=5.0), True),
+    (said(FRICTION, explained(0.6, "eddy_current_damping"), eddy_current_damping=2.9), False),
+    (said(explained(0.9, "creep"), explained(0.6, "eddy_current_damping"),
+          eddy_current_damping=5.0), False),
+    (said(FRICTION, explained(0.6, "eddy_current_damping"), eddy_current_damping=5.0,
+          noise=0.9), False)])
+def test_a_rival_that_the_force_domain_prefers_is_marked(seen, ahead):
+    rival = made.rival("coulomb_friction", 1e6)
+    own = replace(made.effect("eddy_current_damping", rival), parameters={
+        "damping": Quantity(5.0, "N s/m", (4.0, 6.0)),
+        "critical_velocity": Quantity(0.01, "m/s", (0.005, 0.02))})
+    (effect,) = with_witness(made.found(own), seen).effects
+    assert effect.rivals[0].ahead is ahead
 
 
 @pytest.mark.parametrize(("seen", "enough"), [

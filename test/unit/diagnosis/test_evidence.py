@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from dfm_stage.cli.diagnose_report import write_report
 from dfm_stage.diagnosis import fit as fitting
@@ -145,3 +146,18 @@ def test_without_periods_the_floor_is_what_the_best_model_leaves():
     _, e, _ = searched(feed=truth.scan(0.7))
     assert e.noise.floor == (e.noise.rms, "residuals")
     assert e.effects == ()
+
+
+def test_the_error_of_an_offset_is_that_of_slow_noise():
+    """Over records with noise that wanders, the offsets found scatter by what is told."""
+    train, model = truth.multisine(1), truth.believed()
+    still, ratios = truth.move(train, None), []
+    for seed in range(12):
+        slow = lfilter([1e-8], [1.0, -0.999], np.random.default_rng(seed).standard_normal(
+            still.size + 5000))[5000:]
+        run = observe(truth.record(train, still + slow, 100 + seed), model, None, "train")
+        search = Search(model, [run], ("damping", "stiffness", "force_constant"), library=FEW)
+        bare = search.begin()
+        offset = gathering._offset(bare, ("force_offset",))
+        ratios.append(offset.value / offset.sigma)
+    assert 0.3 < float(np.std(ratios)) < 2.5

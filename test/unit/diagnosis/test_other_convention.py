@@ -10,12 +10,13 @@ import pytest
 
 from dfm_stage.diagnosis import diagnose
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.observation import Observation, observe
 from dfm_stage.diagnosis.other_convention import (
     by_other_conventions,
     has_linear_effect,
     is_simpler,
     may_be_simpler,
+    timed,
 )
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.verdict import Found, Reason, Verdict
@@ -72,6 +73,20 @@ def test_an_input_that_is_not_held_and_acts_before_half_a_sample():
     assert all(each["input_hold"] != "zero" for each in fitted.conventions)
     assert fitted.model.base["delay"] == pytest.approx(3.5e-4, abs=2e-6)
     assert fitted.evaluations[0].fit.fit_percent > 99.8
+
+
+@pytest.mark.parametrize(("source", "moved"), [("estimated", True), ("given", False)])
+def test_an_estimated_shift_is_moved_to_where_the_model_leaves_least(source, moved):
+    """The columns are half a sample apart, the estimate is wrong by less than its error."""
+    known = Convention("band_limited", -0.503, 0.01, source)
+    model = Model("stage", PERIOD, {n: v for n, v in MODEL.base.items() if n != "delay"})
+    early = SimpleNamespace(base={**MODEL.base, "delay": -0.5 * PERIOD})
+    run, held = (observe(record(seed, early), model, known=known) for seed in (1, 3))
+    tried = Trial(Search(model, [run], ("damping", "stiffness", "force_constant")), [held])
+    own, fit = timed(tried, tried.search.begin())
+    for each in (*own.search.runs, *own.held):
+        assert each.convention.shift == pytest.approx(-0.5 if moved else -0.503, abs=2e-4)
+    assert fit.rms == own.search.begin().rms
 
 
 @pytest.mark.parametrize(("known", "late", "shift", "own"), [

@@ -225,6 +225,12 @@ class Twins:
     def reweigh(self, weights: str, noise: float) -> None:
         self.weights, self.noise = weights, noise
 
+    def screened(self, *_: object) -> tuple[None, list[object]]:
+        return None, []
+
+    def score(self, found: SimpleNamespace) -> float:
+        return 1e4 * found.rms**2 + 12.0 * len(found.system.free)
+
     def in_place_of(self, *_: object) -> SimpleNamespace:
         return fit_of(2.0, 5)
 
@@ -236,16 +242,22 @@ def fit_of(rms: float, free: int) -> SimpleNamespace:
     return SimpleNamespace(ok=True, rms=rms, system=SimpleNamespace(free=range(free)))
 
 
-def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch) -> None:
+@pytest.mark.parametrize(("names", "rms", "taken"), [
+    (("second_mode",), 1.01, ("sensor_mount",)),
+    (("second_mode", "hysteresis"), 1.01, ("sensor_mount", "hysteresis")),
+    (("second_mode",), 0.9995, ("sensor_mount",)),  # two parameters are worth more than that
+    (("second_mode",), 0.9985, ("second_mode",))])
+def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch, names, rms,
+                                                             taken) -> None:
     """By those of the whole gap its fit ends far above the noise, and a second mode stays."""
-    taken = SimpleNamespace(names=("sensor_mount",))
-    monkeypatch.setattr(uncommon, "to_noise", lambda *_: (taken, None))
+    monkeypatch.setattr(uncommon, "to_noise",
+                        lambda _, names, *__: (SimpleNamespace(names=names), None))
     monkeypatch.setattr(uncommon, "verdict", lambda _: SimpleNamespace(complete=True))
     own = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1))
-    found = own, SimpleNamespace(names=("second_mode",), fit=fit_of(1.01, 7)), None
+    found = own, SimpleNamespace(names=names, fit=fit_of(rms, 7)), None
     wide = SimpleNamespace(search=Twins())
     other = uncommon._one_for_all(wide, None, found, {"sensor_mount"}, (), split=False)
-    assert other[1] is taken
+    assert other[1].names == taken
 
 
 class Gap:

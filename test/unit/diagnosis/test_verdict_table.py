@@ -151,7 +151,19 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "explains 96 % of the gap": (part(0.96), "named", ("coulomb_friction",), Reason.GRADED),
     "explains 94 % of the gap": (part(0.94), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains 77 % of the gap, of which 80 % can be predicted at all": (
-        part(0.77, predictable=0.8), "named", ("coulomb_friction",), Reason.GRADED),
+        part(0.77, predictable=0.8), "partial", ("coulomb_friction",), Reason.GRADED),
+    "explains 93 % of the gap, where a black box predicts most of the rest": (
+        part(0.93, predictable=0.975), "named", ("coulomb_friction",), Reason.GRADED),
+    "explains 93 % of the gap, where a black box predicts half of the rest": (
+        part(0.93, predictable=0.965), "partial", ("coulomb_friction",), Reason.GRADED),
+    "explains 90 % of the gap, where a black box predicts most of the rest": (
+        part(0.9, predictable=0.99), "partial", ("coulomb_friction",), Reason.GRADED),
+    "explains 25 % of the gap, of which 80 % can be predicted at all": (
+        part(0.25, predictable=0.8), "partial", ("coulomb_friction",), Reason.GRADED),
+    "explains 90 % of a small gap, and brings it to the noise": (
+        part(0.9, gap=NOISE), "named", ("coulomb_friction",), Reason.GRADED),
+    "explains 50 % of a small gap": (
+        part(0.5, gap=NOISE), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains 31 % of the gap": (part(0.31), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains 29 % of the gap": (part(0.29), "unknown", (), Reason.GRADED),
     "explains most, with a rival 2.9 standard errors behind": (
@@ -162,6 +174,18 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
         part(0.97, at(2.1, larger=True)), "named", ("coulomb_friction",), Reason.GRADED),
     "explains most, with a larger rival 1.9 standard errors behind": (
         part(0.97, at(1.9, larger=True)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
+    "explains most, with a rival far behind that the force domain puts before it": (
+        part(0.97, at(30.0, ahead=True)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
+    "explains most, with a larger rival that makes the same motion": (
+        part(0.97, at(0.0, larger=True, repeats=True)), "named", ("coulomb_friction",),
+        Reason.GRADED),
+    "explains all, with a larger rival that makes the same motion": (
+        found(effect("one_sided_cable", replace(rival("backlash", 2.0), larger=True,
+                                                repeats=True))),
+        "named", ("one_sided_cable",), Reason.AT_FLOOR),
+    "explains all, with a larger rival that does as well by another motion": (
+        found(effect("one_sided_cable", replace(rival("backlash", 2.0), larger=True))),
+        "ambiguous", ("one_sided_cable",), Reason.AT_FLOOR),
     "explains a part, with a rival level": (
         part(0.5, at(0.0)), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains most, with the damping at nothing": (

@@ -69,9 +69,8 @@ def test_a_remainder_is_said_and_where_it_was_judged():
         extended=replace(CLOSED, held_out=held), judged=Judged("velocity", 0.5, 1e-13))
     found = (Found("cubic_stiffness", ("cubic_stiffness",), 0.98, 5e4),)
     words = wording.sentence(e, Verdict("named", Reason.GRADED, found, remainder=True))
-    assert words == ("The model lacks cubic stiffness: it explains 98% of what is predictable of "
-                     "the held-out gap (in velocity, windows of 0.5 s); a remainder of 1.5 % "
-                     "of the gap's power stays.")
+    assert words == ("The model lacks cubic stiffness: it explains 98% of the held-out gap's "
+                     "power (in velocity, windows of 0.5 s); a remainder of 1.5 % stays.")
     part = wording.sentence(e, Verdict("partial", Reason.GRADED, found, remainder=True))
     assert part.startswith("A part of what is missing behaves like cubic stiffness: 98%")
 

@@ -106,6 +106,18 @@ def test_twins_are_given_parameters_that_they_have(name: str) -> None:
         assert Model("m", 1e-3, BASE).with_effect(twin, {**EFFECTS[twin].defaults, **given})
 
 
+@pytest.mark.parametrize(("centre", "inside"), [(2e-4, (-1e-3, 6.9e-4)), (-2e-4, (-6.9e-4, 1e-3))])
+def test_play_that_is_met_at_one_end_is_a_cable_and_a_stop(centre, inside) -> None:
+    play = {"stiffness": 5.0, "gap": 1e-3, "centre": centre}
+    force, twins = EFFECTS["backlash"].force, EFFECTS["backlash"].twins
+    for x in np.linspace(*inside, 40):
+        expected = force(x, 0.01, 0.0, tuple(play.values()))
+        for twin in ("one_sided_cable", "end_stop"):
+            given = {**EFFECTS[twin].defaults, **twins[twin](play)}
+            assert EFFECTS[twin].force(x, 0.01, 0.0, tuple(given.values())) == pytest.approx(
+                expected, abs=1e-15)
+
+
 @pytest.mark.parametrize("name", EVERY)
 def test_effect_runs_within_its_priors_and_changes_something(name: str) -> None:
     """In the middle of its prior each effect is seen in a large fast record."""

@@ -11,6 +11,7 @@ Source: Nordin and Gutman, Automatica 38 (2002) 1633 (dead-zone model).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from dfm_stage.model.effect import (
     SMALL,
@@ -53,6 +54,24 @@ SOFTEST, STIFFEST = 1e-3, 10.0
 nothing but the noise."""
 
 
+def _nearer_end(values: Mapping[str, float]) -> float:
+    """The end of the play that lies nearer to x = 0: the one that is met first."""
+    half = 0.5 * values["gap"]
+    return min(values["centre"] + half, values["centre"] - half, key=abs)
+
+
+def _as_cable(values: Mapping[str, float]) -> Parameters:
+    """The link, of which only one end is met."""
+    end = _nearer_end(values)
+    side = 1.0 if end > values["centre"] else -1.0
+    return {"stiffness": side * values["stiffness"], "slack": end}
+
+
+def _as_stop(values: Mapping[str, float]) -> Parameters:
+    """The stops, of which only one is met."""
+    return {"stiffness": values["stiffness"], "position": _nearer_end(values), "dissipation": 0.0}
+
+
 EFFECT = Backlash(
     name="backlash",
     meaning="the link that holds the stage has play, or an elastic stop stands on each side",
@@ -74,6 +93,11 @@ EFFECT = Backlash(
     classes=(Equivalence(("backlash", "cubic_stiffness"), "one amplitude",
                          "amplitudes from within the gap to far beyond it"),
              Equivalence(("backlash", "stiffness"), "motion far beyond the gap",
-                         "motion about as large as the gap")),
+                         "motion about as large as the gap"),
+             Equivalence(("backlash", "one_sided_cable"), "motion beyond one end of the play only",
+                         "motion beyond both ends"),
+             Equivalence(("backlash", "end_stop"), "motion beyond one end of the play only",
+                         "motion beyond both ends")),
+    twins={"one_sided_cable": _as_cable, "end_stop": _as_stop},
     force=force,
 )
