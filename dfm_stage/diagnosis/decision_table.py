@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dfm_stage.decisions import TABLE
+import re
+
+from dfm_stage.decisions import TABLE, Decision
 from dfm_stage.diagnosis import decisions as of_diagnosis
 from dfm_stage.identification import decisions as of_identification
 
@@ -10,10 +12,19 @@ PLACES = (of_identification, of_diagnosis)
 """Modules that hold nothing but decisions."""
 
 
+UNDOCUMENTED = re.compile(r"not documented; kept from [^;(]*(\(\d{4}-\d\d-\d\d\))?(; )?")
+"""Origins that say no more than which commit a number comes from; the files have them in full."""
+
+
+def _origin(d: Decision) -> str:
+    """What a number was set on; a dash where that was not written down."""
+    return UNDOCUMENTED.sub("", d.set_on) or "–"
+
+
 def markdown() -> str:
     """Every decision in a line of its own, in the order of their files."""
     lines = ["| name | value | unit | meaning | set on |", "|---|---|---|---|---|"]
-    lines += [f"| `{d.name}` | {d.value:g} | {d.unit} | {d.meaning} | {d.set_on} |"
+    lines += [f"| `{d.name}` | {d.value:g} | {d.unit} | {d.meaning} | {_origin(d)} |"
               for place in PLACES for d in map(TABLE.get, vars(place)) if d is not None]
     return "\n".join(lines) + "\n"
 
