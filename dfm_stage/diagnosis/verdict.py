@@ -230,19 +230,22 @@ def _by_force(e: Evidence, heard: Heard) -> Verdict:
                         min(share / heard.predictable, 1.0))
                   for name, share in sorted(heard.added.items(), key=lambda each: -each[1]))
     undecided = tuple(m for f in found for m in f.members if len(f.members) > 1)
-    in_part = heard.share < NAMED_SHARE or bool(other_form(e))
+    in_part = not _takes_the_gap(e) or bool(other_form(e))
     kind: Kind = "partial" if in_part else "ambiguous" if undecided else "named"
     return Verdict(kind, Reason.GRADED, found, undecided, (),
                    tuple(_rejected(e, set(heard.added))), True, "extended", "extended")
 
 
 def _takes_the_gap(e: Evidence) -> bool:
-    """Whether the effects explain nearly all of the held-out gap, or bring it to the noise. What a
-    black box cannot predict is no part of the gap only where it explains most of what the effects
-    leave: else a true model may predict more."""
-    left = e.extended.held_out.power
-    share, limit = above(e, left), e.judged.predictable
-    best = share if limit is None else min(above(e, limit**2), 1.0)
+    """Whether the effects explain nearly all of the held-out gap, or of the missing force, or
+    bring the gap to the noise. What a black box cannot predict is no part of it only where the box
+    explains most of what the effects leave: else a true model may predict more."""
+    left, limit = e.extended.held_out.power, e.judged.predictable
+    if e.heard is not None:
+        share, best = e.heard.share, e.heard.predictable
+    else:
+        share = above(e, left)
+        best = share if limit is None else min(above(e, limit**2), 1.0)
     whole = best if best - share >= FURTHER_PART * (1.0 - share) else 1.0
     return share >= NAMED_SHARE * whole or left <= HELD_OUT_FLOOR**2 * e.judged.noise_power
 

@@ -169,6 +169,10 @@ def test_most_of_a_part_is_told_as_a_part(trial):
     _, e = by_force(trial, trial.search.begin(), trial.witness, less, (), split=False)
     assert verdict(e).kind == "partial"
     assert np.isclose(verdict(e).effects[0].predictable_share, 0.7 / 0.95)
+    quiet = replace(e.extended.held_out, power=e.judged.noise_power)
+    assert verdict(replace(e, extended=replace(e.extended, held_out=quiet))).kind == "named"
+    loud = replace(e.extended.held_out, power=2.0 * e.judged.noise_power)
+    assert verdict(replace(e, extended=replace(e.extended, held_out=loud))).kind == "partial"
 
 
 @pytest.mark.parametrize(("seen", "ahead"), [
