@@ -1,10 +1,10 @@
 """rosbag2-compatible MCAP bags, written from messages that are already serialised.
 
-Two threads share the work. The caller's `write` only appends the message to the chunk in memory,
-about a microsecond. A thread of the writer takes the chunk when it is full, and at least every
-`FLUSH_PERIOD_S` whether messages come or not, compresses it and hands it to the operating system
-in one call: both leave the interpreter lock alone, so a control loop in the same process runs on.
-A process killed at any moment loses what came after the last such call.
+Two threads share the work. The caller only puts messages into a queue. When they are enough for a
+chunk, and at least every `FLUSH_PERIOD_S` whether messages come or not, a thread of the writer
+lays them out (`chunk`), compresses them and hands them to the operating system in one call. All
+three leave the interpreter lock alone, so a control loop in the same process runs on. A process
+killed at any moment loses what came after the last such call.
 
 The `mcap` library's own `Writer` compresses and writes inside `add_message`, in the caller's
 thread, at several times the cost per message; its record classes serve everything else here.
@@ -15,7 +15,6 @@ from __future__ import annotations
 import atexit
 import os
 import shutil
-import struct
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -23,13 +22,15 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
-from mcap.opcode import Opcode
+import numpy as np
 from mcap.records import Attachment, Channel, Schema
 
 from dfm_stage.files import write_whole
 from dfm_stage.recording.bag import DROPPED_KEY
+from dfm_stage.recording.chunk import AS_IT_CAME, Chunk, Messages
+from dfm_stage.recording.chunk_kernels import number
 from dfm_stage.recording.errors import BagWriteError, writing
-from dfm_stage.recording.mcap_sink import Chunk, McapSink
+from dfm_stage.recording.mcap_sink import McapSink
 from dfm_stage.recording.message_definitions import full_name
 from dfm_stage.recording.rosbag2_metadata import (
     METADATA_FILE,
@@ -41,9 +42,7 @@ from dfm_stage.recording.rosbag2_metadata import (
 
 FLUSH_PERIOD_S = 0.4
 
-_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-_MESSAGE_FIXED_BYTES = 22
-_INDEX_ENTRY = struct.Struct("<QQ")
+_LATEST_NS = 2**64 - 1
 
 
 class BagWriter:
@@ -56,12 +55,15 @@ class BagWriter:
     compression : str
         `zstd`, `lz4` or `none`.
     chunk_bytes : int
-        A chunk is written when its messages reach this size, or after FLUSH_PERIOD_S.
+        A chunk is written when its messages reach about this size, or after FLUSH_PERIOD_S.
     backlog_bytes : int
         What may wait for a slow disk. Beyond it messages are dropped and counted in `lost`; the
         caller is never held up.
     custom_data : mapping, optional
         Goes into metadata.yaml.
+    log_stamps : bool
+        In `write_arrived`, the stamp in a message stands for the time at which it came: it was
+        published by a simulated clock.
 
     Attributes
     ----------
@@ -77,7 +79,8 @@ class BagWriter:
 
     def __init__(self, directory: str | os.PathLike[str], *, compression: str = "zstd",
                  chunk_bytes: int = 1 << 20, backlog_bytes: int = 256 << 20,
-                 ros_distro: str = "jazzy", custom_data: Mapping[str, str] | None = None) -> None:
+                 ros_distro: str = "jazzy", custom_data: Mapping[str, str] | None = None,
+                 log_stamps: bool = False) -> None:
         self.directory = Path(directory)
         self.file_path = self.directory / f"{self.directory.resolve().name}_0.mcap"
         with writing(self.directory):
@@ -93,15 +96,19 @@ class BagWriter:
             raise
         self._chunk_bytes = chunk_bytes
         self._backlog_limit = backlog_bytes
+        self._log_stamps = log_stamps
         self._topics: list[TopicEntry] = []
+        self._stamped = [False]  # topics are numbered from 1
+        self._arrived = np.zeros(1, np.int64)
         self._schemas: dict[str, Schema] = {}
-        self.message_count = self.lost = self._waiting_bytes = 0
+        self.message_count = self.lost = 0
+        self._waiting_bytes = self._new_bytes = 0
         self.error: BagWriteError | None = None
         self._chunk = Chunk()
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
         self._done = threading.Condition(self._lock)
-        self._jobs: list[Callable[[], None]] = []
+        self._jobs: list[Callable[[], None] | Messages] = []
         self._busy = self._flush_now = self._closing = False
         self._process = os.getpid()
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
@@ -109,7 +116,7 @@ class BagWriter:
         atexit.register(self.close)
 
     def add_topic(self, name: str, type_name: str, qos_profiles: Sequence[QosProfile],
-                  type_hash: str, definition_text: str) -> int:
+                  type_hash: str, definition_text: str, stamped: bool = False) -> int:
         """Announce a topic and return the id that `write` wants.
 
         Parameters
@@ -118,6 +125,8 @@ class BagWriter:
             `RIHS01_...`, or empty if unknown.
         definition_text : str
             The schema text, see `message_definitions.definition_text`.
+        stamped : bool
+            Its messages begin with a std_msgs/Header.
 
         Raises
         ------
@@ -146,7 +155,7 @@ class BagWriter:
                 metadata={"offered_qos_profiles": yaml_text(profiles) if profiles else "",
                           "topic_type_hash": type_hash})
             self._queue(lambda: self._sink.write_channel(channel))
-            self._start_chunk(self._chunk)
+            self._stamped.append(stamped)
         return topic_id
 
     def write(self, topic_id: int, data: bytes, log_time_ns: int, publish_time_ns: int,
@@ -179,33 +188,37 @@ class BagWriter:
             As `write`.
         """
         refused: BagWriteError | None = None
-        with self._lock:
-            if self.error is not None and not self._closing:
-                self.message_count += len(messages)
-                self.lost += len(messages)
-            self._check_open()
-            head, entry, kind, fixed = (
-                _MESSAGE_HEAD.pack, _INDEX_ENTRY.pack, Opcode.MESSAGE.value, _MESSAGE_FIXED_BYTES)
-            chunk = self._chunk
-            records, indexes = chunk.records, chunk.indexes
-            for topic_id, data, log_ns, publish_ns, sequence in messages:
-                try:
-                    begin = head(kind, fixed + len(data), topic_id, sequence & 0xFFFFFFFF,
-                                 log_ns, publish_ns)
-                    indexes[topic_id] += entry(log_ns, len(records))
-                except (struct.error, IndexError) as error:
-                    refused = BagWriteError(f"{self.directory}: message of topic {topic_id} at "
-                                            f"{log_ns} ns refused: {error}")
-                    continue
-                records += begin
-                records += data
-                self.message_count += 1
-                if len(records) >= self._chunk_bytes:
-                    self._hand_over()
-                    chunk = self._chunk
-                    records, indexes = chunk.records, chunk.indexes
+        good = []
+        for message in messages:
+            topic_id, _, log_ns, publish_ns, _ = message
+            if (0 < topic_id <= len(self._topics) and 0 <= log_ns <= _LATEST_NS
+                    and 0 <= publish_ns <= _LATEST_NS):
+                good.append(message)
+            else:
+                refused = BagWriteError(f"{self.directory}: message of topic {topic_id} at "
+                                        f"{log_ns} ns refused")
+        if good:
+            topics, data, log, publish, sequences = zip(*good, strict=True)
+            times = np.array((log, publish, [each & 0xFFFFFFFF for each in sequences]), np.uint64)
+            self._accept(Messages.of(topics, data, times.T.astype(np.int64)))
         if refused is not None:
             raise refused
+
+    def write_arrived(self, arrivals: Sequence[tuple[int, bytes, int]]) -> None:
+        """Add messages as they came: topic id, data, and the system time of that (ns).
+
+        They are numbered topic by topic. A stamped message was published at its stamp, another
+        one when it came.
+
+        Raises
+        ------
+        BagWriteError
+            If the writer is closed or has failed.
+        """
+        topics, data, came_ns = zip(*arrivals, strict=True)
+        times = np.full((len(data), 3), AS_IT_CAME)
+        times[:, 0] = times[:, 1] = came_ns
+        self._accept(Messages.of(topics, data, times))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file into the bag; it stands before every message written after this call."""
@@ -214,7 +227,7 @@ class BagWriter:
                                 data=data)
         with self._lock:
             self._check_open()
-            self._hand_over()
+            self._jobs.append(self._write_chunk)
             self._queue(lambda: self._sink.write_attachment(attachment))
 
     def flush(self) -> None:
@@ -266,34 +279,64 @@ class BagWriter:
         if self.error is not None:
             raise self.error
 
-    def _start_chunk(self, chunk: Chunk) -> None:
-        chunk.indexes += [bytearray() for _ in range(len(self._topics) + 1 - len(chunk.indexes))]
-
     def _queue(self, job: Callable[[], None]) -> None:
         self._jobs.append(lambda: self._do(job))
-        self._work.notify()
 
-    def _hand_over(self) -> None:
-        """Queue the chunk in memory and begin another; the lock is held."""
-        chunk = self._chunk
-        if not chunk.records:
-            return
-        self._chunk = Chunk()
-        self._start_chunk(self._chunk)
-        size = len(chunk.records)
-        if self._waiting_bytes + size > self._backlog_limit:
-            self.lost += chunk.message_count
-            return
-        self._waiting_bytes += size
-        self._jobs.append(lambda: self._write_chunk(chunk))
-        self._work.notify()
+    def _accept(self, messages: Messages) -> None:
+        """Queue messages, unless too many wait."""
+        count, size = len(messages.lengths), len(messages.data)
+        with self._lock:
+            full = self._waiting_bytes + size > self._backlog_limit
+            if not self._closing:
+                self.message_count += count
+                self.lost += count if full or self.error is not None else 0
+            self._check_open()
+            if full:
+                return
+            self._waiting_bytes += size
+            self._new_bytes += size
+            self._jobs.append(messages)
+            if self._new_bytes >= self._chunk_bytes:
+                self._work.notify()
 
-    def _write_chunk(self, chunk: Chunk) -> None:
+    # In the writer's thread
+
+    def _work_off(self, jobs: Sequence[Callable[[], None] | Messages]) -> None:
+        parts: list[Messages] = []
+        size = 0
+        for job in jobs:
+            if isinstance(job, Messages):
+                parts.append(job)
+                size += len(job.data)
+                if size >= self._chunk_bytes:
+                    self._lay_out(parts)
+                    self._write_chunk()
+                    size = 0
+            else:
+                self._lay_out(parts)
+                job()
+        self._lay_out(parts)
+        self._write_chunk()
+
+    def _lay_out(self, parts: list[Messages]) -> None:
+        """Move messages into the chunk, all in one: after each step that needs no interpreter
+        lock it has to be waited for."""
+        if parts:
+            messages = Messages.joined(parts)
+            parts.clear()
+            self._arrived.resize(len(self._stamped), refcheck=False)
+            number(*messages, np.array(self._stamped, np.int64), self._log_stamps, self._arrived)
+            self._chunk.add(messages)
+
+    def _write_chunk(self) -> None:
+        chunk, self._chunk = self._chunk, Chunk()
+        if not chunk.message_count:
+            return
         try:
             self._do(lambda: self._sink.write_chunk(chunk))
         finally:
             with self._lock:
-                self._waiting_bytes -= len(chunk.records)
+                self._waiting_bytes -= chunk.data_bytes
                 if self.error is not None:
                     self.lost += chunk.message_count
 
@@ -308,19 +351,15 @@ class BagWriter:
     def _run(self) -> None:
         while True:
             with self._lock:
-                if not (self._jobs or self._flush_now or self._closing):
+                if not (self._new_bytes >= self._chunk_bytes or self._flush_now or self._closing):
                     self._work.wait(FLUSH_PERIOD_S)
-                if self._flush_now or self._closing or not self._jobs:
-                    self._hand_over()
-                jobs, self._jobs = self._jobs, []
-                self._flush_now = False
-                self._busy = bool(jobs)
-            for job in jobs:
-                job()
+                jobs, self._jobs, self._new_bytes = self._jobs, [], 0
+                self._flush_now, self._busy = False, True
+            self._work_off(jobs)
             with self._lock:
                 self._busy = False
                 self._done.notify_all()
-                if self._closing and not self._jobs and not self._chunk.records:
+                if self._closing and not self._jobs:
                     return
 
     def _finish(self) -> None:

@@ -12,7 +12,6 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -37,6 +36,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from dfm_stage.recording.chunk import Chunk
 from dfm_stage.recording.errors import BagWriteError, writing
 from dfm_stage.recording.formats import BINARY, MAGIC
 from dfm_stage.recording.mcap_scan import RECORD_HEAD
@@ -45,23 +45,6 @@ COMPRESSIONS = ("zstd", "lz4", "none")
 
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _INDEX_HEAD = struct.Struct("<BQHI")
-
-
-@dataclass
-class Chunk:
-    """Messages waiting to be written.
-
-    `records` holds whole MCAP message records; `indexes[channel_id]` holds for each of its
-    messages the log time (ns) and the offset in `records`, two little-endian uint64 each, as the
-    MCAP message index wants them.
-    """
-
-    records: bytearray = field(default_factory=bytearray)
-    indexes: list[bytearray] = field(default_factory=list)
-
-    @property
-    def message_count(self) -> int:
-        return sum(map(len, self.indexes)) // 16
 
 
 class McapSink:
@@ -141,7 +124,7 @@ class McapSink:
 
     def write_chunk(self, chunk: Chunk) -> None:
         """Compress and write one chunk and its message indexes, in one system call."""
-        indexes = {channel: index for channel, index in enumerate(chunk.indexes) if index}
+        indexes = dict(sorted(chunk.indexes.items()))
         times = [np.frombuffer(index, dtype="<u8")[::2] for index in indexes.values()]
         start_ns, end_ns = int(min(map(np.min, times))), int(max(map(np.max, times)))
         records, compression = self._compress(chunk.records), self.compression.encode()

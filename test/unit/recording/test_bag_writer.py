@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -261,3 +262,67 @@ def test_one_message_that_is_refused_keeps_no_other_out(tmp_path: Path) -> None:
     with bag.file_path.open("rb") as file:
         assert [(m.log_time, m.data) for _, _, m in make_reader(file).iter_messages()] == [
             (1, b"one"), (3, b"two")]
+
+
+def header(sec: int, nanosec: int) -> bytes:
+    """A serialised std_msgs/Header without a frame."""
+    return b"\0\1\0\0" + struct.pack("<iII", sec, nanosec, 1) + b"\0"
+
+
+@pytest.mark.parametrize("log_stamps", [False, True], ids=["real time", "lockstep"])
+def test_what_arrives_is_numbered_by_topic_and_dated_by_its_stamp(
+        tmp_path: Path, log_stamps: bool) -> None:
+    bag = BagWriter(tmp_path / "bag", chunk_bytes=200, log_stamps=log_stamps)
+    kind = "std_msgs/msg/String"
+    plain = bag.add_topic("/plain", kind, [], "", STRING)
+    arrivals, expected = [], []
+    for k in range(100):
+        if k == 50:  # known after others have come
+            late = bag.add_topic("/late", kind, [], "", STRING, stamped=True)
+        topic = late if k >= 50 and k % 3 else plain
+        data, came = header(k // 60, k) if k % 7 else b"\0\1\0\0", 10**15 + k
+        arrivals.append((topic, data, came))
+        if k % 10 == 9:
+            bag.write_arrived(arrivals)
+            arrivals.clear()
+        stamp = 10**9 * (k // 60) + k if topic != plain and len(data) > 4 else came
+        number = sum(each[1] == topic for each in expected) + 1
+        expected.append((data, topic, number, stamp if log_stamps else came, stamp))
+    assert bag.message_count == 100
+    bag.close()
+    found = []
+    with bag.file_path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            found.append((message.data, channel.id, message.sequence, message.log_time,
+                          message.publish_time))
+    assert found == expected
+    with pytest.raises(BagWriteError, match="closed"):
+        bag.write_arrived([(plain, b"", 1)])
+
+
+def test_a_stamp_of_zero_is_when_lockstep_begins(tmp_path: Path) -> None:
+    for log_stamps, log_time in ((True, 0), (False, 7)):
+        with BagWriter(tmp_path / f"{log_stamps}", log_stamps=log_stamps) as bag:
+            topic = bag.add_topic("/a", "std_msgs/msg/String", [], "", STRING, stamped=True)
+            bag.write_arrived([(topic, header(0, 0), 7)])
+        with bag.file_path.open("rb") as file:
+            _, _, message = next(iter(make_reader(file).iter_messages()))
+        assert (message.log_time, message.publish_time) == (log_time, 7)
+
+
+def test_what_waited_for_a_slow_disk_is_split_into_chunks(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = BagWriter(tmp_path / "bag", compression="none", chunk_bytes=10_000)
+    topic = bag.add_topic("/a", "std_msgs/msg/String", [], "", STRING)
+    release, write_chunk = threading.Event(), bag._sink.write_chunk
+    monkeypatch.setattr(bag._sink, "write_chunk",
+                        lambda chunk: (release.wait(30), write_chunk(chunk)))
+    for k in range(1000):
+        bag.write(topic, bytes(100), k, k)
+    release.set()
+    bag.close()
+    with bag.file_path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) >= 10
+    assert max(chunk.uncompressed_size for chunk in summary.chunk_indexes) < 2 * 10_000

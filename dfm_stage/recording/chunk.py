@@ -1,0 +1,68 @@
+"""Messages as a chunk of an MCAP file holds them, laid out many at once by compiled loops.
+
+Laid out one by one in Python, a message cost more than all that its nodes did with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dfm_stage.recording.chunk_kernels import AS_IT_CAME, lay_out
+from dfm_stage.recording.numba_tools import MESSAGE_HEAD, Bytes, Ints
+
+__all__ = ["AS_IT_CAME", "Chunk", "Messages"]
+
+
+class Messages(NamedTuple):
+    """Serialised messages one after the other, with channel, length and times of each."""
+
+    data: Bytes
+    channels: Ints
+    lengths: Ints
+    times: Ints
+    """Log time, publish time (ns) and number, (n, 3), as the bits of what MCAP holds unsigned.
+    Where the number is `AS_IT_CAME`, both times are that of arrival."""
+
+    @classmethod
+    def of(cls, channels: Sequence[int], data: Sequence[bytes], times: Ints) -> Messages:
+        """Make them of columns."""
+        return cls(np.frombuffer(b"".join(data), np.uint8), np.array(channels, np.int64),
+                   np.fromiter(map(len, data), np.int64, len(data)), times)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Messages]) -> Messages:
+        """Return several as one."""
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+class Chunk:
+    """Messages waiting to be written.
+
+    `records` holds whole MCAP message records; `indexes[channel_id]` holds for each of its
+    messages the log time (ns) and the offset in `records`, two little-endian uint64 each, as the
+    MCAP message index wants them.
+    """
+
+    def __init__(self) -> None:
+        self.records = bytearray()
+        self.indexes: dict[int, bytearray] = {}
+        self.message_count = 0
+        self.data_bytes = 0
+
+    def add(self, messages: Messages) -> None:
+        """Add messages that have their numbers."""
+        count, size = len(messages.lengths), len(messages.data)
+        of_channel = np.bincount(messages.channels)
+        ends = np.cumsum(of_channel) - of_channel
+        records = np.empty(size + count * MESSAGE_HEAD, np.uint8)
+        entries = np.empty((count, 2), np.int64)
+        lay_out(*messages, len(self.records), ends, records, entries)
+        self.records += records.data
+        for channel in np.flatnonzero(of_channel).tolist():
+            index = self.indexes.setdefault(channel, bytearray())
+            index += entries[ends[channel] - of_channel[channel]:ends[channel]].data
+        self.message_count += count
+        self.data_bytes += size

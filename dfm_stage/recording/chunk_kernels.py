@@ -1,0 +1,84 @@
+"""Compiled loops that lay messages out as records of a chunk; they leave the interpreter lock
+alone."""
+
+from __future__ import annotations
+
+from dfm_stage.recording.numba_tools import (
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    Bytes,
+    Ints,
+    entry,
+    put_u32,
+    put_u64,
+    u32,
+)
+from dfm_stage.recording.record_kernels import MESSAGE
+
+NS = 1_000_000_000
+AS_IT_CAME = -1
+_STAMP_END = 12         # of a message that begins with a std_msgs/Header: seconds, nanoseconds
+
+
+@entry
+def number(data: Bytes, channels: Ints, lengths: Ints, times: Ints, stamped: Ints,
+           log_stamps: bool, counts: Ints) -> None:
+    """Number the messages of which only the time of their arrival is known, and date them.
+
+    Parameters
+    ----------
+    data, lengths : (bytes,) uint8, (n,) int64
+        The messages one after the other.
+    times : (n, 3) int64
+        Log time, publish time, number; changed where the number is `AS_IT_CAME`.
+    stamped, counts : (channels + 1,) int64
+        Whether a channel's messages begin with a header, and how many came so far; increased.
+    log_stamps : bool
+        Whether a message with a stamp was logged at that, not when it came.
+    """
+    begin = 0
+    for k in range(len(lengths)):
+        channel = channels[k]
+        if times[k, 2] == AS_IT_CAME:
+            if stamped[channel] and lengths[k] >= _STAMP_END:
+                stamp = NS * int(u32(data, begin + 4)) + int(u32(data, begin + 8))
+                if log_stamps:
+                    times[k, 0] = stamp
+                if stamp:
+                    times[k, 1] = stamp
+            counts[channel] += 1
+            times[k, 2] = counts[channel]
+        begin += lengths[k]
+
+
+@entry
+def lay_out(data: Bytes, channels: Ints, lengths: Ints, times: Ints, offset: int, ends: Ints,
+            records: Bytes, entries: Ints) -> None:
+    """Write the records of messages, and for each channel its entries of the message index.
+
+    Parameters
+    ----------
+    times : (n, 3) int64
+        Log time, publish time, number; the bits of what MCAP holds unsigned.
+    offset : int
+        Where the first record stands in the chunk.
+    ends : (channels + 1,) int64
+        At first where the entries of each channel begin; then where they end.
+    entries : (n, 2) int64
+        Filled with log time and offset of each message, channel by channel.
+    """
+    begin = at = 0
+    for k in range(len(lengths)):
+        length, channel = lengths[k], channels[k]
+        records[at] = MESSAGE
+        put_u64(records, at + 1, MESSAGE_HEAD - RECORD_HEAD + length)
+        put_u32(records, at + 9, channel)      # two bytes; the number follows
+        put_u32(records, at + 11, times[k, 2])
+        put_u64(records, at + 15, times[k, 0])
+        put_u64(records, at + 23, times[k, 1])
+        for index in range(length):
+            records[at + MESSAGE_HEAD + index] = data[begin + index]
+        entries[ends[channel], 0], entries[ends[channel], 1] = times[k, 0], offset + at
+        ends[channel] += 1
+        begin += length
+        at += MESSAGE_HEAD + length
