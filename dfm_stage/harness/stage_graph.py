@@ -346,8 +346,7 @@ class StageGraph(NodeSet):
         name = f"/stage/{axis}/{topic}"
         ears = (self._lossy().add(link.type, name, lambda data: heard.append(decode(data)), qos)
                 if lossy and not self.lockstep else
-                Receiver(self._client_node, link.type, name,
-                         lambda data: heard.append(decode(data)), qos))
+                Receiver(self._client_node, link.type, name, heard.append, qos, decode=decode))
         self.spin_until(lambda: ears.ros.get_publisher_count() > 0,
                         self._start_timeout_s, f"a publisher of {topic}")
         return heard

@@ -2,13 +2,14 @@
 
 rclpy has no transport within a process: between two nodes of one executor a message costs a
 wake-up and a way through DDS, ten times of what the nodes do with it. Who composes nodes on one
-executor opens a `HandOver` for their context. From then on a `Sender` puts the serialised message
-where its `Receiver`s wait, and the executor calls them in the order in which messages were put,
-after the callback that put them. So nobody is called from within a call, what a callback raises
-reaches whoever spins, and a thread of a driver may put messages, too.
+executor opens a `HandOver` for their context. From then on a `Sender` puts a message where its
+`Receiver`s wait, and the executor calls them in the order in which messages were put, after the
+callback that put them. So nobody is called from within a call, what a callback raises reaches
+whoever spins, and a thread of a driver may put messages, too. A message is put as bytes, and with
+the fields that it was made of: a receiver that wants fields need not decode it.
 
 A receiver that only keeps messages (the recorder) takes them when it likes: with `arrivals`, a
-list of its own, messages are put there with the time, and nobody is called.
+list of its own, bytes are put there with the time, and nobody is called.
 
 Every receiver keeps its subscription: the graph shows it, and publishers that do not hand over
 (other processes, plain rclpy nodes) reach it there. A message goes to DDS, too, where more
@@ -37,32 +38,24 @@ _ECHOES = 64
 """At least so many messages that went to DDS, too, are known again when they come from there."""
 
 
-class _Receivers:
-    """The receivers of one topic: all, those that are called, and those that keep arrivals."""
-
-    def __init__(self, receivers: tuple[Receiver, ...] = ()) -> None:
-        self.all = receivers
-        self.called = tuple(each for each in receivers if each.arrivals is None)
-        self.keeping = tuple((each, each.arrivals) for each in receivers
-                             if each.arrivals is not None)
-
-
-_NOBODY = _Receivers()
-
-
 class HandOver:
     """What the nodes of one context hand over, on the one `executor` that spins them.
 
-    A node that is not, or no more, on this executor hears by DDS.
+    A node that is not, or no more, on this executor hears by DDS. `due` are the receivers in the
+    order of the messages that wait with them; `scheduled` is whether a turn is ahead or under way,
+    in which they are called. `turn` is the number of that turn, or 0 between
+    turns. Who hears what is looked up once in a
+    turn: a listener that joins hears from the next one on.
     """
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
         self._known: list[Receiver] = []
         self._spun: list[Node] | None = None
-        self._receivers: dict[str, _Receivers] = {}
-        self._due: deque[Receiver] = deque()
-        self._scheduled = self._in_turn = False
+        self._receivers: dict[str, tuple[Receiver, ...]] = {}
+        self.due: deque[Receiver] = deque()
+        self._turns = self.turn = 0
+        self.scheduled = False
 
     def add(self, receiver: Receiver) -> None:
         """Have a receiver called from now on."""
@@ -76,23 +69,15 @@ class HandOver:
             self._known.remove(receiver)
             self._spun = None
 
-    def put(self, topic: str, data: bytes) -> tuple[Receiver, ...]:
-        """Hand a message over, from any thread; return to whom."""
-        if not self._in_turn:
+    def receivers(self, topic: str) -> tuple[Receiver, ...]:
+        """Return who gets what is put on a topic."""
+        if not self.turn:
             self._look()
-        receivers = self._receivers.get(topic, _NOBODY)
-        for receiver in receivers.called:
-            receiver.waiting.append(data)
-            self._due.append(receiver)
-        for receiver, arrivals in receivers.keeping:
-            arrivals.append((receiver, data, time.time_ns()))
-        if receivers.called and not self._scheduled:
-            self._schedule()
-        return receivers.all
+        return self._receivers.get(topic, ())
 
     def idle(self) -> bool:
         """Return whether all that was put has arrived."""
-        return not self._due
+        return not self.due
 
     def close(self) -> None:
         """Let go of everything: a circle through the executor, which is no Python object, would
@@ -100,7 +85,7 @@ class HandOver:
         self._executor = None
         self._known.clear()
         self._receivers.clear()
-        self._due.clear()
+        self.due.clear()
         self._spun = None
 
     def _look(self) -> None:
@@ -110,31 +95,33 @@ class HandOver:
         self._spun, self._receivers = spun, {}
         for receiver in self._known:
             if receiver.spun_with in spun:
-                before = self._receivers.get(receiver.topic, _NOBODY)
-                self._receivers[receiver.topic] = _Receivers((*before.all, receiver))
+                before = self._receivers.get(receiver.topic, ())
+                self._receivers[receiver.topic] = (*before, receiver)
             else:
                 receiver.waiting.clear()
 
-    def _schedule(self) -> None:
+    def schedule(self) -> None:
+        """Have the executor call those that are due."""
         if self._executor is not None:
-            self._scheduled = True
+            self.scheduled = True
             self._executor.create_task(self._turn)
 
     def _turn(self) -> None:
-        due, now, until = self._due, time.monotonic, time.monotonic() + TURN_S
+        due, now, until = self.due, time.monotonic, time.monotonic() + TURN_S
         self._look()
-        self._in_turn = True
+        self._turns = self.turn = self._turns + 1
         try:
             while due:
                 receiver = due.popleft()
                 if receiver.waiting:  # else a newer message took the place of this one
+                    receiver.received += 1
                     receiver.callback(receiver.waiting.popleft())
                 if now() > until:
                     break
         finally:
-            self._scheduled = self._in_turn = False
+            self.scheduled, self.turn = False, 0
             if due:
-                self._schedule()
+                self.schedule()
 
 
 _open: dict[Any, HandOver] = {}
@@ -151,20 +138,25 @@ def handing_over(context: Any, executor: Any) -> Iterator[None]:
 
 
 class Receiver:
-    """A subscription whose `callback` gets serialised messages, by a call or from DDS.
+    """A subscription whose `callback` gets messages, by a call or from DDS.
 
-    `spun_with` is the node whose executor has to be that of the hand-over, where it is not `node`.
-    With `arrivals` what is handed over is put there as (receiver, message, system time in ns).
+    It gets the serialised message, or with `decode` what that makes of it. `received` counts
+    them. `spun_with` is the node whose executor has to be that of the hand-over, where it is not
+    `node`. With `arrivals` what is handed over is put there as (`number`, serialised message,
+    system time in ns).
     """
 
     def __init__(self, node: Node, message_type: Any, topic: str,
-                 callback: Callable[[bytes], object], qos: QoSProfile,
-                 spun_with: Node | None = None,
-                 arrivals: list[tuple[Receiver, bytes, int]] | None = None) -> None:
+                 callback: Callable[[Any], object], qos: QoSProfile, *,
+                 decode: Callable[[bytes], Any] | None = None, spun_with: Node | None = None,
+                 arrivals: list[tuple[int, bytes, int]] | None = None, number: int = 0) -> None:
         depth = None if qos.history == HistoryPolicy.KEEP_ALL else qos.depth
         self.callback = callback
+        self.decode = decode
         self.arrivals = arrivals
-        self.waiting: deque[bytes] = deque(maxlen=depth)
+        self.number = number
+        self.received = 0
+        self.waiting: deque[Any] = deque(maxlen=depth)
         self.echoes: deque[bytes] = deque(maxlen=depth and max(depth, _ECHOES))
         self.ros = node.create_subscription(message_type, topic, self.from_dds, qos, raw=True)
         self.topic = self.ros.topic_name
@@ -179,7 +171,8 @@ class Receiver:
             while self.echoes.popleft() != data:
                 pass
         else:
-            self.callback(data)
+            self.received += 1
+            self.callback(data if self.decode is None else self.decode(data))
 
     def leave(self) -> None:
         """Receive by call no more."""
@@ -196,16 +189,45 @@ class Sender:
         self._publish: Callable[[bytes], None] = self.ros.handle.publish_raw
         self._matched: Callable[[], int] = self.ros.handle.get_subscription_count
         self._hand_over = _open.get(node.context)
+        self._looked = 0
+        self._called: tuple[Receiver, ...] = ()
+        self._keeping: tuple[tuple[Callable[[Any], None], int], ...] = ()
+        self._echoing: tuple[Receiver, ...] = ()
+        self._outside = True
 
-    def put(self, data: bytes) -> None:
-        """Send a message to the receivers of this process, and over DDS to all others."""
-        if self._hand_over is not None:
-            receivers = self._hand_over.put(self._topic, data)
-            if self._matched() <= len(receivers):
+    def put(self, data: bytes, fields: Any = None) -> None:
+        """Send a message to the receivers of this process, and over DDS to all others.
+
+        `fields` is what decoding it would give, where the caller has that.
+        """
+        hand_over = self._hand_over
+        if hand_over is not None:
+            if not self._looked or self._looked != hand_over.turn:
+                self._look(hand_over)
+            for receiver in self._called:
+                receiver.waiting.append(
+                    data if receiver.decode is None
+                    else receiver.decode(data) if fields is None else fields)
+                hand_over.due.append(receiver)
+            if self._called and not hand_over.scheduled:
+                hand_over.schedule()
+            for keep, number in self._keeping:
+                keep((number, data, time.time_ns()))
+            if not self._outside:
                 return
-            for receiver in receivers:
+            for receiver in self._echoing:
                 receiver.echoes.append(data)
         self.to_dds(data)
+
+    def _look(self, hand_over: HandOver) -> None:
+        """Find who hears this sender, here and outside, for this turn."""
+        self._looked = hand_over.turn
+        here = hand_over.receivers(self._topic)
+        self._called = tuple(each for each in here if each.arrivals is None)
+        self._keeping = tuple((each.arrivals.append, each.number) for each in here
+                              if each.arrivals is not None)
+        self._outside = self._matched() > len(here)
+        self._echoing = here
 
     def to_dds(self, data: bytes) -> None:
         """Send a message over DDS.

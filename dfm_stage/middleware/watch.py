@@ -4,7 +4,7 @@ its own standstill."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 SILENT_S = 1.0
 HELD_UP_S = 0.5
@@ -39,20 +39,27 @@ class Notices(dict[str, str]):
         return new
 
 
-class Input:
-    """What came on one loop topic; `received` is counted by the subscription."""
+class Counting(Protocol):
+    """What counts the messages that came."""
 
-    def __init__(self, name: str, publisher: str) -> None:
+    received: int
+
+
+class Input:
+    """What came on one loop topic."""
+
+    def __init__(self, name: str, publisher: str, receiver: Counting) -> None:
         self.name = name
         self.publisher = publisher
-        self.received = 0
+        self._receiver = receiver
         self._before = 0
         self._silent_since = 0.0
 
     def silent_s(self, now: float) -> float:
         """Return for how long nothing has come, s; 0 before the first message."""
-        if self.received != self._before or not self.received:
-            self._before, self._silent_since = self.received, now
+        received = self._receiver.received
+        if received != self._before or not received:
+            self._before, self._silent_since = received, now
         return now - self._silent_since
 
 

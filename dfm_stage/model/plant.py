@@ -186,10 +186,10 @@ class CoupledPlant:
 
     def sample(self) -> tuple[Sample, ...]:
         """All axes at the present sample."""
-        if all(plant._sample is None for plant in self.plants):
+        if self._coupled and all(plant._sample is None for plant in self.plants):
             for plant, source in self._coupled:         # where the neighbour is now
                 plant._other[0] = self.plants[source]._peek()[slots.POSITION], 0.0, 0.0, 0.0
-        return tuple(plant.sample() for plant in self.plants)
+        return tuple([plant.sample() for plant in self.plants])
 
     def advance(self, inputs: Sequence[float],
                 external_forces_n: Sequence[float] | None = None) -> None:
@@ -204,8 +204,8 @@ class CoupledPlant:
         if len(inputs) != len(self.plants) or len(forces) != len(self.plants):
             raise SimulationError(f"the plant has {len(self.plants)} axes, but was given "
                                   f"{len(inputs)} inputs and {len(forces)} forces")
-        before = self.sample()
         if self._twice:
+            before = self.sample()
             period = self.model.sample_period
             saved = [plant._work[:plant._plan.layout[slots.AT_A]].copy() for plant in self.plants]
             for plant, source in self._coupled:

@@ -65,9 +65,9 @@ class Publisher(Sender):
         super().__init__(node, self.link.type, prefix + topic,
                          LOCKSTEP_QOS if node.lockstep else PUBLISHER_QOS)
         self._node = node
-        self._encode = codec(self.link.type, prefix.strip("/") or node.axis).encode
+        self._pair = codec(self.link.type, prefix.strip("/") or node.axis).pair
         self._open = False
-        self._held: list[bytes] = []
+        self._held: list[tuple[bytes, Any]] = []
 
     def send(self, stamp_ns: int, *fields: Any) -> None:
         """Publish one message; where the history is full, wait for the slowest reader.
@@ -75,18 +75,17 @@ class Publisher(Sender):
         Before everyone who must not miss it listens, a lockstep message is held back and a
         real-time one, of no use to anybody, is dropped.
         """
-        data = self._encode(stamp_ns, *fields)
-        if not self._open and not self.open():
-            if self._node.lockstep:
-                self._held.append(data)
-            return
-        self.put(data)
+        data, named = self._pair(stamp_ns, *fields)
+        if self._open or self.open():
+            self.put(data, named)
+        elif self._node.lockstep:
+            self._held.append((data, named))
 
     def release(self) -> bool:
         """Publish what was held back, if everyone listens by now; return whether it is open."""
         if self.open():
             while self._held:
-                self.put(self._held.pop(0))
+                self.put(*self._held.pop(0))
         return self._open
 
     def to_dds(self, data: bytes) -> None:
@@ -250,19 +249,13 @@ class LoopNode(Node):
                           prefix: str = "") -> Receiver:
         """Subscribe to a loop topic; `callback` gets the decoded fields."""
         link = LINKS[topic]
-        decode = codec(link.type).decode
-        heard = Input(prefix + topic, link.publisher)
         if topic == "measurement" and SAMPLE_PERIOD.name in self.settings.values:
             callback = self._comparing_period(callback)
-        self._watch.inputs.append(heard)
-
-        def decoded(data: bytes) -> None:
-            heard.received += 1
-            callback(decode(data))
-
-        receiver = Receiver(self, link.type, prefix + topic, decoded,
-                            subscriber_qos(link, self.kind, self.lockstep))
+        receiver = Receiver(self, link.type, prefix + topic, callback,
+                            subscriber_qos(link, self.kind, self.lockstep),
+                            decode=codec(link.type).decode)
         self._receivers.append(receiver)
+        self._watch.inputs.append(Input(prefix + topic, link.publisher, receiver))
         return receiver
 
     def side_publisher(self, topic: str) -> Any:

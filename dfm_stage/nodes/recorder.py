@@ -17,9 +17,9 @@ import os
 import platform
 import re
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -35,7 +35,6 @@ from rclpy.qos import (
 import dfm_stage
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.hand_over import Receiver
-from dfm_stage.middleware.wire import header_stamp_ns
 from dfm_stage.nodes.base import LoopNode
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import BEGUN_ANEW, run_node
@@ -45,7 +44,6 @@ from dfm_stage.recording import (
     PARAMETERS_ATTACHMENT,
     VERSIONS_ATTACHMENT,
     BagWriteError,
-    BagWriter,
     QosProfile,
     definition_text,
 )
@@ -56,16 +54,6 @@ _SETTLED_S = 3.0
 _DRAIN_S = 0.05
 _REPAIR_S = 0.25
 """A message that got lost on its way is missed at the next heartbeat (config/fastdds.xml)."""
-
-
-@dataclass
-class _Topic:
-    """What the recorder knows of a topic: its number in the bag, how many of its messages came."""
-
-    number: int
-    has_header: bool
-    is_config: bool
-    received: int = 0
 
 
 class Recorder(LoopNode):
@@ -85,19 +73,21 @@ class Recorder(LoopNode):
     )
 
     def __init__(self, **kwargs: Any) -> None:
+        from dfm_stage.recording import BagWriter  # with numba, which the help can do without
+
         super().__init__(**kwargs)
         self._wanted = _pattern("topics", self.settings["topics"])
         self._unwanted = _pattern("exclude", self.settings["exclude"])
         folder = self.settings["bag"] or f"bags/{datetime.now().astimezone():%Y%m%d_%H%M%S}"
         if BEGUN_ANEW in os.environ and self.settings["bag"]:
             folder = f"{folder}_{os.environ[BEGUN_ANEW]}"  # the first one was closed
-        self._bag = BagWriter(folder, compression=self.settings["compression"])
+        self._bag = BagWriter(folder, compression=self.settings["compression"],
+                              log_stamps=self.lockstep)
         self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
                          json.dumps(versions(), sort_keys=True).encode())
         self._topics: dict[str, Receiver] = {}
         self._taps: list[tuple[Callable[..., Any], Any, Callable[[bytes], object]]] = []
-        self._known: dict[Receiver, _Topic] = {}
-        self._arrivals: list[tuple[Receiver, bytes, int]] = []
+        self._arrivals: list[tuple[int, bytes, int]] = []
         self._refused: set[str] = set()
         self._configs: dict[str, Any] = {}
         self._model_attached = False
@@ -143,9 +133,11 @@ class Recorder(LoopNode):
         try:
             package, _, kind = type_name.partition("/msg/")
             message_type = getattr(importlib.import_module(f"{package}.msg"), kind)
-            topic = self._bag.add_topic(name, type_name, [_offer(each) for each in profiles],
-                                        str(offers[0].topic_type_hash),
-                                        definition_text(type_name))
+            first = next(iter(message_type.get_fields_and_field_types().values()), "")
+            number = self._bag.add_topic(
+                name, type_name, [_offer(each) for each in profiles],
+                str(offers[0].topic_type_hash), definition_text(type_name),
+                stamped=first == "std_msgs/Header")
         except (ImportError, AttributeError, DfmError) as error:
             self._refused.add(name)
             self.count("topics_refused")
@@ -159,39 +151,28 @@ class Recorder(LoopNode):
             durability=DurabilityPolicy.TRANSIENT_LOCAL
             if all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in profiles)
             else DurabilityPolicy.VOLATILE)
-        first = next(iter(message_type.get_fields_and_field_types().values()), "")
-        known = _Topic(topic, first == "std_msgs/Header",
-                       type_name == "std_msgs/msg/String" and name.endswith("/config"))
-        arrived = self._arrivals.append
+        is_config = type_name == "std_msgs/msg/String" and name.endswith("/config")
         self._topics[name] = tap = Receiver(
-            self._tap, message_type, name, lambda data: arrived((tap, data, time.time_ns())), qos,
-            spun_with=self, arrivals=self._arrivals)
-        self._known[tap] = known
+            self._tap, message_type, name, partial(self._arrived, number, is_config), qos,
+            spun_with=self, arrivals=self._arrivals, number=number)
         self._taps.append((tap.ros.handle.take_message, message_type, tap.from_dds))
+
+    def _arrived(self, number: int, is_config: bool, data: bytes) -> None:
+        """Keep a message that came from DDS, as every description of a node does."""
+        self._arrivals.append((number, data, time.time_ns()))
+        if is_config:
+            self._on_config(data)
 
     def _fetch(self) -> None:
         """Write what has come since the last time."""
         for take, message_type, keep in self._taps:
             while (taken := take(message_type, True)) is not None:
                 keep(taken[0])
-        if come := len(self._arrivals):  # a thread of a driver may add more meanwhile
-            known = self._known
-            self._write((known[tap], data, when) for tap, data, when in self._arrivals[:come])
-            del self._arrivals[:come]
-
-    def _write(self, arrivals: Iterable[tuple[_Topic, bytes, int]]) -> None:
-        """Write messages that arrived, with the system time of that (ns)."""
-        lockstep, messages = self.lockstep, []
-        for topic, data, when in arrivals:
-            stamp = header_stamp_ns(data) if topic.has_header else 0
-            topic.received += 1
-            messages.append((topic.number, data, stamp if lockstep and topic.has_header else when,
-                             stamp or when, topic.received))
-            if topic.is_config:
-                self._on_config(data)
-        if self._open:
+        arrived = self._arrivals[:]  # a thread of a driver may add more meanwhile
+        del self._arrivals[:len(arrived)]
+        if arrived and self._open:
             try:
-                self._bag.write_all(messages)
+                self._bag.write_arrived(arrived)
             except BagWriteError as error:
                 self._failed(error)
 

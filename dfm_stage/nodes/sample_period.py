@@ -35,11 +35,16 @@ class PeriodCheck:
         What the node was given.
     exact : bool
         The stamps are those of a simulated clock: two of them are enough.
+
+    Attributes
+    ----------
+    agrees : whether the measured period is the given one, within TOLERANCE
     """
 
     def __init__(self, period_s: float, exact: bool = False) -> None:
         self.period_s = period_s
         self.measured_s: float | None = None
+        self.agrees = False
         self._lag = 1 if exact else min(max(round(COMPARED_S / period_s), FEWEST), MOST)
         self._sure_after = self._doubts = 1 if exact else 2
         self._samples: deque[tuple[int, int]] = deque(maxlen=2 * self._lag)
@@ -55,7 +60,7 @@ class PeriodCheck:
         last, self._last = self._last, seq
         if last is not None and not 0 < (seq - last) & _MASK < _HALF:
             self._samples.clear()
-            self.measured_s = None
+            self.measured_s, self.agrees = None, False
             return True
         if self.agrees:
             return False
@@ -70,16 +75,11 @@ class PeriodCheck:
         self._doubts = self._sure_after if self._near(measured_s) else self._doubts - 1
         if not self._near(measured_s) and self._doubts > 0:
             return False
-        self.measured_s = measured_s
+        self.measured_s, self.agrees = measured_s, self._near(measured_s)
         return True
 
     def _near(self, measured_s: float) -> bool:
         return abs(measured_s - self.period_s) <= TOLERANCE * self.period_s
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the measured period is the given one, within TOLERANCE."""
-        return self.measured_s is not None and self._near(self.measured_s)
 
     @property
     def complaint(self) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dfm_stage.errors import DfmError
 from dfm_stage.middleware.wire import encode_clock
@@ -20,6 +20,9 @@ from dfm_stage.nodes.base import LoopNode, Publisher
 from dfm_stage.nodes.parameters import Setting
 from dfm_stage.nodes.process import run_node
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD
+
+if TYPE_CHECKING:
+    from dfm_stage.model.plant import Sample
 
 _GIVE_UP_SAMPLES = 100
 SEEDS_APART = 1000
@@ -34,6 +37,7 @@ class _Stage:
 
         self.plant = CoupledPlant(model, seed)
         self.inputs = [0.0] * len(self.plant.plants)
+        self.samples: tuple[Sample, ...] = ()
 
 
 class _Axis:
@@ -53,7 +57,7 @@ class _Axis:
         self.driven = 0
         node.link_subscription("sim/drive", self._on_drive, prefix)
         self._node = node
-        self._index = index
+        self.index = index
 
     def _on_drive(self, drive: Any) -> None:
         self.driven = self._node.seq
@@ -61,17 +65,17 @@ class _Axis:
             self.answered = drive.measurement_seq
         else:
             self._node.count("late_drives")
-        self.stage.inputs[self._index] = (
+        self.stage.inputs[self.index] = (
             drive.voltage if drive.enabled and math.isfinite(drive.voltage) else 0.0)
         if self._node.lockstep:
             self._node.step_when_answered()
 
     def watch(self, samples: int) -> bool:
         """Take the coil's input away after `samples` without a drive; return whether it did."""
-        if not self.stage.inputs[self._index] or (
+        if not self.stage.inputs[self.index] or (
                 (self._node.seq - self.driven) & 0xFFFFFFFF <= samples):
             return False
-        self.stage.inputs[self._index] = 0.0
+        self.stage.inputs[self.index] = 0.0
         return True
 
 
@@ -141,8 +145,9 @@ class SimPlant(LoopNode):
 
     def step_when_answered(self) -> None:
         """Step once every axis has answered the sample that is out."""
-        if any(axis.answered != self.seq for axis in self._axes):
-            return
+        for axis in self._axes:
+            if axis.answered != self.seq:
+                return
         self._advance()
         self._publish_samples(self.seq * self._period_ns)
 
@@ -188,8 +193,8 @@ class SimPlant(LoopNode):
         self._published = True
         self.counters["samples"] = self.seq
         for stage in self._stages:
-            stage.plant.sample()
-        samples = [axis.plant.sample() for axis in self._axes]
+            stage.samples = stage.plant.sample()
+        samples = [axis.stage.samples[axis.index] for axis in self._axes]
         for axis, sample in zip(self._axes, samples, strict=True):
             axis.counts.send(stamp_ns, self.seq, sample.counts, axis.plant.count_size_m)
             if axis.current is not None:

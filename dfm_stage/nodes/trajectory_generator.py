@@ -68,14 +68,13 @@ class ActiveRun:
     files: dict[str, str]
     outcome: Outcome
     goal: Any = None
+    cancelled: bool = False
     first_seq: int | None = None
     done: int = 0
     over_s: float | None = None
 
-    @property
-    def count(self) -> int:
-        """How many samples it has."""
-        return len(self.position)
+    def __post_init__(self) -> None:
+        self.count = len(self.position)
 
 
 class TrajectoryGenerator(LoopNode):
@@ -122,7 +121,7 @@ class TrajectoryGenerator(LoopNode):
         self._action = ActionServer(
             self, RunExperiment, "~/run_experiment", lambda _goal: RunExperiment.Result(),
             handle_accepted_callback=self._on_goal,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT)
+            cancel_callback=self._on_cancel)
         self.create_timer(0.2, self._report, clock=self.steady)
         self.side_subscription("amplifier_health", self._on_output)
         self._recorder_heard_s = math.inf
@@ -227,6 +226,12 @@ class TrajectoryGenerator(LoopNode):
             self._begin_run(goal.request.experiment, goal)
         except DfmError as error:
             self._conclude(goal, "abort", str(error))
+
+    def _on_cancel(self, goal: Any) -> CancelResponse:
+        """Have the run end with its next sample."""
+        if self._run is not None and self._run.goal is goal:
+            self._run.cancelled = True
+        return CancelResponse.ACCEPT
 
     def _conclude(self, goal: Any, how: str, message: str = "",
                   run: ActiveRun | None = None) -> None:
@@ -371,7 +376,7 @@ class TrajectoryGenerator(LoopNode):
             self._reference.send(stamp_ns, seq, run.position[index], run.velocity[index],
                                  run.acceleration[index])
             self._excitation.send(stamp_ns, seq, run.voltage[index])
-            if run.goal is not None and run.goal.is_cancel_requested:
+            if run.cancelled:
                 self._end("canceled", "cancelled")
                 return
             if (index == run.count - 1 and self.settings["repeat"] and not self.lockstep

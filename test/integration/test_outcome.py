@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from action_msgs.msg import GoalStatus
 
 from dfm_interfaces.action import RunExperiment
 from dfm_interfaces.srv import Ready
@@ -83,6 +84,24 @@ def test_the_action_says_so_to_whoever_asks(tmp_path):
     assert not result.success
     assert result.message == "the output is disarmed"
     assert result.last_seq - result.first_seq == 299
+
+
+def test_a_run_that_is_cancelled_ends_with_its_next_sample(tmp_path):
+    file = tmp_path / "long.yaml"
+    file.write_text(json.dumps({**MOVE, "duration_s": 1000.0}))
+    with lockstep(tmp_path) as graph:
+        goal = graph._goals["x"].send_goal_async(RunExperiment.Goal(experiment=str(file)))
+        graph.spin_until(goal.done, 10.0, "acceptance")
+        asked = goal.result().get_result_async()
+        graph.spin(0.1)
+        assert not asked.done()
+        goal.result().cancel_goal_async()
+        graph.spin_until(asked.done, 10.0, "a result")
+        answer = asked.result()
+        graph.run(PUSH)
+    assert answer.status == GoalStatus.STATUS_CANCELED
+    assert answer.result.message == "cancelled"
+    assert 0 < answer.result.last_seq - answer.result.first_seq < 999_999
 
 
 def test_ready_knows_which_nodes_there_are():

@@ -73,7 +73,7 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(base.time, "monotonic", lambda: now[0])
     node = make(EncoderDriver)
-    source = node._watch.inputs[0]
+    source = node._receivers[0]
     for second, received, silent in ((101, 0, False), (102, 5, False), (103, 9, False),
                                      (104, 9, True), (105, 9, True), (106, 10, False)):
         now[0], source.received = float(second), received

@@ -275,13 +275,58 @@ def test_a_joint_state_is_that_of_rclpy(name):
 def test_who_keeps_arrivals_gets_them_in_order_beside_who_is_called(process):
     arrivals = []
     process.receiver()
-    keeping = [Receiver(process.two, Measurement, topic, None, LOCKSTEP_QOS, arrivals=arrivals)
-               for topic in (process.topic, process.topic + "_other")]
+    for number, topic in enumerate((process.topic, process.topic + "_other")):
+        Receiver(process.two, Measurement, topic, None, LOCKSTEP_QOS, arrivals=arrivals,
+                 number=number)
     senders = [process.sender(), process.sender(process.topic + "_other")]
     for index, data in enumerate(DATA[:4]):
         senders[index % 2].put(data)
-    assert [(receiver, data) for receiver, data, _ in arrivals] == [
-        (keeping[index % 2], DATA[index]) for index in range(4)]
+    assert [(number, data) for number, data, _ in arrivals] == [
+        (index % 2, DATA[index]) for index in range(4)]
     assert sorted(when for _, _, when in arrivals) == [when for _, _, when in arrivals]
     process.spin()
     assert process.heard == DATA[0:4:2]
+
+
+@pytest.mark.parametrize("outside", [False, True])
+def test_who_wants_fields_gets_them_decoded_or_as_they_were_put(process, outside):
+    measurement = codec(Measurement, "x")
+    sender, order = process.sender(), []
+    Receiver(process.two, Measurement, process.topic, order.append, LOCKSTEP_QOS,
+             decode=measurement.decode)
+    receiver = process.receiver(order.append)
+    if outside:
+        process.two.create_subscription(Measurement, process.topic, len, LOCKSTEP_QOS, raw=True)
+    data, fields = measurement.pair(5, 6, 0.5, 7, 0)
+    sender.put(data, fields)
+    sender.put(DATA[1])
+    process.spin()
+    assert order == [fields, data, measurement.decode(DATA[1]), DATA[1]]
+    assert order[0] is fields
+    assert receiver.received == 2
+    process.two.create_publisher(Measurement, process.topic, LOCKSTEP_QOS).handle.publish_raw(data)
+    process.spin()
+    assert sorted(order[4:], key=len) == [fields, data]
+
+
+def test_who_joins_in_a_turn_hears_from_the_next_one_on(process, on_the_wire):
+    sender, joined = process.sender(), []
+
+    def join(data):
+        process.heard.append(data)
+        if data == DATA[0]:
+            sender.put(DATA[1])
+            joined.append(process.two.create_subscription(
+                Measurement, process.topic, len, LOCKSTEP_QOS, raw=True))
+            while sender.ros.get_subscription_count() < 2:
+                time.sleep(0.001)
+            sender.put(DATA[2])
+
+    process.receiver(join)
+    sender.put(DATA[0])
+    process.spin()
+    assert joined
+    sender.put(DATA[3])
+    process.spin()
+    assert process.heard == DATA[:4]
+    assert on_the_wire == DATA[3:4]
