@@ -167,12 +167,17 @@ class Receiver:
 
     def from_dds(self, data: bytes) -> None:
         """Take a message that came from DDS, unless it was handed over."""
-        if data in self.echoes:
-            while self.echoes.popleft() != data:
-                pass
-        else:
+        if not self.was_handed_over(data):
             self.received += 1
             self.callback(data if self.decode is None else self.decode(data))
+
+    def was_handed_over(self, data: bytes) -> bool:
+        """Return whether what came from DDS is known already, and forget it."""
+        if data not in self.echoes:
+            return False
+        while self.echoes.popleft() != data:
+            pass
+        return True
 
     def leave(self) -> None:
         """Receive by call no more."""
@@ -190,9 +195,9 @@ class Sender:
         self._matched: Callable[[], int] = self.ros.handle.get_subscription_count
         self._hand_over = _open.get(node.context)
         self._looked = 0
+        self._here: tuple[Receiver, ...] = ()
         self._called: tuple[Receiver, ...] = ()
         self._keeping: tuple[tuple[Callable[[Any], None], int], ...] = ()
-        self._echoing: tuple[Receiver, ...] = ()
         self._outside = True
 
     def put(self, data: bytes, fields: Any = None) -> None:
@@ -215,7 +220,7 @@ class Sender:
                 keep((number, data, time.time_ns()))
             if not self._outside:
                 return
-            for receiver in self._echoing:
+            for receiver in self._here:
                 receiver.echoes.append(data)
         self.to_dds(data)
 
@@ -223,11 +228,12 @@ class Sender:
         """Find who hears this sender, here and outside, for this turn."""
         self._looked = hand_over.turn
         here = hand_over.receivers(self._topic)
-        self._called = tuple(each for each in here if each.arrivals is None)
-        self._keeping = tuple((each.arrivals.append, each.number) for each in here
-                              if each.arrivals is not None)
+        if here is not self._here:
+            self._here = here
+            self._called = tuple(each for each in here if each.arrivals is None)
+            self._keeping = tuple((each.arrivals.append, each.number) for each in here
+                                  if each.arrivals is not None)
         self._outside = self._matched() > len(here)
-        self._echoing = here
 
     def to_dds(self, data: bytes) -> None:
         """Send a message over DDS.
