@@ -1,9 +1,9 @@
 """trajectory_generator: the reference and the excitation of one axis, sample by sample.
 
-It answers measurement k. In lockstep it sends reference and excitation k; between experiments it
-sends nothing, and time does not advance. In real time it sends those of k + 1, so that the
-controller has them when measurement k + 1 arrives; between experiments it holds the last position.
-A movement beyond a limit (`limits.*`) is refused before it starts.
+When it sees measurement k it sends reference and excitation of k + 1, so that the controller has
+them when measurement k + 1 arrives. Between experiments it holds the last position. In lockstep it
+then sends nothing, and time does not advance: a run begins with the sample that waits for it. A
+movement beyond a limit (`limits.*`) is refused before it starts.
 """
 
 from __future__ import annotations
@@ -107,6 +107,7 @@ class TrajectoryGenerator(LoopNode):
         super().__init__(**kwargs)
         self._run: ActiveRun | None = None
         self._pending: Any = None
+        self._sent_seq: int | None = None
         self._hold = 0.0
         self._asked_s = time.monotonic()
         self._said: dict[str, Any] = {}
@@ -262,6 +263,7 @@ class TrajectoryGenerator(LoopNode):
                 self._output_heard_s > -math.inf or not self.count_publishers("amplifier_health")):
             pending, self._pending = self._pending, None
             self._answer(pending.seq, pending.stamp_ns)
+            self._answer_ahead(pending)
 
     def _start_when_open(self) -> None:
         if self._run is None and not self._reference.missing(["controller"]):
@@ -348,18 +350,23 @@ class TrajectoryGenerator(LoopNode):
                     self._end("abort", f"no measurement for {gap:.2f} s in the middle of it")
                 self._look_for_output(run)
         self._follow(measurement)
-        if not self.lockstep:
-            self._answer((measurement.seq + 1) & 0xFFFFFFFF,
-                         measurement.stamp_ns + int(self.settings[SAMPLE_PERIOD.name] * 1e9))
-        else:
+        if self.lockstep and measurement.seq != self._sent_seq:
             self._pending = measurement
             self._answer_pending()
+        else:
+            self._answer_ahead(measurement)
+
+    def _answer_ahead(self, measurement: Any) -> None:
+        """Send what is for the sample after this one."""
+        self._answer((measurement.seq + 1) & 0xFFFFFFFF,
+                     measurement.stamp_ns + round(self.settings[SAMPLE_PERIOD.name] * 1e9))
 
     def _answer(self, seq: int, stamp_ns: int) -> None:
         run = self._run
         if run is None:
-            self._reference.send(stamp_ns, seq, self._hold, 0.0, 0.0)
-            self._excitation.send(stamp_ns, seq, 0.0)
+            if not self.lockstep:
+                self._reference.send(stamp_ns, seq, self._hold, 0.0, 0.0)
+                self._excitation.send(stamp_ns, seq, 0.0)
             return
         if run.first_seq is None:
             run.first_seq = seq
@@ -371,7 +378,7 @@ class TrajectoryGenerator(LoopNode):
             self._end("abort", "the measurements started anew in the middle of it")
             return
         if index < run.count:
-            run.done = index + 1
+            run.done, self._sent_seq = index + 1, seq
             self._hold = run.position[index]
             self._reference.send(stamp_ns, seq, run.position[index], run.velocity[index],
                                  run.acceleration[index])

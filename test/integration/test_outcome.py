@@ -11,7 +11,7 @@ from dfm_interfaces.action import RunExperiment
 from dfm_interfaces.srv import Ready
 from dfm_stage.cli.command import run_command
 from dfm_stage.harness import HarnessError, RunFailedError, StageGraph
-from dfm_stage.recording import read_record
+from dfm_stage.recording import read_bag, read_record
 
 MOVE = {"name": "move", "mode": "pid", "duration_s": 0.6, "axes": {"x": {
     "reference": {"kind": "steps", "levels_m": [0.0, 1e-4], "dwell_s": 0.1}}}}
@@ -98,10 +98,15 @@ def test_a_run_that_is_cancelled_ends_with_its_next_sample(tmp_path):
         goal.result().cancel_goal_async()
         graph.spin_until(asked.done, 10.0, "a result")
         answer = asked.result()
-        graph.run(PUSH)
+        pushed = graph.run(PUSH)["x"]
     assert answer.status == GoalStatus.STATUS_CANCELED
     assert answer.result.message == "cancelled"
     assert 0 < answer.result.last_seq - answer.result.first_seq < 999_999
+    assert pushed.first_seq == answer.result.last_seq + 1
+    bag = read_bag(tmp_path / "bag")
+    for topic in ("reference", "excitation", "command"):  # each sample once
+        seq = bag[f"/stage/x/{topic}"]["measurement_seq" if topic == "command" else "seq"]
+        assert seq.tolist() == list(range(pushed.last_seq + 1)), topic
 
 
 def test_ready_knows_which_nodes_there_are():

@@ -61,6 +61,24 @@ def test_a_run_in_lockstep_begins_once_the_amplifier_was_heard(make):
     assert "the output is off" in node._run.outcome.complaint()
 
 
+def test_a_run_in_lockstep_begins_with_the_sample_that_waits_and_is_one_ahead_from_there(make):
+    node = make(TrajectoryGenerator, **SINE, reference__amplitude_m=5e-3, duration_s=5e-3,
+                lockstep=True)
+    sent = []
+    node._reference.send = lambda stamp_ns, seq, *_: sent.append((seq, stamp_ns))
+    steps = []
+    for seq in range(7, 13):
+        if seq == 8:
+            node._begin_run()
+        node._on_measurement(SimpleNamespace(seq=seq, stamp_ns=seq * 10**6, position=0.0))
+        assert all(stamp_ns == each * 10**6 for each, stamp_ns in sent)
+        steps.append([each for each, _ in sent])
+        sent.clear()
+    assert steps == [[], [7, 8, 9], [10], [11], [], []]
+    assert node._run is None
+    assert node._pending.seq == 12
+
+
 def test_a_run_in_lockstep_waits_for_no_amplifier_that_says_nothing(make):
     node = make(TrajectoryGenerator, **SINE, reference__amplitude_m=5e-3, lockstep=True)
     node._begin_run()
