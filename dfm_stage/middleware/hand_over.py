@@ -31,9 +31,10 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 
-TURN_S = 1e-3
+TURN_S = 4e-3
 """How long messages are handed over before timers and services get their turn: a loop in lockstep
-never runs out of messages."""
+never runs out of messages. A turn of the executor costs 0.08 ms; after 1 ms each it took a
+fifteenth of the time."""
 _ECHOES = 64
 """At least so many messages that went to DDS, too, are known again when they come from there."""
 

@@ -3,7 +3,7 @@
 At 1 kHz and above the time of a Python node goes into building and taking apart message objects:
 deserialising a Measurement costs rclpy 9 us, unpacking the same bytes here 0.3 us. What packs is
 written as Python source for each type, as `namedtuple` does it: with the fields of the type as
-arguments it takes a third of the time of a function for any fields. The bytes are those of the
+arguments it takes less than half the time of a function for any fields. The bytes are those of the
 generated message (a test compares them with rclpy's own serialisation), publishers and
 subscriptions stay typed, so other nodes, recorders and tools see ordinary messages.
 

@@ -217,7 +217,7 @@ class BagWriter:
         """
         topics, data, came_ns = zip(*arrivals, strict=True)
         times = np.full((len(data), 3), AS_IT_CAME)
-        times[:, 0] = times[:, 1] = came_ns
+        times[:, :2] = np.array(came_ns, np.int64)[:, None]
         self._accept(Messages.of(topics, data, times))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
