@@ -44,9 +44,8 @@ class HandOver:
 
     A node that is not, or no more, on this executor hears by DDS. `due` are the receivers in the
     order of the messages that wait with them; `scheduled` is whether a turn is ahead or under way,
-    in which they are called. `turn` is the number of that turn, or 0 between
-    turns. Who hears what is looked up once in a
-    turn: a listener that joins hears from the next one on.
+    in which they are called. `turn` is the number of that turn, or 0 between turns. Who hears what
+    is looked up once in a turn: a listener that joins hears from the next one on.
     """
 
     def __init__(self, executor: Any) -> None:

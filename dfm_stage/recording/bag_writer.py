@@ -107,9 +107,8 @@ class BagWriter:
         self._chunk = Chunk()
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
-        self._done = threading.Condition(self._lock)
         self._jobs: list[Callable[[], None] | Messages] = []
-        self._busy = self._flush_now = self._closing = False
+        self._flush_now = self._closing = False
         self._process = os.getpid()
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
         self._thread.start()
@@ -238,13 +237,15 @@ class BagWriter:
         BagWriteError
             If that fails.
         """
+        done = threading.Event()
         with self._lock:
+            self._jobs += [self._write_chunk, done.set]
             self._flush_now = True
             self._work.notify()
-            while (self._flush_now or self._busy or self._jobs) and self._thread.is_alive():
-                self._done.wait(FLUSH_PERIOD_S)
-            if self.error is not None:
-                raise self.error
+        while not done.wait(FLUSH_PERIOD_S) and self._thread.is_alive():
+            pass
+        if self.error is not None:
+            raise self.error
 
     def close(self) -> None:
         """Write what is left, the index and metadata.yaml. A second call does nothing.
@@ -354,11 +355,9 @@ class BagWriter:
                 if not (self._new_bytes >= self._chunk_bytes or self._flush_now or self._closing):
                     self._work.wait(FLUSH_PERIOD_S)
                 jobs, self._jobs, self._new_bytes = self._jobs, [], 0
-                self._flush_now, self._busy = False, True
+                self._flush_now = False
             self._work_off(jobs)
             with self._lock:
-                self._busy = False
-                self._done.notify_all()
                 if self._closing and not self._jobs:
                     return
 

@@ -17,6 +17,7 @@ from dfm_stage.recording.record_kernels import MESSAGE
 
 NS = 1_000_000_000
 AS_IT_CAME = -1
+_NEGATIVE = 2**31       # bits of seconds before 1970, which no clock of a message shows
 _STAMP_END = 12         # of a message that begins with a std_msgs/Header: seconds, nanoseconds
 
 
@@ -40,7 +41,8 @@ def number(data: Bytes, channels: Ints, lengths: Ints, times: Ints, stamped: Int
     for k in range(len(lengths)):
         channel = channels[k]
         if times[k, 2] == AS_IT_CAME:
-            if stamped[channel] and lengths[k] >= _STAMP_END:
+            if (stamped[channel] and lengths[k] >= _STAMP_END
+                    and u32(data, begin + 4) < _NEGATIVE):
                 stamp = NS * int(u32(data, begin + 4)) + int(u32(data, begin + 8))
                 if log_stamps:
                     times[k, 0] = stamp
