@@ -110,13 +110,14 @@ class SimPlant(LoopNode):
         self._clock_out = self.side_sender("/clock")
         self._axes = self._wire(names)
         self._stages = list({id(axis.stage): axis.stage for axis in self._axes}.values())
-        self._next_ns: int | None = None
+        self._due_ns: int | None = None  # when the sample that is out was due
         self._watchdog = (0 if self.lockstep else
                           round(self.settings["drive_watchdog_s"] / self._model.sample_period))
         if self.lockstep:
             self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
         else:
-            self.create_timer(self._model.sample_period, self._tick, clock=self.steady)
+            self._timer = self.create_timer(self._model.sample_period, self._tick,
+                                            clock=self.steady)
         self.begin()
 
     def _wire(self, names: list[str]) -> list[_Axis]:
@@ -155,14 +156,16 @@ class SimPlant(LoopNode):
 
     def _tick(self) -> None:
         now = time.monotonic_ns()
-        if self._next_ns is None:
+        if self._due_ns is None:
             if not all(publisher.open() for publisher in self.publishers_of_links):
                 return
-            self._next_ns = now
+            # The timer's own time, not that of this call, which may be late: then all others
+            # would come early by that, and some by so much that two are taken for one.
+            self._due_ns = now - (-self._timer.time_until_next_call()) % self._period_ns
             self._publish_samples(self.now_ns())
             return
-        due = (now - self._next_ns + self._period_ns // 2) // self._period_ns
-        self._next_ns += due * self._period_ns
+        due = (now - self._due_ns) // self._period_ns
+        self._due_ns += due * self._period_ns
         left_out = due > _GIVE_UP_SAMPLES
         if left_out:
             self.get_logger().warning(f"held up for {due} samples; they are left out",
