@@ -120,9 +120,12 @@ SAYS_NOTHING = decision(
     "block, over what the better one leaves of it, below which the block does not part them.",
     set_on="derivation: their powers then differ by a factor of two at most, and by chance")
 NAMED_SHARE = decision(
-    "NAMED_SHARE", 0.95, "1", meaning="Share of the held-out gap, or of the missing force, "
+    "NAMED_SHARE", 0.94, "1", meaning="Share of the held-out gap, or of the missing force, "
     "from which effects that leave a remainder are named; of what is left, what a further effect "
-    "takes that may be small, and that the force domain need not find.", set_on=CORPUS)
+    "takes that may be small, and that the force domain need not find.",
+    set_on="EMPS (0.948), and cases of two corpora that were looked at: six relatives of what was "
+    "left out that leave more than noise (0.83 to 0.94, one 0.987); right names beside a "
+    "remainder (0.44 to 1.0)")
 LEAST_PREDICTABLE = decision(
     "LEAST_PREDICTABLE", 0.8, "1", meaning="Share of the held-out gap that counts as predictable "
     "at least, whatever a black box predicts of it.", set_on=CORPUS)

@@ -163,7 +163,7 @@ def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> Effe
         return x
     lead = min((m for n, m in seen.margins.items() if not shares_class(n, x.name)),
                default=math.inf)
-    behind = seen.margins.get(x.name, 0.0) > BLOCK_MARGIN
+    behind = len(seen.best.names) == 1 and seen.margins.get(x.name, 0.0) > BLOCK_MARGIN
     return replace(x, force_share=alone[x.name] / predictable, force_margin=lead,
                    in_best=any(n == x.name or shares_class(n, x.name) for n in seen.best.names),
                    rivals=tuple(replace(r, ahead=behind and r.name in seen.best.names)
@@ -308,9 +308,16 @@ def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:
     white = np.linalg.pinv(bare.jacobian.T @ bare.jacobian / np.outer(scale, scale), rcond=1e-10)
     coloured = white @ (score_by_blocks(bare)[0] / np.outer(scale, scale)) @ white
     sigmas = (np.sqrt(np.maximum(np.diag(white), np.diag(coloured))) / scale)[places]
-    weight = float(np.sum(sigmas**-2.0))
-    return Offset(names[0], float(np.sum(bare.x[places] / sigmas**2) / weight), weight ** -0.5,
+    values, weight = bare.x[places], float(np.sum(sigmas**-2.0))
+    sigma = weight ** -0.5
+    if values.size >= SCATTERING:  # of many runs each has few blocks, but they scatter
+        sigma = max(sigma, float(np.std(values, ddof=1)) / math.sqrt(values.size))
+    return Offset(names[0], float(np.sum(values / sigmas**2) / weight), sigma,
                   bare.model.base.get("stiffness", 0.0))
+
+
+SCATTERING = 4
+"""Runs from which the scatter of their offsets says how well their mean is known."""
 
 
 def _library(trial: Trial) -> Iterator[Candidate]:

@@ -47,31 +47,36 @@ def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
 
 def timed(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     """The trial with estimated shifts of the input moved to where the model leaves least, with
-    that fit. The estimate knows no model, and a long record shows an error far below its standard
-    error: as a lag."""
-    known = [run.convention for run in (*trial.search.runs, *trial.held)]
-    steps = [c.sigma for c in known if _is_moved(c) and c.sigma is not None]
-    if not steps:
+    that fit: all by the same share of their standard errors. The estimate knows no model, and a
+    long record shows an error far below its standard error: as a lag."""
+    if not any(_is_moved(run.convention) for run in (*trial.search.runs, *trial.held)):
         return trial, first
-    step = max(steps)
-    tried = [_tried(_moved(trial, by)) for by in (-step, step)]
+    tried = [_tried(_moved(trial, by)) for by in (-1.0, 1.0)]
     before, here, after = tried[0][1].rms**2, first.rms**2, tried[1][1].rms**2
     bend = before - 2.0 * here + after
     if math.isfinite(bend) and bend > 0.0:
-        least = 0.5 * step * (before - after) / bend
-        tried.append(_tried(_moved(trial, min(max(least, -2.0 * step), 2.0 * step))))
+        least = 0.5 * (before - after) / bend
+        tried.append(_tried(_moved(trial, min(max(least, -FARTHEST), FARTHEST))))
     return min(((trial, first), *tried), key=lambda each: each[1].rms if each[1].ok else math.inf)
 
 
+FARTHEST = 2.0
+"""Standard errors by which an estimated shift is moved at most."""
+
+
 def _is_moved(known: Convention) -> bool:
-    return known.source in ("estimated", "others") and known.shift != 0.0
+    return known.source in ("estimated", "others") and known.shift != 0.0 \
+        and known.sigma is not None
 
 
 def _moved(trial: Trial, by: float) -> Trial:
-    """The trial with every estimated shift that is not zero `by` samples later."""
-    return _of(trial, *([run.by(replace(run.convention, shift=run.convention.shift + by))
-                         if _is_moved(run.convention) else run for run in runs]
-                        for runs in (trial.search.runs, trial.held)))
+    """The trial with every estimated shift that is not zero later `by` its standard errors; what
+    is late is a delay, and no shift."""
+    def moved(known: Convention) -> Convention:
+        return replace(known, shift=min(known.shift + by * (known.sigma or 0.0), 0.0))
+
+    return _of(trial, *([run.by(moved(run.convention)) if _is_moved(run.convention) else run
+                         for run in runs] for runs in (trial.search.runs, trial.held)))
 
 
 def _tried(trial: Trial) -> tuple[Trial, Fit]:

@@ -39,6 +39,7 @@ from dfm_stage.diagnosis.evidence import (
     EffectEvidence,
     Evidence,
     Heard,
+    ModelEvidence,
     RivalEvidence,
     Which,
 )
@@ -238,16 +239,11 @@ def _by_force(e: Evidence, heard: Heard) -> Verdict:
 
 def _takes_the_gap(e: Evidence) -> bool:
     """Whether the effects explain nearly all of the held-out gap, or of the missing force, or
-    bring the gap to the noise. What a black box cannot predict is no part of it only where the box
-    explains most of what the effects leave: else a true model may predict more."""
-    left, limit = e.extended.held_out.power, e.judged.predictable
-    if e.heard is not None:
-        share, best = e.heard.share, e.heard.predictable
-    else:
-        share = above(e, left)
-        best = share if limit is None else min(above(e, limit**2), 1.0)
-    whole = best if best - share >= FURTHER_PART * (1.0 - share) else 1.0
-    return share >= NAMED_SHARE * whole or left <= HELD_OUT_FLOOR**2 * e.judged.noise_power
+    bring the gap to the noise. What a black box predicts is no measure here: a true model may
+    predict more."""
+    left = e.extended.held_out.power
+    share = above(e, left) if e.heard is None else e.heard.share
+    return share >= NAMED_SHARE or left <= HELD_OUT_FLOOR**2 * e.judged.noise_power
 
 
 def other_form(e: Evidence) -> tuple[str, ...]:
@@ -348,16 +344,21 @@ def _is_small(e: Evidence, x: EffectEvidence) -> bool:
     """Whether the effect takes little of the gap, the force domain does not put it beside the
     others, nor does it take all that these leave. On held-out records; where these do not exercise
     it, on the fitted ones."""
-    left, found, gap = (m.held_out if x.exercised else m.fitted
-                        for m in (x.without, e.extended, e.retuned))
-    small = left.power - found.power < SMALL_SHARE * (gap.power - e.judged.noise_power)
-    return small and not x.confirmed and not _takes_all(e, x)
+    left, found, gap = (_shown(x, m) for m in (x.without, e.extended, e.retuned))
+    return left - found < SMALL_SHARE * (gap - e.judged.noise_power) \
+        and not x.confirmed and not _takes_all(e, x)
+
+
+def _shown(x: EffectEvidence, model: ModelEvidence) -> float:
+    """The power that a model leaves of the records that show an effect: the held-out ones, or if
+    these do not exercise it, the fitted ones."""
+    return (model.held_out if x.exercised else model.fitted).power
 
 
 def _takes_all(e: Evidence, x: EffectEvidence) -> bool:
-    """Whether the effect takes nearly all that is left of the held-out gap without it."""
-    taken = x.without.held_out.power - e.extended.held_out.power
-    return taken >= NAMED_SHARE * (x.without.held_out.power - e.judged.noise_power)
+    """Whether the effect takes nearly all that is left of the gap without it."""
+    left, found = _shown(x, x.without), _shown(x, e.extended)
+    return left - found >= NAMED_SHARE * (left - e.judged.noise_power)
 
 
 def is_clearly_more(e: Evidence, known: Evidence) -> bool:

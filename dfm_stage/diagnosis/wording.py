@@ -166,6 +166,9 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
             yield ("with a size that varies with position, or another shape, it would "
                    f"explain {e.surface.form_shares[found.name]:.0%} of the force that is left "
                    f"(limit {OTHER_FORM:.0%})")
+    for rival in seen.rivals:
+        if rival.ahead:
+            yield f"the force domain puts {rival.name} before it: motion and force disagree"
     for rival in seen.rivals[:2]:
         lost = f"{rival.margin:.1f} block standard errors" if e.graded else \
             f"{rival.cost:.0f} in chi-square"

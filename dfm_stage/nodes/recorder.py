@@ -166,7 +166,8 @@ class Recorder(LoopNode):
             while (taken := take(message_type, True)) is not None:
                 data, about = taken
                 if not tap.was_handed_over(data):
-                    self._arrivals.append((tap.number, data, about["received_timestamp"]))
+                    came_ns = about["received_timestamp"] or time.time_ns()  # 0: not known
+                    self._arrivals.append((tap.number, data, came_ns))
                 if is_config:  # always by DDS
                     self._on_config(data)
 
@@ -189,7 +190,10 @@ class Recorder(LoopNode):
         model = config.get("model_yaml")
         if model and not self._model_attached:
             self._model_attached = True
-            self._bag.attach(MODEL_ATTACHMENT, "application/yaml", model.encode())
+            try:
+                self._bag.attach(MODEL_ATTACHMENT, "application/yaml", model.encode())
+            except BagWriteError as error:
+                self._failed(error)
 
     # State
 

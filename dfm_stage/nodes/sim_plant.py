@@ -156,16 +156,17 @@ class SimPlant(LoopNode):
 
     def _tick(self) -> None:
         now = time.monotonic_ns()
+        period_ns = self._timer.timer_period_ns  # not always the nearest whole number
         if self._due_ns is None:
             if not all(publisher.open() for publisher in self.publishers_of_links):
                 return
             # The timer's own time, not that of this call, which may be late: then all others
             # would come early by that, and some by so much that two are taken for one.
-            self._due_ns = now - (-self._timer.time_until_next_call()) % self._period_ns
+            self._due_ns = now - (-self._timer.time_until_next_call()) % period_ns
             self._publish_samples(self.now_ns())
             return
-        due = (now - self._due_ns) // self._period_ns
-        self._due_ns += due * self._period_ns
+        due = (now - self._due_ns) // period_ns
+        self._due_ns += due * period_ns
         left_out = due > _GIVE_UP_SAMPLES
         if left_out:
             self.get_logger().warning(f"held up for {due} samples; they are left out",

@@ -105,6 +105,7 @@ class BagWriter:
         self._waiting_bytes = self._new_bytes = 0
         self.error: BagWriteError | None = None
         self._chunk = Chunk()
+        self._chunk_size = 0
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
         self._jobs: list[Callable[[], None] | Messages] = []
@@ -199,7 +200,7 @@ class BagWriter:
         if good:
             topics, data, log, publish, sequences = zip(*good, strict=True)
             times = np.array((log, publish, [each & 0xFFFFFFFF for each in sequences]), np.uint64)
-            self._accept(Messages.of(topics, data, times.T.astype(np.int64)))
+            self._accept(Messages.of(topics, data, np.ascontiguousarray(times.T).view(np.int64)))
         if refused is not None:
             raise refused
 
@@ -212,9 +213,14 @@ class BagWriter:
         Raises
         ------
         BagWriteError
-            If the writer is closed or has failed.
+            If the writer is closed or has failed, or a topic was not announced.
         """
+        if not arrivals:
+            return
         topics, data, came_ns = zip(*arrivals, strict=True)
+        if min(topics) < 1 or max(topics) > len(self._topics):
+            raise BagWriteError(f"{self.directory}: messages refused: one of their topics was not "
+                                "announced")
         times = np.full((len(data), 3), AS_IT_CAME)
         times[:, :2] = np.array(came_ns, np.int64)[:, None]
         self._accept(Messages.of(topics, data, times))
@@ -285,7 +291,7 @@ class BagWriter:
 
     def _accept(self, messages: Messages) -> None:
         """Queue messages, unless too many wait."""
-        count, size = len(messages.lengths), len(messages.data)
+        count, size = len(messages.lengths), messages.size
         with self._lock:
             full = self._waiting_bytes + size > self._backlog_limit
             if not self._closing:
@@ -295,7 +301,7 @@ class BagWriter:
             if full:
                 return
             self._waiting_bytes += size
-            self._new_bytes += size
+            self._new_bytes += len(messages.data)
             self._jobs.append(messages)
             if self._new_bytes >= self._chunk_bytes:
                 self._work.notify()
@@ -323,6 +329,7 @@ class BagWriter:
         """Move messages into the chunk, all in one: after each step that needs no interpreter
         lock it has to be waited for."""
         if parts:
+            self._chunk_size += sum(each.size for each in parts)
             messages = Messages.joined(parts)
             parts.clear()
             self._arrived.resize(len(self._stamped), refcheck=False)
@@ -331,13 +338,14 @@ class BagWriter:
 
     def _write_chunk(self) -> None:
         chunk, self._chunk = self._chunk, Chunk()
+        size, self._chunk_size = self._chunk_size, 0
         if not chunk.message_count:
             return
         try:
             self._do(lambda: self._sink.write_chunk(chunk))
         finally:
             with self._lock:
-                self._waiting_bytes -= chunk.data_bytes
+                self._waiting_bytes -= size
                 if self.error is not None:
                     self.lost += chunk.message_count
 
@@ -356,10 +364,25 @@ class BagWriter:
                     self._work.wait(FLUSH_PERIOD_S)
                 jobs, self._jobs, self._new_bytes = self._jobs, [], 0
                 self._flush_now = False
-            self._work_off(jobs)
+            try:
+                self._work_off(jobs)
+            except Exception as error:  # noqa: BLE001 (whoever writes must hear of it)
+                self._fail(jobs, error)
             with self._lock:
                 if self._closing and not self._jobs:
                     return
+
+    def _fail(self, jobs: Sequence[Callable[[], None] | Messages], error: Exception) -> None:
+        """Write nothing more after an error that is not the disk's; all of `jobs` counts as lost,
+        and who waits for a flush goes on."""
+        failed = BagWriteError(f"{self.file_path}: {type(error).__name__}: {error}")
+        with self._lock:
+            self.error = self.error or failed
+            self.lost += sum(len(job.lengths) for job in jobs if isinstance(job, Messages))
+        self._chunk, self._chunk_size = Chunk(), 0
+        for job in jobs:
+            if not isinstance(job, Messages):
+                job()
 
     def _finish(self) -> None:
         sink = self._sink

@@ -15,6 +15,9 @@ from dfm_stage.recording.numba_tools import MESSAGE_HEAD, Bytes, Ints
 
 __all__ = ["AS_IT_CAME", "Chunk", "Messages"]
 
+ARRAYS_BYTES = 700
+"""What four arrays take beside what they hold."""
+
 
 class Messages(NamedTuple):
     """Serialised messages one after the other, with channel, length and times of each."""
@@ -25,6 +28,11 @@ class Messages(NamedTuple):
     times: Ints
     """Log time, publish time (ns) and number, (n, 3), as the bits of what MCAP holds unsigned.
     Where the number is `AS_IT_CAME`, both times are that of arrival."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that they take, about."""
+        return len(self.data) + len(self.lengths) * MESSAGE_HEAD + ARRAYS_BYTES
 
     @classmethod
     def of(cls, channels: Sequence[int], data: Sequence[bytes], times: Ints) -> Messages:
@@ -50,7 +58,6 @@ class Chunk:
         self.records = bytearray()
         self.indexes: dict[int, bytearray] = {}
         self.message_count = 0
-        self.data_bytes = 0
 
     def add(self, messages: Messages) -> None:
         """Add messages that have their numbers."""
@@ -65,4 +72,3 @@ class Chunk:
             index = self.indexes.setdefault(channel, bytearray())
             index += entries[ends[channel] - of_channel[channel]:ends[channel]].data
         self.message_count += count
-        self.data_bytes += size

@@ -111,10 +111,12 @@ def test_a_small_further_effect_needs_the_force_domain_or_takes_all_that_is_left
     assert small_parts(e) == (() if named else ("force_offset",))
 
 
-@pytest.mark.parametrize(("share", "named"), [(0.11, True), (0.09, False)])
+@pytest.mark.parametrize(("share", "held", "named"), [
+    (0.11, 0.99, True), (0.09, 0.99, False), (0.09, 1.0, False)])
 def test_a_further_effect_that_held_out_records_do_not_exercise_is_judged_on_the_fitted_ones(
-        share, named):
+        share, held, named):
     e = part(0.99)
+    e = replace(e, extended=replace(e.extended, held_out=part(held).extended.held_out))
     without = replace(e.extended, fitted=part(0.99 - share).extended.fitted)
     mode = EffectEvidence("second_mode", {}, without, exercised=False)
     assert small_parts(replace(e, effects=(*e.effects, mode))) == (

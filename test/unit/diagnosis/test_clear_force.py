@@ -180,6 +180,8 @@ def test_most_of_a_part_is_told_as_a_part(trial):
     (said(FRICTION, explained(0.6, "eddy_current_damping"), eddy_current_damping=2.9), False),
     (said(explained(0.9, "creep"), explained(0.6, "eddy_current_damping"),
           eddy_current_damping=5.0), False),
+    (said(explained(0.9, "coulomb_friction", "creep"), explained(0.6, "eddy_current_damping"),
+          eddy_current_damping=5.0), False),  # perhaps in the place of creep
     (said(FRICTION, explained(0.6, "eddy_current_damping"), eddy_current_damping=5.0,
           noise=0.9), False)])
 def test_a_rival_that_the_force_domain_prefers_is_marked(seen, ahead):

@@ -148,15 +148,19 @@ def test_without_periods_the_floor_is_what_the_best_model_leaves():
     assert e.effects == ()
 
 
-def test_the_error_of_an_offset_is_that_of_slow_noise():
+@pytest.mark.parametrize(("count", "size"), [(1, None), (8, 6000)])
+def test_the_error_of_an_offset_is_that_of_slow_noise(count, size):
     """Over records with noise that wanders, the offsets found scatter by what is told."""
-    train, model = truth.multisine(1), truth.believed()
+    train, model = truth.multisine(1)[:size], truth.believed()
     still, ratios = truth.move(train, None), []
-    for seed in range(12):
-        slow = lfilter([1e-8], [1.0, -0.999], np.random.default_rng(seed).standard_normal(
-            still.size + 5000))[5000:]
-        run = observe(truth.record(train, still + slow, 100 + seed), model, None, "train")
-        search = Search(model, [run], ("damping", "stiffness", "force_constant"), library=FEW)
+    for first in range(0, 12 * count, count):
+        runs = []
+        for seed in range(first, first + count):
+            slow = lfilter([1e-8], [1.0, -0.999], np.random.default_rng(seed).standard_normal(
+                still.size + 5000))[5000:]
+            runs.append(observe(truth.record(train, still + slow, 100 + seed), model, None,
+                                f"run {seed}"))
+        search = Search(model, runs, ("damping", "stiffness", "force_constant"), library=FEW)
         bare = search.begin()
         offset = gathering._offset(bare, ("force_offset",))
         ratios.append(offset.value / offset.sigma)

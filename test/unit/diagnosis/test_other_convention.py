@@ -89,6 +89,25 @@ def test_an_estimated_shift_is_moved_to_where_the_model_leaves_least(source, mov
     assert fit.rms == own.search.begin().rms
 
 
+def test_a_shift_is_moved_by_its_own_standard_errors_and_never_late():
+    """Of two records one hardly knows its timing: the other's stays as it is."""
+    model = Model("stage", PERIOD, {n: v for n, v in MODEL.base.items() if n != "delay"})
+    early = SimpleNamespace(base={**MODEL.base, "delay": -0.5 * PERIOD})
+    sure, other = (observe(record(seed, early), model, known=Convention(
+        "band_limited", shift, sigma, "estimated"))
+        for seed, shift, sigma in ((1, -0.5, 0.01), (3, -0.68, 0.09)))
+    tried = Trial(Search(model, [sure, other], ("damping", "stiffness", "force_constant")), [])
+    own, _ = timed(tried, tried.search.begin())
+    first, second = (run.convention.shift for run in own.search.runs)
+    assert first == pytest.approx(-0.5, abs=0.021)
+    assert second == pytest.approx(-0.5, abs=0.09)
+    late = observe(record(1, SimpleNamespace(base={**MODEL.base, "delay": 0.1 * PERIOD})), model,
+                   known=Convention("band_limited", -0.1, 0.09, "estimated"))
+    tried = Trial(Search(model, [late], ("damping", "stiffness", "force_constant")), [])
+    own, _ = timed(tried, tried.search.begin())
+    assert own.search.runs[0].convention.shift <= 0.0
+
+
 @pytest.mark.parametrize(("known", "late", "shift", "own"), [
     (Convention("zero", -0.8, source="estimated"), 0.2, -1.0, 0.2),
     (Convention("zero", -0.8, source="given"), 0.2, -0.8, None),

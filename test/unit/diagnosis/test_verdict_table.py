@@ -148,16 +148,10 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
         Reason.NOISE),
     "explains 97 % of the predictable gap, a remainder stays": (
         part(0.97), "named", ("coulomb_friction",), Reason.GRADED),
-    "explains 96 % of the gap": (part(0.96), "named", ("coulomb_friction",), Reason.GRADED),
-    "explains 94 % of the gap": (part(0.94), "partial", ("coulomb_friction",), Reason.GRADED),
+    "explains 95 % of the gap": (part(0.95), "named", ("coulomb_friction",), Reason.GRADED),
+    "explains 93 % of the gap": (part(0.93), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains 77 % of the gap, of which 80 % can be predicted at all": (
         part(0.77, predictable=0.8), "partial", ("coulomb_friction",), Reason.GRADED),
-    "explains 93 % of the gap, where a black box predicts most of the rest": (
-        part(0.93, predictable=0.975), "named", ("coulomb_friction",), Reason.GRADED),
-    "explains 93 % of the gap, where a black box predicts half of the rest": (
-        part(0.93, predictable=0.965), "partial", ("coulomb_friction",), Reason.GRADED),
-    "explains 90 % of the gap, where a black box predicts most of the rest": (
-        part(0.9, predictable=0.99), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains 25 % of the gap, of which 80 % can be predicted at all": (
         part(0.25, predictable=0.8), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains 90 % of a small gap, and brings it to the noise": (

@@ -326,3 +326,46 @@ def test_what_waited_for_a_slow_disk_is_split_into_chunks(
     assert summary is not None
     assert len(summary.chunk_indexes) >= 10
     assert max(chunk.uncompressed_size for chunk in summary.chunk_indexes) < 2 * 10_000
+
+
+@pytest.mark.parametrize("topic", [0, 2])
+def test_a_topic_that_was_not_announced_is_refused_as_it_arrives(tmp_path: Path,
+                                                                 topic: int) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        known = bag.add_topic("/a", "std_msgs/msg/Empty", [], "", "")
+        bag.write_arrived([])
+        with pytest.raises(BagWriteError, match="not announced"):
+            bag.write_arrived([(known, b"x", 1), (topic, b"x", 2)])
+        bag.write_arrived([(known, b"x", 3)])
+    assert bag.message_count == 1
+
+
+def test_any_error_of_the_writing_thread_is_told(tmp_path: Path,
+                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_memory(*_: object) -> None:
+        raise MemoryError("no memory")
+
+    bag = BagWriter(tmp_path / "bag")
+    topic = bag.add_topic("/a", "std_msgs/msg/Empty", [], "", "")
+    monkeypatch.setattr("dfm_stage.recording.bag_writer.number", no_memory)
+    bag.write(topic, b"x", 1, 1, 1)
+    with pytest.raises(BagWriteError, match="MemoryError: no memory"):
+        bag.flush()
+    with pytest.raises(BagWriteError, match="1 of 1 messages"):
+        bag.close()
+
+
+def test_messages_that_wait_count_with_all_the_memory_they_take(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Empty ones written one by one, while the disk stands still."""
+    go_on = threading.Event()
+    monkeypatch.setattr(BagWriter, "_write_chunk", lambda _: go_on.wait(20.0))
+    bag = BagWriter(tmp_path / "bag", backlog_bytes=1 << 20)
+    topic = bag.add_topic("/a", "std_msgs/msg/Empty", [], "", "")
+    for k in range(5000):
+        bag.write(topic, b"", k, k, k)
+    assert 5000 - bag.lost == pytest.approx((1 << 20) / 731, rel=0.01)
+    monkeypatch.undo()
+    go_on.set()
+    with pytest.raises(BagWriteError):
+        bag.close()
