@@ -51,6 +51,10 @@ def _backward(fitted: Array) -> Array:
 class Creep(Effect):
     """Begins at time constants from some samples to twice the record."""
 
+    def hidden_because(self, at: Conditions) -> str | None:
+        """It is a part of a stiffness: of a body without one it would be the spring itself."""
+        return None if at.base.get("stiffness", 0.0) else "base has no stiffness that could relax"
+
     def starts(self, at: Conditions) -> list[Parameters]:
         """A small part of the stiffness, at time constants over decades."""
         return [{"stiffness": 0.1 * SMALL * at.stiffness, "time_constant": float(tau)}

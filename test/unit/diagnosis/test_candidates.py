@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.model import Model
+from dfm_stage.model import EFFECTS, Model
 
 STAGE = Model("stage", 1e-3, {"mass": 1.0, "stiffness": (2.0 * math.pi * 10.0) ** 2})
 
@@ -37,3 +38,10 @@ def test_an_error_of_the_reading_does_not_make_the_motion_across_it_wider(amplit
     assert cycles("encoder_periodic_error", erring, [run]) == pytest.approx(expected)
     pulled = STAGE.with_effect("cogging", values)
     assert cycles("cogging", pulled, [run]) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(("stiffness", "hidden"), [(600.0, False), (0.0, True), (None, True)])
+def test_only_a_stiffness_can_creep(stiffness, hidden):
+    """Beside none, a part that never relaxes would be the spring that is missing."""
+    base = {"mass": 1.0, **({} if stiffness is None else {"stiffness": stiffness})}
+    assert (EFFECTS["creep"].hidden_because(SimpleNamespace(base=base)) is not None) is hidden
