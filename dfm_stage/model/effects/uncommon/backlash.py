@@ -3,7 +3,8 @@
     F = -stiffness (x - centre - min(max(x - centre, -gap/2), gap/2))
 
 Within the gap the link gives no force. The stage's own stiffness stands beside it; a stage held by
-the link alone has none. Two elastic stops, one on each side, are the same law. Play between a
+the link alone has none. Two elastic stops, one on each side, are the same law. Where the motion
+meets one end of the play only, it is a one-sided cable, or a stop. Play between a
 drive with a mass of its own and its load is not this: the model has one driven point.
 Source: Nordin and Gutman, Automatica 38 (2002) 1633 (dead-zone model).
 """
@@ -93,11 +94,7 @@ EFFECT = Backlash(
     classes=(Equivalence(("backlash", "cubic_stiffness"), "one amplitude",
                          "amplitudes from within the gap to far beyond it"),
              Equivalence(("backlash", "stiffness"), "motion far beyond the gap",
-                         "motion about as large as the gap"),
-             Equivalence(("backlash", "one_sided_cable"), "motion beyond one end of the play only",
-                         "motion beyond both ends"),
-             Equivalence(("backlash", "end_stop"), "motion beyond one end of the play only",
-                         "motion beyond both ends")),
+                         "motion about as large as the gap")),
     twins={"one_sided_cable": _as_cable, "end_stop": _as_stop},
     force=force,
 )
