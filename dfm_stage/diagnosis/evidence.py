@@ -79,8 +79,8 @@ class RivalEvidence:
     `margin` is by how much it loses on held-out blocks, in block standard errors; `related` says
     that the library has both in one class, `larger` that it has more parameters, `finished` that
     there was work enough for its fit, `ahead` that the force domain has it in its best set, and
-    the effect clearly behind; `repeats` that it is larger and makes the same motion: it contains
-    the effect, and the data show nothing of the rest.
+    the effect clearly behind; `repeats` that it makes the same motion with more parameters, and
+    so says no more.
     """
 
     name: str

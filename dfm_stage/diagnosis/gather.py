@@ -280,13 +280,13 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Prediction
     distance = math.inf if use is None else EFFECTS[rival.name].yields_within(use.parameters)
     seen = trial.predicted(rival.fit.model)
     larger = len(rival.fit.system.free) > len(h.fit.system.free)
-    contains = larger and rival.name not in EFFECTS[name].twins  # each other's twins are one law
+    other_law = rival.name not in EFFECTS[name].twins
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
                          margin_between(seen.residuals, own.residuals, judged.change),
                          shares_class(rival.name, name), larger,
                          rival.name not in trial.search.not_compared,
-                         repeats=contains and _makes_the_same(seen, own, judged))
+                         repeats=larger and other_law and _makes_the_same(seen, own, judged))
 
 
 def _makes_the_same(one: Prediction, other: Prediction, judged: Judged) -> bool:

@@ -258,8 +258,8 @@ class Search(Fits):
         return names, current
 
     def _twin_instead(self, before: Names, names: Names, current: Fit) -> tuple[Names, Fit]:
-        """The other kind of loop for one just added that leaves more than noise, if it fits
-        better: what is left of the wrong one would pass for further effects."""
+        """The twin of one just added that leaves more than noise, if it fits better: what is left
+        of the wrong one would pass for further effects."""
         if current.chi2 < TWIN_ABOVE * current.white.size:
             return names, current
         for name in names[len(before):]:
@@ -362,12 +362,12 @@ class Search(Fits):
         return sorted(found, key=lambda r: r.cost)
 
     def _twin_rivals(self, name: str, rest: Names, current: Fit) -> list[Rival]:
-        """Effects that can be the same loop as `name`, begun there: from the screen, which is
+        """Effects that can be the same motion as `name`, begun there: from the screen, which is
         linear, their fits seldom find it."""
         found = []
         for twin in EFFECTS[name].twins:
             if twin in self.library and twin not in (*rest, *self.barred):
-                self.step(f"fitting {twin} in place of {name}, from the same loop")
+                self.step(f"fitting {twin} in place of {name}, from the same motion")
                 fit = self.in_place_of(name, twin, (*rest, twin), current)
                 if fit.ok:
                     found.append(Rival(twin, fit.chi2 - current.chi2, fit))

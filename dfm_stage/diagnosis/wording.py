@@ -132,7 +132,8 @@ def _part(e: Evidence, v: Verdict) -> str:
     if possible - share > WORTH_TELLING:
         how += f", {possible:.0%} of what is predictable of it"
     if v.kind == "named":
-        return (f"The model lacks {what}: it explains {how}; a remainder of "
+        they = "it explains" if len(v.effects) == 1 else "they explain"
+        return (f"The model lacks {what}: {they} {how}; a remainder of "
                 f"{100.0 * max(1.0 - share, 0.0):.2g} % stays.")
     rest = "the true force has another form" if other_form(e) else \
         "the rest is in no effect of the library"

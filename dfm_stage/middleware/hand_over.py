@@ -33,8 +33,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 
 TURN_S = 4e-3
 """How long messages are handed over before timers and services get their turn: a loop in lockstep
-never runs out of messages. A turn of the executor costs 0.08 ms; after 1 ms each it took a
-fifteenth of the time."""
+never runs out of messages. A turn of the executor costs 0.08 ms: 7 % of the time after 1 ms."""
 _ECHOES = 64
 """At least so many messages that went to DDS, too, are known again when they come from there."""
 

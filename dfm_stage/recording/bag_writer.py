@@ -364,21 +364,24 @@ class BagWriter:
                     self._work.wait(FLUSH_PERIOD_S)
                 jobs, self._jobs, self._new_bytes = self._jobs, [], 0
                 self._flush_now = False
+            before = self._sink.message_count
             try:
                 self._work_off(jobs)
             except Exception as error:  # noqa: BLE001 (whoever writes must hear of it)
-                self._fail(jobs, error)
+                self._fail(jobs, self._sink.message_count - before, error)
             with self._lock:
                 if self._closing and not self._jobs:
                     return
 
-    def _fail(self, jobs: Sequence[Callable[[], None] | Messages], error: Exception) -> None:
-        """Write nothing more after an error that is not the disk's; all of `jobs` counts as lost,
-        and who waits for a flush goes on."""
+    def _fail(self, jobs: Sequence[Callable[[], None] | Messages], written: int,
+              error: Exception) -> None:
+        """Write nothing more after an error that is not the disk's; what of `jobs` was not
+        `written` counts as lost, and who waits for a flush goes on."""
         failed = BagWriteError(f"{self.file_path}: {type(error).__name__}: {error}")
         with self._lock:
             self.error = self.error or failed
-            self.lost += sum(len(job.lengths) for job in jobs if isinstance(job, Messages))
+            self.lost += sum(len(job.lengths) for job in jobs
+                             if isinstance(job, Messages)) - written
         self._chunk, self._chunk_size = Chunk(), 0
         for job in jobs:
             if not isinstance(job, Messages):

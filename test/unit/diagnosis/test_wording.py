@@ -71,6 +71,9 @@ def test_a_remainder_is_said_and_where_it_was_judged():
     words = wording.sentence(e, Verdict("named", Reason.GRADED, found, remainder=True))
     assert words == ("The model lacks cubic stiffness: it explains 98% of the held-out gap's "
                      "power (in velocity, windows of 0.5 s); a remainder of 1.5 % stays.")
+    two = (*found, Found("coulomb_friction", ("coulomb_friction",), 0.1, 1e3))
+    words = wording.sentence(e, Verdict("named", Reason.GRADED, two, remainder=True))
+    assert words.startswith("The model lacks cubic stiffness and coulomb friction: they explain")
     part = wording.sentence(e, Verdict("partial", Reason.GRADED, found, remainder=True))
     assert part.startswith("A part of what is missing behaves like cubic stiffness: 98%")
 
