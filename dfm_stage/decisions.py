@@ -2,7 +2,8 @@
 
     MARGIN = decision("MARGIN", 16.0, "chi-square", meaning="...", set_on="...")
 
-They stand in identification/decisions.py and diagnosis/decisions.py; docs/decisions.md shows them.
+They stand in identification/decisions.py, diagnosis/decisions.py and
+diagnosis/search_decisions.py; docs/decisions.md shows them.
 """
 
 from __future__ import annotations

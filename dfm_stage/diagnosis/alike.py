@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dfm_stage.diagnosis.decisions import AT_END
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit
+from dfm_stage.diagnosis.search_decisions import AT_END
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.description import EffectUse
 

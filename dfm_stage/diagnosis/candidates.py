@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dfm_stage.diagnosis.decisions import MOST_TO_ONE
+from dfm_stage.diagnosis.search_decisions import MOST_TO_ONE
 from dfm_stage.identification.coordinates import late_parameters, lateness
 from dfm_stage.identification.run import Run
 from dfm_stage.model import EFFECTS, Model

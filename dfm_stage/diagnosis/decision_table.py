@@ -6,9 +6,10 @@ import re
 
 from dfm_stage.decisions import TABLE, Decision
 from dfm_stage.diagnosis import decisions as of_diagnosis
+from dfm_stage.diagnosis import search_decisions as of_search
 from dfm_stage.identification import decisions as of_identification
 
-PLACES = (of_identification, of_diagnosis)
+PLACES = (of_identification, of_diagnosis, of_search)
 """Modules that hold nothing but decisions."""
 
 

@@ -11,16 +11,21 @@ import numpy as np
 
 from dfm_stage.diagnosis.candidates import late_splits, starts
 from dfm_stage.diagnosis.decisions import (
-    AROUND_STEPS,
     FURTHER,
     GRADED_FALL,
     GRADED_ITERATIONS,
     HALVINGS,
+    POLISHED_PART,
+)
+from dfm_stage.diagnosis.fit import Fit, fit
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.screen import Hit
+from dfm_stage.diagnosis.search_decisions import (
+    AROUND_STEPS,
     MOST_STEPS,
     NOISE_SHARES,
     PER_PARAMETER,
     POLISHED,
-    POLISHED_PART,
     PROMISED,
     ROUGH_NOISE,
     ROUNDED_GAIN,
@@ -28,9 +33,6 @@ from dfm_stage.diagnosis.decisions import (
     STEPS_BEFORE_LINEAR,
     STEPS_BEFORE_SLOW,
 )
-from dfm_stage.diagnosis.fit import Fit, fit
-from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.identification.system import is_nonlinear, rounding_step, steps_taken
 from dfm_stage.identification.weights import Weight, Weights, velocity_weights, white_weights
 from dfm_stage.model import EFFECTS, Model

@@ -8,16 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dfm_stage.diagnosis.clear_force import by_force, clear_force
-from dfm_stage.diagnosis.decisions import (
-    FAR_BEHIND,
-    FIRST_SHARE,
-    GROSS_GAP,
-    GROSS_REMAINDER,
-    LEAST_STEPS,
-    MOST_STEPS,
-    PARTIAL_SHARE,
-    RESTART_ABOVE,
-)
+from dfm_stage.diagnosis.decisions import FAR_BEHIND, GROSS_GAP, GROSS_REMAINDER, PARTIAL_SHARE
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
@@ -26,6 +17,12 @@ from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, in_windows
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search_decisions import (
+    FIRST_SHARE,
+    LEAST_STEPS,
+    MOST_STEPS,
+    RESTART_ABOVE,
+)
 from dfm_stage.diagnosis.verdict import (
     explained_share,
     needs_grading,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, LEAST_STEPS, OFFERED_SHARE
+from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, OFFERED_SHARE
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Accepted, Errors, Evidence, ModelEvidence, Offer
@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import margin_between, power, score_by_blocks
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search_decisions import LEAST_STEPS
 from dfm_stage.diagnosis.verdict import Verdict
 from dfm_stage.diagnosis.verification import Prediction, predict, weights_like
 from dfm_stage.model import EFFECTS, EffectUse, Model

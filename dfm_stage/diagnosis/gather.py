@@ -15,6 +15,7 @@ from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     LEAST_HEARD,
     SAYS_NOTHING,
+    SCATTERING,
     STEP_GRID,
 )
 from dfm_stage.diagnosis.evidence import (
@@ -314,10 +315,6 @@ def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:
         sigma = max(sigma, float(np.std(values, ddof=1)) / math.sqrt(values.size))
     return Offset(names[0], float(np.sum(values / sigmas**2) / weight), sigma,
                   bare.model.base.get("stiffness", 0.0))
-
-
-SCATTERING = 4
-"""Runs from which the scatter of their offsets says how well their mean is known."""
 
 
 def _library(trial: Trial) -> Iterator[Candidate]:

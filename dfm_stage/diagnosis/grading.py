@@ -14,18 +14,14 @@ from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     FEWEST_CYCLES,
-    FULL_SHARE,
     FURTHER_PART,
     GRADED_RIVALS,
-    GRADING_STEPS,
-    LEAST_STEPS,
     MOST_GRADED,
     NEAR_RIVAL,
     PARAMETER_PART,
     PRESLIDING_DISTANCE,
     PROPOSED,
     RIVAL_GAIN,
-    SHORT_LIST,
     SMALL_SHARE,
 )
 from dfm_stage.diagnosis.effect_fits import Names
@@ -35,6 +31,7 @@ from dfm_stage.diagnosis.gather import gather, with_witness
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Rival, Search
+from dfm_stage.diagnosis.search_decisions import FULL_SHARE, GRADING_STEPS, LEAST_STEPS, SHORT_LIST
 from dfm_stage.diagnosis.verdict import fallen
 from dfm_stage.diagnosis.verification import weights_like
 from dfm_stage.diagnosis.witness import Explained, Witness

@@ -12,18 +12,19 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from dfm_stage.diagnosis.decisions import (
-    CONVENTION_PRICE,
-    CONVENTION_WORSE,
-    FIRST_SHARE,
-    HOLDS_DIFFER,
-    MOST_STEPS,
-)
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search_decisions import (
+    CONVENTION_PRICE,
+    CONVENTION_WORSE,
+    FARTHEST_SHIFT,
+    FIRST_SHARE,
+    HOLDS_DIFFER,
+    MOST_STEPS,
+)
 from dfm_stage.diagnosis.verdict import Verdict
 from dfm_stage.identification.convention import LATENESS, Convention, Hold, reinterpreted
 from dfm_stage.identification.coordinates import late_parameters, lateness
@@ -56,12 +57,8 @@ def timed(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     bend = before - 2.0 * here + after
     if math.isfinite(bend) and bend > 0.0:
         least = 0.5 * (before - after) / bend
-        tried.append(_tried(_moved(trial, min(max(least, -FARTHEST), FARTHEST))))
+        tried.append(_tried(_moved(trial, min(max(least, -FARTHEST_SHIFT), FARTHEST_SHIFT))))
     return min(((trial, first), *tried), key=lambda each: each[1].rms if each[1].ok else math.inf)
-
-
-FARTHEST = 2.0
-"""Standard errors by which an estimated shift is moved at most."""
 
 
 def _is_moved(known: Convention) -> bool:

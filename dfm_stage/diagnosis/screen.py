@@ -17,18 +17,16 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.candidates import starts
-from dfm_stage.diagnosis.decisions import (
-    COARSER,
-    FEWEST_CYCLES,
+from dfm_stage.diagnosis.decisions import COARSER, FEWEST_CYCLES, STEP_GRID
+from dfm_stage.diagnosis.fit import Fit, system_of
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.search_decisions import (
     LEAST_TRAVEL,
     LOOKED_CLOSELY,
     MOVES_ALIKE,
     SCREEN_RANK,
-    STEP_GRID,
     UNSEEN_PART,
 )
-from dfm_stage.diagnosis.fit import Fit, system_of
-from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.spectra import frequency_peaks, position_peaks, read_off
 from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.weights import Weights

@@ -9,13 +9,15 @@ from typing import Any
 
 from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
-from dfm_stage.diagnosis.decisions import (
+from dfm_stage.diagnosis.decisions import FIRST, FURTHER
+from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
+from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
+from dfm_stage.diagnosis.search_decisions import (
     AKAIKE,
     EXCHANGES,
-    FIRST,
     FIRST_SHARE,
     FULL_SHARE,
-    FURTHER,
     FURTHER_SHARE,
     MOST_EFFECTS,
     MOST_STEPS,
@@ -33,9 +35,6 @@ from dfm_stage.diagnosis.decisions import (
     UNRELATED_GAIN,
     WORTH,
 )
-from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
-from dfm_stage.diagnosis.fit import Fit
-from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
 from dfm_stage.diagnosis.spectra import is_resolution, lattice
 from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import weights_of

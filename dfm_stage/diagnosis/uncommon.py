@@ -5,20 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dfm_stage.diagnosis.alike import shares_class
-from dfm_stage.diagnosis.decisions import (
-    FIRST_SHARE,
-    FURTHER,
-    FURTHER_PART,
-    MOST_STEPS,
-    NAMED_SHARE,
-    NEAR_NOISE,
-)
+from dfm_stage.diagnosis.decisions import FURTHER, FURTHER_PART, NAMED_SHARE
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.explaining import Judgement, explained, is_noise, to_noise
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.grading import beside_main
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search_decisions import FIRST_SHARE, MOST_STEPS, NEAR_NOISE
 from dfm_stage.diagnosis.verdict import (
     explained_share,
     is_clearly_more,

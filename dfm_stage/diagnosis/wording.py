@@ -5,13 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from dfm_stage.diagnosis.decisions import (
-    FIRST,
-    FITTED_SHARE,
-    MARGIN,
-    OTHER_FORM,
-    PARTIAL_SHARE,
-)
+from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, MARGIN, OTHER_FORM, PARTIAL_SHARE
 from dfm_stage.diagnosis.evidence import DropReason, Evidence, Offer, Proposal
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (

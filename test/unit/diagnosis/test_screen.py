@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.candidates import excluded, starts
-from dfm_stage.diagnosis.decisions import LOOKED_CLOSELY
 from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.screen import Hit, Screen
 from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search_decisions import LOOKED_CLOSELY
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.registry import ALL, library_of
 
