@@ -23,6 +23,7 @@ from dfm_stage.arrays import Array, Complex
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.spectra import density
 from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.along import Motion, force_along
 from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.kernel import along
 from dfm_stage.model.kernel.hooks import address
@@ -267,43 +268,22 @@ class Terms:
         return lambda run: np.asarray(np.sum([part(self, run, effect, values)
                                               for part in found], axis=0))
 
-    def force(self, run: RunForces, effect: Effect, values: Array) -> Array:
-        """A smooth force; that of the actuator is the one that moves the linear part, because a
+    def motion(self, run: RunForces) -> Motion:
+        """The measured motion; what the actuator gives is what moves the linear part, because a
         term made of the input would predict itself."""
-        t, out = run.trajectory, np.zeros(run.grid.size)
-        drive = self.linear.force(t) if reads(effect.force, 2) else np.zeros_like(t.x)
-        if effect.by_current:
-            drive = self.per_newton * drive
-        along.forces_along(address("force", [(effect, 0)]), values, t.x, t.v, drive, out)
-        return run.filtered(out)
+        t = run.trajectory
+        return Motion(t.x, t.v, self.linear.force(t), run.grid.period, self.gain or 1.0,
+                      self.model.base.get("coil_resistance", 0.0) or 1.0)
 
-    def flow(self, run: RunForces, effect: Effect, values: Array) -> Array:
-        """A force with time, current or states of its own; what the actuator gives is what moves
-        the linear part, as above."""
-        t, out, gain = run.trajectory, np.zeros(run.grid.size), self.gain or 1.0
-        drive = self.linear.force(t) if reads(effect.flow, 3) or reads(effect.flow, 4) \
-            else np.zeros_like(t.x)
-        along.flows_along(address("flow", [(effect, 0)]), values, len(effect.states), t.x, t.v,
-                          drive, drive / gain, self.per_newton, run.grid.period, out)
-        return run.filtered(out)
-
-    @property
-    def per_newton(self) -> float:
-        """The current (A, or V without a resistance) per newton of the actuator."""
-        return 1.0 / ((self.gain or 1.0)
-                      * (self.model.base.get("coil_resistance", 0.0) or 1.0))
+    def moved(self, run: RunForces, effect: Effect, values: Array) -> Array:
+        """A force along the motion."""
+        return run.filtered(force_along(effect, values, self.motion(run)))
 
     def added(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """What is added to the command."""
         changed = np.array(run.run.input)
         along.additions_along(address("added", [(effect, 0)]), values, run.grid.period, changed)
         return run.drive(self.timing, signal=changed - run.run.input) * self.gain
-
-    def bristle(self, run: RunForces, effect: Effect, values: Array) -> Array:
-        """A force with memory, relaxed at the beginning."""
-        t, out = run.trajectory, np.zeros(run.grid.size)
-        along.bristles_along(address("advance", [(effect, 0)]), values, t.x, t.v, out)
-        return run.filtered(out)
 
     def dry(self, run: RunForces, _: Effect, values: Array) -> Array:
         """Dry friction by the sign that a noisy speed has on average."""
@@ -367,9 +347,7 @@ def _response(model: Model, omega: Array) -> Complex:
 
 _Part = Callable[[Terms, RunForces, Effect, Array], Array]
 _PARTS: tuple[tuple[Callable[[Effect], bool], _Part], ...] = (
-    (lambda e: e.force is not None, Terms.force),
-    (lambda e: e.advance is not None, Terms.bristle),
-    (lambda e: e.flow is not None, Terms.flow),
+    (lambda e: any((e.force, e.advance, e.flow)), Terms.moved),
     (lambda e: e.added is not None, Terms.added),
     (lambda e: e.adds_to == "dry_friction", Terms.dry),
     (lambda e: e.adds_to == "constant_force", Terms.constant),

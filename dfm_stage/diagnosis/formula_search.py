@@ -106,12 +106,12 @@ class Regression:
         return np.asarray(columns - self.space @ (self.space.T @ columns))
 
     def _signals(self, run: RunForces, offset: float) -> dict[str, Array]:
-        t, terms = run.trajectory, self.candidates.terms
+        t, motion = run.trajectory, self.candidates.terms.motion(run)
         noise = np.sqrt(2.0) * max(t.speed_noise, 1e-9 * float(np.std(t.v)), 1e-300)
         from scipy.special import erf  # slow to import, and not always needed
 
         return {"x": t.x - offset, "v": t.v, "direction": erf(t.v / noise),
-                "i": terms.per_newton * terms.linear.force(t)}
+                "i": motion.per_newton * motion.actuator}
 
     def column(self, term: Term, shapes: tuple[float, ...]) -> Array:
         """A force of minus one times a term (n,), behind the filter, off the base."""

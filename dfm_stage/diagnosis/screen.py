@@ -19,6 +19,7 @@ from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.candidates import starts
 from dfm_stage.diagnosis.decisions import COARSER, FEWEST_CYCLES, STEP_GRID
 from dfm_stage.diagnosis.fit import Fit, system_of
+from dfm_stage.diagnosis.force_response import ForceResponse
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.search_decisions import (
     LEAST_TRAVEL,
@@ -87,6 +88,7 @@ class Screen:
         self.plain = self._outputs(self.model)
         self.at = self._conditions()
         self._strengths: list[tuple[str, Parameters, float]] = []
+        self._forced = self._force_response()
         self._first = self._beside(linear) if linear is not None and not light and (
             self.model is not linear) else None
 
@@ -94,6 +96,7 @@ class Screen:
         """The same, with the effects beside a linear model; None where it moves otherwise."""
         other = copy.copy(self)
         other.model, other.plain, other._strengths = linear, self._outputs(linear), []
+        other._forced = other._force_response()
         if self.plain is None or other.plain is None or np.linalg.norm(
                 self.plain - other.plain) > MOVES_ALIKE * np.linalg.norm(self.plain):
             return None
@@ -119,6 +122,13 @@ class Screen:
                 parts.append(w.apply(out[0]))
         return np.concatenate(parts)
 
+    def _force_response(self) -> ForceResponse | None:
+        """What small forces add to the motion of the model; None beside nonlinear effects."""
+        system = system_of(self.model, self.runs, (), self.noise)
+        if self.plain is None or not ForceResponse.serves(system):
+            return None
+        return ForceResponse(system, system.started(self.base.locals))
+
     def project(self, columns: Array) -> Array:
         """Take out of `columns` (N, c) what the free parameters can do."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
@@ -143,13 +153,28 @@ class Screen:
         if plain is None or not points:
             return [None] * len(points)
         directions = [effect.directions(p, self.at) for p in points]
-        shifted = self._responses(model, name, [p for group in directions for p in group])
+        changes = self._changes(model, plain, name, [p for group in directions for p in group])
         found: list[Hit | None] = []
         for parameters, group in zip(points, directions, strict=True):
-            columns = [next(shifted) - plain for _ in group]
+            columns = [next(changes) for _ in group]
             found.append(self._hit(name, parameters, group, columns) if np.all(
                 np.isfinite(columns)) else None)
         return found
+
+    def _changes(self, model: Model, plain: Array, name: str,
+                 points: Sequence[Parameters]) -> Iterator[Array]:
+        """What one effect adds to the weighted outputs (N,) at each of several points."""
+        if self._forced is not None and EFFECTS[name].curves:
+            for point in points:
+                yield self._weighted(self._forced.changes(name, point))
+        else:
+            for response in self._responses(model, name, points):
+                yield response - plain
+
+    def _weighted(self, signals: Sequence[Sequence[Array]]) -> Array:
+        """The signals of each run, weighted, in a row (N,)."""
+        return np.concatenate([w.apply(signal) for run, ws in zip(
+            signals, self.weights, strict=True) for signal, w in zip(run, ws, strict=True)])
 
     def _responses(self, model: Model, name: str,
                    points: Sequence[Parameters]) -> Iterator[Array]:

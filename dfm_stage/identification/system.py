@@ -294,6 +294,22 @@ class System(Problem):
         return self.signals(index, np.tile(x, (count, 1)), lambda i, rows: self._simulated(
             i, rows, False, values))
 
+    def motion(self, index: int, x: Array, times: int) -> tuple[Array, Array, Array]:
+        """Position (m), speed (m/s) and actuator force (N) of the driven point in one run at `x`
+        (n,): (m N,) each at the middles of m parts of every sample, `times` or some more."""
+        names, table, _ = self._table(index, x[None, :])
+        position, speed, actuator = (
+            self._run(self.runs[index], names, table, signal, False, middles=times)[0]
+            for signal in ("position", "velocity", "force"))
+        return position, speed, actuator
+
+    def pushed(self, index: int, x: Array, force: Array) -> Signals:
+        """The signals compared of one run, (N,) each, at `x` (n,) where a `force` (N,) on the
+        driven point, held from sample to sample, acts beside all else."""
+        run = self.runs[index]
+        names, table, _ = self._table(index, x[None, :])
+        return [self._run(run, names, table, signal, False, force)[0] for signal in run.compared]
+
     def _simulated(self, index: int, rows: Array, light: bool,
                    values: Mapping[str, Array] | None = None) -> Signals:
         run = self.runs[index]
@@ -316,16 +332,23 @@ class System(Problem):
                 out[-1] = out[-1] + rows[:, k, None]
         return out
 
-    def _run(self, run: Run, names: Sequence[str], table: Array, signal: str,
-             light: bool) -> Array:
-        """One signal (P, N) of one run for rows (P, m) of parameters."""
+    def _run(self, run: Run, names: Sequence[str], table: Array, signal: str, light: bool,
+             force: Array | None = None, middles: int = 0) -> Array:
+        """One signal (P, N) of one run for rows (P, m) of parameters; with `middles` not at the
+        samples, but at the middles of at least so many parts of each. A `force` (N,) on the
+        driven point is held from sample to sample."""
         drive = Drive(run.input) if run.drive is None else run.drive
         if not light:
             substeps = max((u.effect.substeps for u in self.model.effects), default=1)
-            drive = drive.finer(-(-substeps // drive.factor))
+            drive = drive.finer(-(-max(substeps, middles) // drive.factor))
+        if middles:
+            drive = drive.finer(2)
         simulator = self._stepping(drive.factor, light)
-        periodic = run.start == "periodic" and run.period is not None
-        driven = drive.values[:drive.factor * (run.period or 0)] if periodic else drive.values
+        repeats = run.input.size // run.period if run.start == "periodic" and run.period else 0
+        periodic = repeats > 0
+        driven = drive.values[:drive.values.size // max(repeats, 1)]
+        push = None if force is None else np.repeat(force, drive.factor)[:driven.size]
+        seen = slice(1, None, 2) if middles else slice(None, None, drive.factor)
         other = run.other if run.other is None or drive.factor == 1 else interpolated(
             run.other, drive.factor, periodic=periodic)[:driven.size]
         windows = Windows.of(run, names, table, self.states) \
@@ -337,18 +360,19 @@ class System(Problem):
         steps = np.zeros(len(rows), dtype=np.int64)
         try:
             found = simulator.run_many(
-                driven, own_names, rows, signal=signal, other=other, steady_state=periodic,
+                driven, own_names, rows, signal=signal, external_force=push, other=other,
+                steady_state=periodic,
                 past_input=0.0 if run.start == "rest" or self.remembers else float(driven[0]),
                 partial=periodic,
                 dither=self.dither or None, steps=steps, parts=parts,
-                threads=1 if driven.size * len(table) < PARALLEL else None)[:, ::drive.factor]
+                threads=1 if driven.size * len(table) < PARALLEL else None)[:, seen]
         except SimulationError:
             return np.full((len(table), run.input.size), np.nan)
         if self.nonlinear and not light:
             self._count(float(steps.sum()))
         if windows is not None:
             return windows.put_together(found, len(table))
-        return np.tile(found, (1, run.input.size // found.shape[1])) if periodic else found
+        return np.tile(found, (1, repeats)) if periodic else found
 
     def _count(self, steps: float) -> None:
         self.work += steps
