@@ -100,6 +100,12 @@ class Fits:
         self.weigh_at_first(split)
         return self.keep((), self._fit(split.model, self.free, split))
 
+    def fit_like(self, first: Fit, runs: Sequence[Observation]) -> Fit:
+        """The model without effects fitted to other forms of the same runs, from its `first` fit
+        on: to where the power left is known."""
+        return fit(first.model, runs, self.free, self.weights, earlier=first.locals,
+                   noise=self.noise, tolerance=1.0)
+
     def resplit(self, found: Fit) -> Fit:
         """The best of `found` and of fits that begin with lag, delay and inductance shared out
         otherwise."""

@@ -66,6 +66,10 @@ class Trial:
     held_weights: Weights = ()
     dropped: dict[str, DropReason] = field(default_factory=dict)
     uncommon: Names = ()
+    _predicted: dict[tuple[int, int, float], tuple[Model, Weights, Prediction]] = field(
+        default_factory=dict)
+    """What was predicted, by the objects it depends on, which are kept so that no other has their
+    identity."""
 
     @cached_property
     def witness(self) -> Witness | None:
@@ -108,7 +112,11 @@ class Trial:
 
     def predicted(self, model: Model) -> Prediction:
         """What a model with effects leaves of the held-out records."""
-        return predict(model, self.held, self.held_weights, self.search.noise)
+        key = id(model), id(self.held_weights), self.search.noise
+        if key not in self._predicted:
+            self._predicted[key] = model, self.held_weights, predict(
+                model, self.held, self.held_weights, self.search.noise)
+        return self._predicted[key][-1]
 
     def no_worse(self, h: Hypothesis) -> Hypothesis:
         """The same with the model as given in the place of its re-estimation, where that is

@@ -40,10 +40,14 @@ def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     search = trial.search
     if late_parameters(search.model, search.free):
         for other in by_other_conventions(trial):
-            found = other.search.begin()
-            if found.ok and found.rms**2 < HOLD_CLEAR * first.rms**2:
+            looked = search.fit_like(first, other.search.runs)
+            if _is_clearer(looked, first) and _is_clearer(found := other.search.begin(), first):
                 trial, first = other, found
     return trial, first
+
+
+def _is_clearer(other: Fit, first: Fit) -> bool:
+    return other.ok and other.rms**2 < HOLD_CLEAR * first.rms**2
 
 
 def timed(trial: Trial, first: Fit) -> tuple[Trial, Fit]:

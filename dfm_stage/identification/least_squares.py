@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dfm_stage.arrays import Array
-from dfm_stage.identification.decisions import ACCEPTED, CREEP, CREPT, NEARLY, RANK_TOLERANCE, SEEN
+from dfm_stage.identification.decisions import (
+    ACCEPTED,
+    CREEP,
+    CREPT,
+    CREPT_SHARE,
+    NEARLY,
+    RANK_TOLERANCE,
+    SEEN,
+)
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array  # slow to import, and only windows need it
@@ -51,7 +59,8 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
     `residual(x)` gives (N,), not finite where x cannot be simulated; `jacobian(x, r)` gives
     (N, n). `scale` (n,) is the typical size of each x. The search ends when a step is expected to
     lower the cost by less than `tolerance` times its variance (cost over N - n), or when CREEP
-    steps together lowered it by less than 500 times that.
+    steps together lowered it by less than CREPT times that, or by less than CREPT_SHARE of what it
+    has above N - n, the cost of noise.
     """
     x = np.clip(np.asarray(start, dtype=float), low, high)
     r = residual(x)
@@ -96,7 +105,8 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
         x, r, cost = trial, new, new_cost
         j = jacobian(x, r)
         history.append(cost)
-        if len(history) > CREEP and history[-1 - CREEP] - cost < CREPT * tolerance * variance:
+        least = max(CREPT * tolerance * variance, CREPT_SHARE * (cost - max(r.size - x.size, 1)))
+        if len(history) > CREEP and history[-1 - CREEP] - cost < least:
             return ended(iteration, True, "converged slowly")
     held = _pushed_out(x, j.T @ r, low, high, scale)
     return ended(max_iterations, False, "iterations used up")
