@@ -23,7 +23,7 @@ from dfm_stage.arrays import Array, Complex
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.spectra import density
 from dfm_stage.model import EFFECTS, Model
-from dfm_stage.model.along import Motion, force_along
+from dfm_stage.model.along import Motion, force_along, friction_along
 from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.kernel import along
 from dfm_stage.model.kernel.hooks import address
@@ -285,13 +285,13 @@ class Terms:
         along.additions_along(address("added", [(effect, 0)]), values, run.grid.period, changed)
         return run.drive(self.timing, signal=changed - run.run.input) * self.gain
 
-    def dry(self, run: RunForces, _: Effect, values: Array) -> Array:
+    def dry(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """Dry friction by the sign that a noisy speed has on average."""
         from scipy.special import erf
 
         t = run.trajectory
         noise = math.sqrt(2.0) * max(t.speed_noise, 1e-9 * float(np.std(t.v)), 1e-300)
-        return run.filtered(-values[0] * erf(t.v / noise))
+        return run.filtered(-friction_along(effect, values, self.motion(run)) * erf(t.v / noise))
 
     def constant(self, run: RunForces, _: Effect, values: Array) -> Array:
         """A constant force."""
@@ -349,7 +349,7 @@ _Part = Callable[[Terms, RunForces, Effect, Array], Array]
 _PARTS: tuple[tuple[Callable[[Effect], bool], _Part], ...] = (
     (lambda e: any((e.force, e.advance, e.flow)), Terms.moved),
     (lambda e: e.added is not None, Terms.added),
-    (lambda e: e.adds_to == "dry_friction", Terms.dry),
+    (lambda e: e.friction is not None or e.adds_to == "dry_friction", Terms.dry),
     (lambda e: e.adds_to == "constant_force", Terms.constant),
     (lambda e: e.adds_to == "command_limit", Terms.limited),
     (lambda e: e.other_force is not None, Terms.other),

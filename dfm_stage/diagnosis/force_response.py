@@ -9,7 +9,6 @@ follow.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 

@@ -44,14 +44,13 @@ from dfm_stage.diagnosis.margins import (
 from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.remainder import Finding, describe, findings
+from dfm_stage.diagnosis.remainder import describe
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
-from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Model
 
@@ -71,8 +70,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     given = trial.predicted(search.model)
     fitted_given = predict(search.model, runs, search.weights, search.noise)
     seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
-    retuned = _of_model(runs, h.bare, seen[1], judged)
-    extended = _of_model(runs, h.fit, seen[2], judged, graded) if h.fit is not h.bare else \
+    retuned = _of_model(trial, h.bare, seen[1], judged)
+    extended = _of_model(trial, h.fit, seen[2], judged, graded) if h.fit is not h.bare else \
         replace(retuned, held_out=_errors(seen[2], judged))
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
@@ -200,23 +199,16 @@ def _motion(runs: Sequence[Observation]) -> Motion:
                   not any(r.driven for r in runs))
 
 
-def _of_model(runs: Sequence[Observation], found: Fit, seen: Prediction,
-              judged: Judged, by_blocks: bool = False) -> ModelEvidence:
+def _of_model(trial: Trial, found: Fit, seen: Prediction, judged: Judged,
+              by_blocks: bool = False) -> ModelEvidence:
     fitted = Errors(found.rms, found.chi2, found.white.size,
                     power(found.residuals, judged.change))
     if not found.ok:
         return ModelEvidence(fitted, _errors(seen, judged))
     evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found, by_blocks),
-                             _findings(runs, found))
-    return replace(evidence, description=describe(runs, found.residuals)
+                             trial.findings(found))
+    return replace(evidence, description=describe(trial.search.runs, found.residuals)
                    if evidence.remainder else None)
-
-
-def _findings(runs: Sequence[Observation], found: Fit) -> dict[str, tuple[Finding, ...]]:
-    rounded = rounding_step(found.model) is not None
-    noise = None if rounded else found.model.base.get("noise")
-    return {run.name: tuple(findings(run, parts[0], noise, found.model))
-            for run, parts in zip(runs, found.residuals, strict=True)}
 
 
 def _values(found: Fit, by_blocks: bool) -> dict[str, Quantity]:

@@ -18,7 +18,7 @@ from dfm_stage.diagnosis.evidence import DropReason
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.margins import power
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.remainder import findings
+from dfm_stage.diagnosis.remainder import Finding, findings
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.verification import (
     Prediction,
@@ -29,6 +29,7 @@ from dfm_stage.diagnosis.verification import (
 )
 from dfm_stage.diagnosis.witness import Witness, witness
 from dfm_stage.identification.periods import find_period
+from dfm_stage.identification.system import rounding_step
 from dfm_stage.identification.weights import Weights
 from dfm_stage.model import EFFECTS, Model
 
@@ -70,6 +71,8 @@ class Trial:
         default_factory=dict)
     """What was predicted, by the objects it depends on, which are kept so that no other has their
     identity."""
+    _found: dict[int, tuple[Fit, dict[str, tuple[Finding, ...]]]] = field(default_factory=dict)
+    """The same of what was found in the residuals of a fit."""
 
     @cached_property
     def witness(self) -> Witness | None:
@@ -117,6 +120,16 @@ class Trial:
             self._predicted[key] = model, self.held_weights, predict(
                 model, self.held, self.held_weights, self.search.noise)
         return self._predicted[key][-1]
+
+    def findings(self, found: Fit) -> dict[str, tuple[Finding, ...]]:
+        """What stands out in what a fit leaves of each run, by the run's name."""
+        if id(found) not in self._found:
+            rounded = rounding_step(found.model) is not None
+            noise = None if rounded else found.model.base.get("noise")
+            self._found[id(found)] = found, {
+                run.name: tuple(findings(run, parts[0], noise, found.model))
+                for run, parts in zip(self.search.runs, found.residuals, strict=True)}
+        return self._found[id(found)][1]
 
     def no_worse(self, h: Hypothesis) -> Hypothesis:
         """The same with the model as given in the place of its re-estimation, where that is
