@@ -160,9 +160,7 @@ class SimPlant(LoopNode):
         if self._due_ns is None:
             if not all(publisher.open() for publisher in self.publishers_of_links):
                 return
-            # The timer's own time, not that of this call, which may be late: then all others
-            # would come early by that, and some by so much that two are taken for one.
-            self._due_ns = now - (-self._timer.time_until_next_call()) % period_ns
+            self._due_ns = self._first_due_ns()
             self._publish_samples(self.now_ns())
             return
         due = (now - self._due_ns) // period_ns
@@ -180,6 +178,19 @@ class SimPlant(LoopNode):
             self._advance()
             if k == due or not left_out:
                 self._publish_samples(self.now_ns())
+
+    def _first_due_ns(self) -> int:
+        """Return when the timer was due, by its own time and not that of its call, which may be
+        late. Then all other samples would come early by that, and some by so much that two are
+        taken for one. What passes between the two clocks would make all of them late: the two
+        that were read closest to each other count."""
+        read = []
+        for _ in range(5):
+            now = time.monotonic_ns()
+            left_ns = self._timer.time_until_next_call()
+            read.append((time.monotonic_ns() - now, now + left_ns))
+        now = time.monotonic_ns()
+        return now - (now - min(read)[1]) % self._timer.timer_period_ns
 
     # Both
 

@@ -44,3 +44,18 @@ def test_a_period_that_is_no_whole_number_of_nanoseconds_misses_nothing(make, mo
         now[0] = BEGIN_NS + k * period_ns + each
         node._tick()
     assert node.counters.get("deadlines_missed", 0) == 0
+
+
+def test_what_passes_between_two_clocks_makes_no_sample_late(make, monkeypatch):
+    node = make(SimPlant)
+    now, passes = [0], [3e4, 7e5, 0, 2e5, 9e5]
+
+    def left():
+        now[0] += round(passes.pop(0))
+        return -now[0] % PERIOD_NS
+
+    monkeypatch.setattr(sim_plant.time, "monotonic_ns", lambda: BEGIN_NS + now[0])
+    monkeypatch.setattr(node._timer, "time_until_next_call", left)
+    due_ns = node._first_due_ns()
+    assert due_ns % PERIOD_NS == 0
+    assert 0 <= BEGIN_NS + now[0] - due_ns < PERIOD_NS
