@@ -55,7 +55,7 @@ class Chunk:
     """
 
     def __init__(self) -> None:
-        self.records = bytearray()
+        self.records: Bytes = np.empty(0, np.uint8)
         self.indexes: dict[int, bytearray] = {}
         self.message_count = 0
 
@@ -67,7 +67,7 @@ class Chunk:
         records = np.empty(size + count * MESSAGE_HEAD, np.uint8)
         entries = np.empty((count, 2), np.int64)
         lay_out(*messages, len(self.records), ends, records, entries)
-        self.records += records.data
+        self.records = np.concatenate((self.records, records)) if len(self.records) else records
         for channel in np.flatnonzero(of_channel).tolist():
             index = self.indexes.setdefault(channel, bytearray())
             index += entries[ends[channel] - of_channel[channel]:ends[channel]].data

@@ -73,7 +73,7 @@ class McapSink:
         self.counts: dict[int, int] = {}
         self.start_ns = 2**64 - 1
         self.end_ns = 0
-        compressors: dict[str, Callable[[bytearray], bytes | bytearray]] = {
+        compressors: dict[str, Callable[[memoryview], bytes | bytearray]] = {
             "zstd": zstandard.ZstdCompressor(level=1, write_checksum=True).compress,
             "lz4": partial(lz4.frame.compress, content_checksum=True), "none": bytes}
         self._compress = compressors[compression]
@@ -127,8 +127,9 @@ class McapSink:
         indexes = dict(sorted(chunk.indexes.items()))
         times = [np.frombuffer(index, dtype="<u8")[::2] for index in indexes.values()]
         start_ns, end_ns = int(min(map(np.min, times))), int(max(map(np.max, times)))
-        records, compression = self._compress(chunk.records), self.compression.encode()
-        head = (_CHUNK_HEAD.pack(start_ns, end_ns, len(chunk.records), zlib.crc32(chunk.records))
+        records, compression = self._compress(chunk.records.data), self.compression.encode()
+        head = (_CHUNK_HEAD.pack(start_ns, end_ns, len(chunk.records),
+                                 zlib.crc32(chunk.records.data))
                 + struct.pack("<I", len(compression)) + compression
                 + struct.pack("<Q", len(records)))
         chunk_length = RECORD_HEAD.size + len(head) + len(records)
