@@ -28,8 +28,8 @@ that port up as broken, and it is the neighbour who hears nobody. `PortWatch` te
 
 Rarer still, one is killed when it has just made the file of a port, still of no size. Whoever
 writes to that port then waits for the size for ever (boost 1.7x, `managed_open_or_create_impl`),
-and with it all that this process has to say. Every `PortWatch` marks such a file as broken, which
-ends the wait; Fast DDS then makes the port anew.
+and with it all that this process has to say. The `PortWatch` of every process that has ports there
+marks such a file as broken, which ends the wait; Fast DDS then makes the port anew.
 """
 
 from __future__ import annotations
@@ -270,7 +270,13 @@ class PortWatch:
         self._missing = 0
 
     def lost(self) -> bool:
-        """Look; True when a port was missing twice in a row and was not made anew from here."""
+        """Look; True when a port was missing twice in a row and was not made anew from here.
+
+        Where this process has no port in shared memory it writes to none, and there is nothing to
+        look at.
+        """
+        if not self._files:
+            return False
         mark_empty_ports()
         put_off_checks()
         changed = [port for port, known in self._files.items()

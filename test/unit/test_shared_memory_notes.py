@@ -11,6 +11,7 @@ import pytest
 from dfm_stage.middleware import shared_memory
 from dfm_stage.middleware.shared_memory import (
     PORT_BASE,
+    PortWatch,
     killed_endpoints,
     killed_neighbours,
     sign_notes,
@@ -54,3 +55,16 @@ def test_a_signature_for_which_there_is_no_room_is_written_later(notes, monkeypa
         assert not sign_notes(ENDPOINT, ["/stage/x/controller"])
     assert sign_notes(ENDPOINT, ["/stage/x/controller"])
     assert (notes / f"dfm_stage_port{OURS}").read_bytes() == ENDPOINT[:12] + b"/stage/x/controller"
+
+
+@pytest.mark.parametrize("own", [set(), {THEIRS}])
+def test_only_who_writes_to_ports_in_shared_memory_looks_after_them(notes, monkeypatch, own):
+    monkeypatch.setattr(shared_memory, "_ports_read_here", lambda: own)
+    for number in own:
+        (notes / f"fastrtps_port{number}").write_bytes(b"made")
+    empty = notes / f"fastrtps_port{PORT_BASE + 14}"
+    empty.write_bytes(b"")
+    watch = PortWatch()
+    monkeypatch.setattr(shared_memory, "EMPTY_S", -1.0)
+    assert not watch.lost()
+    assert (empty.stat().st_size > 0) == bool(own)
