@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from dfm_stage.errors import DfmError
+from dfm_stage.middleware.hand_over import in_a_turn
 from dfm_stage.middleware.wire import encode_clock
 from dfm_stage.model import Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher
@@ -116,8 +117,8 @@ class SimPlant(LoopNode):
         if self.lockstep:
             self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
         else:
-            self._timer = self.create_timer(self._model.sample_period, self._tick,
-                                            clock=self.steady)
+            self._timer = self.create_timer(
+                self._model.sample_period, in_a_turn(self, self._tick), clock=self.steady)
         self.begin()
 
     def _wire(self, names: list[str]) -> list[_Axis]:

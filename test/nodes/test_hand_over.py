@@ -14,7 +14,13 @@ from std_msgs.msg import Header
 
 from dfm_interfaces.msg import Measurement
 from dfm_stage.middleware import hand_over
-from dfm_stage.middleware.hand_over import Receiver, Sender, handing_over
+from dfm_stage.middleware.hand_over import (
+    Receiver,
+    Sender,
+    handing_over,
+    in_a_turn,
+    in_spare_time,
+)
 from dfm_stage.middleware.wire import codec, encode_joint_state
 from dfm_stage.nodes.process import make_executor
 from dfm_stage.nodes.wiring import LOCKSTEP_QOS, PUBLISHER_QOS, SUBSCRIBER_QOS
@@ -330,3 +336,85 @@ def test_who_joins_in_a_turn_hears_from_the_next_one_on(process, on_the_wire):
     process.spin()
     assert process.heard == DATA[:4]
     assert on_the_wire == DATA[3:4]
+
+
+def test_who_is_outside_is_sent_to_when_all_in_the_process_have_been_called(process, monkeypatch):
+    order = []
+    monkeypatch.setattr(Sender, "to_dds", lambda _, data: order.append(("outside", data)))
+    first, second = process.sender(process.topic), process.sender(process.topic + "_2")
+    process.receiver(lambda data: (order.append(("one", data)), second.put(data)))
+    process.receiver(lambda data: order.append(("two", data)), process.topic + "_2")
+    for name in ("", "_2"):
+        process.two.create_subscription(Measurement, process.topic + name, len, LOCKSTEP_QOS,
+                                        raw=True)
+    in_a_turn(process.one, lambda: first.put(DATA[0]))()
+    assert order == [(who, DATA[0]) for who in ("one", "two", "outside", "outside")]
+    other = threading.Thread(target=first.put, args=(DATA[1],))
+    other.start()
+    other.join()  # outside a turn, and so at once
+    assert order[4:] == [("outside", DATA[1])]
+
+
+def test_what_begins_a_turn_is_handed_over_without_another(process):
+    process.receiver()
+    sender = process.sender()
+    in_a_turn(process.one, lambda: [sender.put(data) for data in DATA[:3]])()
+    assert process.heard == DATA[:3]
+    sender.put(DATA[3])  # what was due before such a turn goes with it
+    in_a_turn(process.one, lambda: sender.put(DATA[4]))()
+    assert process.heard == DATA[:5]
+    process.spin()
+    assert process.heard == DATA[:5]
+
+
+class Jobs:
+    """Two jobs of a node that say when they were done."""
+
+    def __init__(self, done):
+        self.done = done
+
+    def one(self):
+        self.done.append("one")
+
+    def two(self):
+        self.done.append("two")
+
+
+def test_jobs_beside_the_loop_come_at_the_end_of_a_turn_and_one_at_least(process, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(hand_over.time, "monotonic", lambda: now[0])
+    done = []
+    jobs = Jobs(done)
+    one, two = (in_spare_time(process.one, each) for each in (jobs.one, jobs.two))
+    turn = in_a_turn(process.one, lambda: done.append("turn"))
+    one()
+    assert done == ["one"]  # there are no turns
+    turn()
+    for job in (one, two, one):
+        job()
+    assert done == ["one", "turn"]
+    for _ in range(3):
+        turn()
+    assert done == ["one", "turn", "turn", "one", "turn", "two", "turn"]
+    for job in (one, two):
+        job()
+    now[0] += 1e-3  # the time since the last turn is enough for both
+    turn()
+    assert done[7:] == ["turn", "one", "two"]
+    two()
+    now[0] += 1.0  # the turns have ended
+    one()
+    assert done[10:] == ["two", "one"]
+
+
+def test_a_node_that_ends_has_no_more_jobs(process):
+    done = []
+    jobs, others = Jobs(done), Jobs(done)
+    turn = in_a_turn(process.one, lambda: None)
+    turn()
+    in_spare_time(process.one, jobs.one)()
+    in_spare_time(process.one, others.two)()
+    hand_over.no_more_jobs(jobs)
+    turn()
+    turn()
+    assert done == ["two"]
