@@ -12,6 +12,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.serialization import serialize_message
 
 from dfm_stage.drivers.device import AmplifierStatus, create_amplifier, names
 from dfm_stage.drivers.errors import DriverError, RefusedError
@@ -90,6 +91,7 @@ class AmplifierDriver(ManagedNode):
         self._worker: AmplifierWorker | None = None
         self._drive: Publisher | None = None
         self._status_words: dict[str, str] = {}
+        self._told: tuple[tuple[bytes, str], bytes] | None = None
         self._state = self.link_publisher("amplifier")
         self._health = self.side_publisher("amplifier_health")
         if self.simulated:
@@ -102,8 +104,8 @@ class AmplifierDriver(ManagedNode):
         if not self.lockstep:
             self.side_subscription("encoder_health", self._on_health)
             self.side_subscription(LOOP_HEALTH, self._on_loop_health)
-            self.create_timer(_PUBLISHERS_PERIOD_S, self._check_publishers, clock=self.steady)
-            self.create_timer(_TELL_PERIOD_S, self._tell, clock=self.steady)
+            self.beside_the_loop(_PUBLISHERS_PERIOD_S, self._check_publishers)
+            self.beside_the_loop(_TELL_PERIOD_S, self._tell)
             if self.simulated:
                 self.create_timer(self._interlock.stale_s / 4, self._check_stale,
                                   clock=self.steady)
@@ -239,8 +241,10 @@ class AmplifierDriver(ManagedNode):
             words = f"output at zero until clear and arm: {interlock.words()}"
         elif not interlock.armed:
             level, words = DiagnosticStatus.WARN, "the output is disarmed"
+        if self._told is None or self._told[0] != (level, words):
+            self._told = (level, words), serialize_message(self.status(level, words))
         if self.context.ok():
-            self._health.publish(self.status(level, words))
+            self._health.publish(self._told[1])
         return words
 
     def _trip(self, cause: Cause, why: str) -> None:

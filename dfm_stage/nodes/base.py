@@ -17,20 +17,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
-from dfm_stage.middleware.hand_over import Receiver, Sender
+from dfm_stage.middleware.hand_over import Receiver, Sender, in_spare_time, no_more_jobs
 from dfm_stage.middleware.scheduling import LOOK_S, LOOP_PRIORITY, RealTime
-from dfm_stage.middleware.shared_memory import killed_endpoints, killed_neighbours
+from dfm_stage.middleware.shared_memory import killed_endpoints
 from dfm_stage.middleware.watch import Input, Notices, Watch
 from dfm_stage.middleware.wire import codec
+from dfm_stage.nodes.each_second import LOCKSTEP_PATIENCE_S, PIECES, EachSecond
 from dfm_stage.nodes.parameters import Setting, Settings
 from dfm_stage.nodes.sample_period import SAMPLE_PERIOD, PeriodCheck, SamplePeriodError
 from dfm_stage.nodes.wiring import (
@@ -44,7 +44,6 @@ from dfm_stage.nodes.wiring import (
     subscriber_qos,
 )
 
-LOCKSTEP_PATIENCE_S = 5.0
 COMMON = (
     Setting("lockstep", False, "wait for the sample's answer instead of the clock: "
             "deterministic, faster than real time"),
@@ -134,7 +133,7 @@ def node_class(kind: str) -> type[LoopNode]:
                    "".join(map(str.capitalize, kind.split("_"))))
 
 
-class LoopNode(Node):
+class LoopNode(EachSecond):
     """Base of the nodes on the loop of one axis.
 
     Parameters of the constructor are those of rclpy.node.Node that composition needs.
@@ -174,8 +173,8 @@ class LoopNode(Node):
         self._watch = Watch(self.warnings_active, self.count, self.get_logger().warning,
                             time.monotonic())
         self._broken = ""
-        self.create_timer(1.0, self._every_second, clock=self.steady)
-        self.create_timer(LOOK_S, self._look_at_priority, clock=self.steady)
+        self.beside_the_loop(1.0 / PIECES, self._next_piece)
+        self.beside_the_loop(LOOK_S, self._look_at_priority)
         self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
 
     def begin(self) -> None:
@@ -275,6 +274,10 @@ class LoopNode(Node):
         self.create_subscription(interface(entry.type), topic, callback,
                                  entry.subscriber_qos or entry.qos, raw=raw)
 
+    def beside_the_loop(self, period_s: float, job: Callable[[], object]) -> Any:
+        """Create a timer for what need not be done at the moment it is due."""
+        return self.create_timer(period_s, in_spare_time(self, job), clock=self.steady)
+
     def trigger_service(self, name: str, action: Callable[[], str]) -> None:
         """Offer a std_srvs/Trigger: `action` returns what to say, or refuses with a DfmError."""
         def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -324,6 +327,7 @@ class LoopNode(Node):
                 publisher.delivered(deadline - time.monotonic())
         for receiver in self._receivers:
             receiver.leave()
+        no_more_jobs(self)
         super().destroy_node()
 
     def an_endpoint(self) -> Sequence[int]:
@@ -392,58 +396,3 @@ class LoopNode(Node):
         missing = [name for name in names
                    if (name if "/" in name else f"{self.get_namespace()}/{name}") not in here]
         return f"there is no {', '.join(missing)}" if missing else ""
-
-    def _look_for_namesakes(self) -> None:
-        before, words = self.errors_active.get("name", ""), self._namesakes()
-        if self.errors_active.put("name", words):
-            self.get_logger().error(words)
-        if words:
-            self.has_namesakes(words)
-        if words != before:
-            self._tell_health()
-
-    def _namesakes(self) -> str:
-        """Say that other nodes have this one's name: both obey, and both publish."""
-        topic = self._config.topic_name
-        if self.count_publishers(topic) < 2:  # who they are takes longer to find out
-            return ""
-        killed = killed_endpoints()
-        alive = sum(not bytes(info.endpoint_gid).startswith(killed)
-                    for info in self.get_publishers_info_by_topic(topic))
-        return (f"{alive} nodes are called {self.get_fully_qualified_name()}: end all but one"
-                if alive > 1 else "")
-
-    def _what_is_broken(self) -> str:
-        if self._watch.silent:
-            return "a topic of the loop is silent"
-        killed = ", ".join(killed_neighbours())
-        return f"killed and still written to: {killed}" if killed else ""
-
-    def _look_at_priority(self) -> None:
-        if (self.realtime.wanted and self.priority >= PRIORITY.default
-                and self.realtime.look(time.monotonic(), self._broken)):
-            self.get_logger().info(f"scheduling: {self.realtime.words}")
-            self.warnings_active.put("scheduling", "" if self.realtime.held else
-                                     f"no real-time priority: {self.realtime.words}")
-
-    def _every_second(self) -> None:
-        now = time.monotonic()
-        if not self.lockstep:
-            self._watch.look(now)
-        self._look_for_namesakes()
-        self._broken = self._what_is_broken() if self.realtime.wanted else ""
-        waiting = self.waiting_for() if self.lockstep else None
-        if waiting != self._waiting_since[0]:
-            self._waiting_since = waiting, now
-        late = now - self._waiting_since[1] >= LOCKSTEP_PATIENCE_S
-        missing = f"waiting for {waiting[0]}" if waiting is not None and late else ""
-        if self.warnings_active.put("waiting", missing):
-            self.get_logger().warning(f"lockstep: {missing}")
-        level = (DiagnosticStatus.ERROR if self.errors_active
-                 else DiagnosticStatus.WARN if self.warnings_active else DiagnosticStatus.OK)
-        array = DiagnosticArray(status=[self.status(
-            level, "; ".join((*self.errors_active.values(), *self.warnings_active.values())),
-            {**self.counters, **self.report(), "scheduling": self.realtime.words})])
-        array.header.stamp = self.get_clock().now().to_msg()
-        with contextlib.suppress(Exception):
-            self._diagnostics.publish(array)

@@ -7,6 +7,7 @@ amplifier_driver takes the output to zero, whatever the controller does.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -71,7 +72,7 @@ class EncoderDriver(ManagedNode):
         self._out = self.link_publisher("measurement")
         self._health = self.side_publisher("encoder_health")
         self._joint_states = self.side_sender("joint_states")
-        self.create_timer(_JOINT_STATE_PERIOD_S, self._publish_joint_state, clock=self.steady)
+        self.beside_the_loop(_JOINT_STATE_PERIOD_S, self._publish_joint_state)
         self.trigger_service("~/home", self._home)
         if self.simulated:
             self.link_subscription("sim/position_counts", self._on_counts)
@@ -242,7 +243,8 @@ class EncoderDriver(ManagedNode):
 
     # Reports
 
-    def _every_second(self) -> None:
+    def each_second(self) -> Iterator[None]:
+        """Forget alarms that are over."""
         over = [kind for kind in self._alarms if kind not in self._raised and kind != "lost"]
         self._raised.clear()
         for kind in over:
@@ -252,7 +254,8 @@ class EncoderDriver(ManagedNode):
                 self.errors_active.pop(kind, None)
         if over:
             self._publish_health()
-        super()._every_second()
+        yield
+        yield from super().each_second()
 
     def report(self) -> dict[str, Any]:
         """Return rate, age and what the line did."""

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse
+from rclpy.serialization import deserialize_message
 
 from dfm_interfaces.action import RunExperiment
 from dfm_stage.control import inverse_of
@@ -42,6 +44,7 @@ from dfm_stage.trajectory import (
 
 RECORDER_SILENT_S = 2.5
 _BACKWARDS = 0x80000000
+_FEEDBACK_PERIOD_S = 0.5
 
 
 class Signals(NamedTuple):
@@ -113,7 +116,7 @@ class TrajectoryGenerator(LoopNode):
         self._said: dict[str, Any] = {}
         self._sound: tuple[dict[str, Any], set[str]] | None = None
         self._output_heard_s = -math.inf
-        self._output_off = ""
+        self._output_said, self._output_off = b"", ""
         self._reference = self.link_publisher("reference")
         self._excitation = self.link_publisher("excitation")
         self.link_subscription("measurement", self._on_measurement)
@@ -123,8 +126,8 @@ class TrajectoryGenerator(LoopNode):
             self, RunExperiment, "~/run_experiment", lambda _goal: RunExperiment.Result(),
             handle_accepted_callback=self._on_goal,
             cancel_callback=self._on_cancel)
-        self.create_timer(0.2, self._report, clock=self.steady)
-        self.side_subscription("amplifier_health", self._on_output)
+        self.beside_the_loop(_FEEDBACK_PERIOD_S, self._report)
+        self.side_subscription("amplifier_health", self._on_output, raw=True)
         self._recorder_heard_s = math.inf
         self._waits_for_recorder = self.settings["wait_for_recorder"] and not self.lockstep
         if self._waits_for_recorder:
@@ -298,10 +301,12 @@ class TrajectoryGenerator(LoopNode):
 
     # What comes of a run
 
-    def _on_output(self, health: DiagnosticStatus) -> None:
-        """Note whether the amplifier's output is on."""
+    def _on_output(self, data: bytes) -> None:
+        """Note whether the amplifier's output is on; read only what is not said again."""
         self._output_heard_s = time.monotonic()
-        self._output_off = "" if health.level == DiagnosticStatus.OK else str(health.message)
+        if data != self._output_said:
+            self._output_said, health = data, deserialize_message(data, DiagnosticStatus)
+            self._output_off = "" if health.level == DiagnosticStatus.OK else str(health.message)
         if self._run is not None and self._run.first_seq is not None:
             self._run.outcome.output(self._output_off)
         self._answer_pending()
@@ -404,14 +409,16 @@ class TrajectoryGenerator(LoopNode):
         if b"/recorder\0" in data:
             self._recorder_heard_s = time.monotonic()
 
-    def _every_second(self) -> None:
+    def each_second(self) -> Iterator[None]:
+        """Look whether the recorder is still there."""
         if self._waits_for_recorder and self.links_open and math.isinf(self._recorder_heard_s):
             self._recorder_heard_s = time.monotonic()  # it was there: it may die unheard
         silent = time.monotonic() - self._recorder_heard_s
         self.warnings_active.put("recorder", "" if silent <= RECORDER_SILENT_S else
                                  f"nothing is heard of the recorder for {silent:.0f} s: this is "
                                  "not recorded")
-        super()._every_second()
+        yield
+        yield from super().each_second()
 
     def not_ready(self) -> str | None:
         """Measurements must be on their way."""

@@ -6,10 +6,13 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message
 
-from dfm_stage.nodes import base
+from dfm_stage.nodes import base, each_second
 from dfm_stage.nodes.amplifier_driver import AmplifierDriver
 from dfm_stage.nodes.controller import Controller
+from dfm_stage.nodes.each_second import PIECES
 from dfm_stage.nodes.encoder_driver import EncoderDriver
 from dfm_stage.nodes.sim_plant import SimPlant
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
@@ -63,8 +66,8 @@ def test_counts_of_two_plants_take_the_output_to_zero(make):
     node._on_counts(SimpleNamespace(seq=1, stamp_ns=10**12 + 1, counts=0, resolution=1e-9))
     assert "two sources" in node._alarms["sources"]
     assert sent == [700, 0, 701]
-    node._every_second()
-    node._every_second()
+    list(node.each_second())
+    list(node.each_second())
     node._on_counts(SimpleNamespace(seq=2, stamp_ns=10**12 + 2, counts=0, resolution=1e-9))
     assert sent[3:] == [2]
 
@@ -77,7 +80,7 @@ def test_a_topic_that_stops_is_named_until_it_comes_back(make, monkeypatch):
     for second, received, silent in ((101, 0, False), (102, 5, False), (103, 9, False),
                                      (104, 9, True), (105, 9, True), (106, 10, False)):
         now[0], source.received = float(second), received
-        node._every_second()
+        list(node.each_second())
         words = list(node.warnings_active.values())
         assert any(text.startswith("nothing on sim/position_counts from sim_plant")
                    for text in words) == silent, second
@@ -97,7 +100,7 @@ def test_a_recorder_that_dies_before_it_said_anything_is_reported(make, monkeypa
             node._opening.cancel()  # as it does when the recorder's subscriptions are there
         if second == 12:
             node._on_diagnostics(b"/stage/recorder\0")
-        node._every_second()
+        list(node.each_second())
         seen.append("recorder" in node.warnings_active)
     assert seen == [second in (8, 9, 10, 11) for second in range(1, 15)]
 
@@ -107,20 +110,20 @@ def test_nodes_of_one_name_say_so_and_one_that_was_killed_does_not_count(make, m
     deadline = time.monotonic() + 10.0
     while first.count_publishers("encoder_driver/config") < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
-    first._every_second()
+    list(first.each_second())
     words = "2 nodes are called /stage/x/encoder_driver: end all but one"
     assert first.errors_active["name"] == first._alarms["name"] == words
     with monkeypatch.context() as patched:
         gone = first.get_publishers_info_by_topic("encoder_driver/config")[1].endpoint_gid
-        patched.setattr(base, "killed_endpoints", lambda: (bytes(gone),))
-        first._every_second()
+        patched.setattr(each_second, "killed_endpoints", lambda: (bytes(gone),))
+        list(first.each_second())
         assert "name" not in first.errors_active
-        first._every_second()
+        list(first.each_second())
         assert "name" not in first._alarms
     second.destroy_publisher(second._config)
     while first.count_publishers("encoder_driver/config") > 1 and time.monotonic() < deadline:
         time.sleep(0.01)
-    first._every_second()
+    list(first.each_second())
     assert "name" not in first.errors_active
 
 
@@ -141,7 +144,7 @@ def test_the_output_is_not_on_while_there_are_two_of_a_name(make, monkeypatch, k
     for topic in [each for each in node.publishers if each.topic_name.endswith("loop_health")]:
         topic.publish = lambda status: told.append(status.message)
     monkeypatch.setattr(node, "_namesakes", lambda: "2 nodes are called so")
-    node._every_second()
+    list(node.each_second())
     assert len(told) == 1
     assert "2 nodes are called so" in told[0]
 
@@ -206,3 +209,20 @@ def test_a_node_that_ends_waits_for_its_last_messages(make, monkeypatch, leaving
     node.destroy_node()
     assert [topic for topic, _ in waited] == asked * topics
     assert all(0.0 < within_s <= leaving_s for _, within_s in waited)
+
+
+@pytest.mark.parametrize("kind", [EncoderDriver, TrajectoryGenerator, AmplifierDriver, SimPlant])
+def test_what_is_done_each_second_is_done_once_and_in_pieces(make, monkeypatch, kind):
+    node, done = make(kind), []
+    monkeypatch.setattr(node._watch, "look", lambda _: done.append("look"))
+    monkeypatch.setattr(node, "_look_for_namesakes", lambda: done.append("namesakes"))
+    monkeypatch.setattr(node, "_diagnostics", SimpleNamespace(publish=lambda data: done.extend(
+        each.name for each in deserialize_message(data, DiagnosticArray).status)))
+    pieces = []
+    for _ in range(2 * PIECES):
+        before = len(done)
+        node._next_piece()
+        pieces.append(done[before:])
+    assert done == 2 * ["look", "namesakes", node.get_fully_qualified_name()]
+    assert max(map(len, pieces)) == 1
+    assert pieces[:PIECES] == pieces[PIECES:]

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 
 from dfm_stage.errors import DfmError
+from dfm_stage.nodes import trajectory_generator
 from dfm_stage.nodes.trajectory_generator import TrajectoryGenerator
 from dfm_stage.nodes.wiring import TOPICS
 
@@ -56,7 +58,8 @@ def test_a_run_in_lockstep_begins_once_the_amplifier_was_heard(make):
     node._begin_run()
     node._on_measurement(SimpleNamespace(seq=7, stamp_ns=0, position=0.0))
     assert node._run.first_seq is None, "it is not known yet whether the output is on"
-    node._on_output(DiagnosticStatus(level=DiagnosticStatus.WARN, message="the output is off"))
+    node._on_output(serialize_message(
+        DiagnosticStatus(level=DiagnosticStatus.WARN, message="the output is off")))
     assert node._run.first_seq == 7
     assert "the output is off" in node._run.outcome.complaint()
 
@@ -106,3 +109,17 @@ def test_the_inverse_of_a_model_is_added_ahead(make):
 
     moved = Simulator(load_model("raster_bench")).run(run.voltage).position
     assert np.max(np.abs(moved - run.position)) < 1e-7
+
+
+def test_what_the_amplifier_says_again_is_heard_and_not_read_again(make, monkeypatch):
+    node, read = make(TrajectoryGenerator, **SINE, autostart=False), []
+    real = trajectory_generator.deserialize_message
+    monkeypatch.setattr(trajectory_generator, "deserialize_message",
+                        lambda *what: (read.append(1), real(*what))[1])
+    heard = []
+    for words, times in (("off", 1), ("off", 1), ("", 2), ("", 2), ("off", 3)):
+        level = DiagnosticStatus.WARN if words else DiagnosticStatus.OK
+        node._on_output(serialize_message(DiagnosticStatus(level=level, message=words)))
+        assert (node._output_off, len(read)) == (words, times)
+        heard.append(node._output_heard_s)
+    assert heard == sorted(set(heard))
