@@ -12,6 +12,7 @@ import signal
 import subprocess
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.serialization import deserialize_message
 
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import CheckFailedError, DfmError
@@ -52,6 +54,8 @@ _ASKED_BY_ONE = 12
 _LOOK_AGAIN_S = 0.01
 """Nodes that are asked without a pause have no processor left to get ready."""
 _ENDING_S = 10.0
+_DIAGNOSTICS = 200
+"""Messages of /diagnostics that are kept: each node sends one a second."""
 _DEAF = ("; this process's own port in shared memory is gone (was another process killed?): it "
          "hears nobody any more, start it again")
 
@@ -105,7 +109,7 @@ class NodeSet:
         self.launched: list[Launched] = []
         self._start_timeout_s = start_timeout_s
         self._domain_id = domain_id
-        self._complaints: dict[str, str] = {}
+        self._diagnostics: deque[bytes] = deque(maxlen=_DIAGNOSTICS)
         self._context: Any = None
         self._executor: Any = None
         self._client_node: Any = None
@@ -163,7 +167,7 @@ class NodeSet:
         self._client_node = helper_node("harness", "/stage", self._context, self._ros_arguments)
         self._own_ports = PortWatch()
         self._client_node.create_subscription(DiagnosticArray, "/diagnostics",
-                                              self._on_diagnostics, 50)
+                                              self._on_diagnostics, 50, raw=True)
         self._executor.add_node(self._client_node)
         self._cleanup.callback(self._client_node.destroy_node)
         self._cleanup.callback(self._end_composed)
@@ -238,9 +242,15 @@ class NodeSet:
                     raise NotInTimeError(f"{launched.full_name} is not ready: {answer.message}")
                 self.spin(_LOOK_AGAIN_S)
 
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        for status in array.status:
-            self._complaints[status.name] = "" if status.level == b"\x00" else status.message
+    def _on_diagnostics(self, data: bytes) -> None:
+        self._diagnostics.append(data)
+
+    def _complaints(self) -> str:
+        """Return what nodes complained of last; read only now, it would take the loop's time."""
+        last = {status.name: "" if status.level == b"\x00" else status.message
+                for data in self._diagnostics
+                for status in deserialize_message(data, DiagnosticArray).status}
+        return "".join(f"; {name} says: {text}" for name, text in last.items() if text)
 
     def spin_until(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """Spin until `condition` holds.
@@ -263,9 +273,7 @@ class NodeSet:
                     self._check_alive()
                     self._look_at_port(now)
                     if now > deadline:
-                        said = "".join(f"; {name} says: {text}"
-                                       for name, text in self._complaints.items() if text)
-                        said += _DEAF if self._deaf else ""
+                        said = self._complaints() + (_DEAF if self._deaf else "")
                         raise NotInTimeError(f"{what}: not there after {timeout_s:.3g} s{said}")
         if interrupted and not self._closing:
             raise KeyboardInterrupt
