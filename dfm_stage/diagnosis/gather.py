@@ -300,7 +300,8 @@ def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:
     scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", bare.jacobian, bare.jacobian), 1e-300))
     white = np.linalg.pinv(bare.jacobian.T @ bare.jacobian / np.outer(scale, scale), rcond=1e-10)
     coloured = white @ (score_by_blocks(bare)[0] / np.outer(scale, scale)) @ white
-    sigmas = (np.sqrt(np.maximum(np.diag(white), np.diag(coloured))) / scale)[places]
+    variance = np.maximum(np.diag(white), np.diag(coloured))[places]
+    sigmas = np.sqrt(variance) / scale[places]
     values, weight = bare.x[places], float(np.sum(sigmas**-2.0))
     sigma = weight ** -0.5
     if values.size >= SCATTERING:  # of many runs each has few blocks, but they scatter

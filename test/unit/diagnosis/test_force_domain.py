@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.force_domain import (
 )
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.model import EFFECTS
+from dfm_stage.model.registry import ALL, library_of
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).parent / "truth.py")
@@ -105,6 +106,18 @@ def test_friction_has_no_sign_where_the_stage_rests():
     kept = RunForces(Observation("rests", feed, position, PERIOD), 4.0).kept
     assert np.mean(kept < 3000) > 0.3
     assert not np.any(kept > 9000)          # it has died out after twelve time constants
+
+
+@pytest.mark.parametrize("name", [n for n in library_of([ALL]) if EFFECTS[n].friction])
+def test_friction_that_varies_acts_against_the_motion(name):
+    effect, run, linear = EFFECTS[name], RunForces(SINE, 1.0), Linear(1.0, 4.0, 4000.0)
+    values = {p.name: p.default or 1.0 for p in effect.parameters}
+    motion = run.trajectory
+    size = [effect.friction(x, v, d, tuple(values.values())) for x, v, d in zip(
+        motion.x, motion.v, linear.force(motion), strict=True)]
+    given = Terms([run], believed(), linear, HELD).parts(name, values)
+    np.testing.assert_allclose(given(run), run.filtered(-np.array(size) * np.sign(motion.v)),
+                               atol=1e-3 * np.max(size))
 
 
 def test_what_has_no_force_says_why():

@@ -197,3 +197,13 @@ def test_the_model_as_given_stays_where_its_re_estimation_is_worse(monkeypatch, 
     bare = left(fitted[1], "retuned")
     h = Trial(search, []).no_worse(Hypothesis((), bare, bare))
     assert h.bare.model == h.fit.model == kept
+
+
+def test_what_was_predicted_is_predicted_anew_by_other_weights(monkeypatch):
+    asked = []
+    monkeypatch.setattr(hypothesis, "predict", lambda *given: asked.append(given[2]) or given[2])
+    trial, model = Trial(OneFit(), []), SimpleNamespace()
+    for weights in (("one",), ("other",)):
+        trial.held_weights = weights
+        assert trial.predicted(model) == trial.predicted(model) == weights
+    assert asked == [("one",), ("other",)]

@@ -87,3 +87,19 @@ def test_iterations_used_up_is_told():
     found = fit(lambda x: decay(x) - DATA, [1.0, 0.2, 2.0], max_iterations=1)
     assert not found.converged
     assert "iterations" in found.reason
+
+
+@pytest.mark.parametrize(("left", "ends"), [(30.0, "converged slowly"), (0.9, "converged")])
+def test_a_search_that_creeps_ends_where_much_more_than_noise_is_left(left, ends):
+    missed = np.full(5000, left)
+
+    def residual(x):  # a curved valley (Rosenbrock 1960) beside what no step changes
+        return np.concatenate((missed, [1e4 * (x[1] - x[0] ** 2), 30.0 * (1.0 - x[0])]))
+
+    def slopes(x, _):
+        return np.vstack((np.zeros((missed.size, 2)), [-2e4 * x[0], 1e4], [-30.0, 0.0]))
+
+    wide = 10.0 * np.ones(2)
+    found = minimise(residual, slopes, [-1.0, 1.0], 0.1 * wide, -wide, wide, max_iterations=900,
+                     tolerance=1e-6)
+    assert found.reason == ends
