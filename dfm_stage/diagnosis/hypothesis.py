@@ -71,7 +71,7 @@ class Trial:
         default_factory=dict)
     """What was predicted, by the objects it depends on, which are kept so that no other has their
     identity."""
-    _found: dict[int, tuple[Fit, dict[str, tuple[Finding, ...]]]] = field(default_factory=dict)
+    _found: dict[int, tuple[object, dict[str, tuple[Finding, ...]]]] = field(default_factory=dict)
     """The same of what was found in the residuals of a fit."""
 
     @cached_property
@@ -123,13 +123,14 @@ class Trial:
 
     def findings(self, found: Fit) -> dict[str, tuple[Finding, ...]]:
         """What stands out in what a fit leaves of each run, by the run's name."""
-        if id(found) not in self._found:
+        key = id(found.residuals)   # a fit holds much more
+        if key not in self._found:
             rounded = rounding_step(found.model) is not None
             noise = None if rounded else found.model.base.get("noise")
-            self._found[id(found)] = found, {
+            self._found[key] = found.residuals, {
                 run.name: tuple(findings(run, parts[0], noise, found.model))
                 for run, parts in zip(self.search.runs, found.residuals, strict=True)}
-        return self._found[id(found)][1]
+        return self._found[key][1]
 
     def no_worse(self, h: Hypothesis) -> Hypothesis:
         """The same with the model as given in the place of its re-estimation, where that is

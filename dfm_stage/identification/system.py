@@ -344,13 +344,12 @@ class System(Problem):
         if middles:
             drive = drive.finer(2)
         simulator = self._stepping(drive.factor, light)
-        repeats = run.input.size // run.period if run.start == "periodic" and run.period else 0
-        periodic = repeats > 0
-        driven = drive.values[:drive.values.size // max(repeats, 1)]
+        period = run.period if run.start == "periodic" else None
+        driven = drive.values if period is None else drive.values[:drive.factor * period]
         push = None if force is None else np.repeat(force, drive.factor)[:driven.size]
         seen = slice(1, None, 2) if middles else slice(None, None, drive.factor)
         other = run.other if run.other is None or drive.factor == 1 else interpolated(
-            run.other, drive.factor, periodic=periodic)[:driven.size]
+            run.other, drive.factor, periodic=period is not None)[:driven.size]
         windows = Windows.of(run, names, table, self.states) \
             if run.window and run.start == "free" else None
         rows, own_names, parts = (table, names, None) if windows is None else (
@@ -361,9 +360,8 @@ class System(Problem):
         try:
             found = simulator.run_many(
                 driven, own_names, rows, signal=signal, external_force=push, other=other,
-                steady_state=periodic,
+                steady_state=period is not None, partial=period is not None,
                 past_input=0.0 if run.start == "rest" or self.remembers else float(driven[0]),
-                partial=periodic,
                 dither=self.dither or None, steps=steps, parts=parts,
                 threads=1 if driven.size * len(table) < PARALLEL else None)[:, seen]
         except SimulationError:
@@ -372,7 +370,7 @@ class System(Problem):
             self._count(float(steps.sum()))
         if windows is not None:
             return windows.put_together(found, len(table))
-        return np.tile(found, (1, repeats)) if periodic else found
+        return found if period is None else np.tile(found, (1, run.input.size // period))
 
     def _count(self, steps: float) -> None:
         self.work += steps
