@@ -53,7 +53,7 @@ def _along() -> None:
     timed = {"name": "compiled", "parameters": {"k": {"value": 1.0}}}
     flow = formula_of({**timed, "force": "k * x * t"}).effect()
     along.flows_along(hooks.address("flow", [(flow, 0)]), np.ones(1), 0, rest, rest, rest, rest,
-                      1.0, 1e-3, np.zeros(8))
+                      1.0, 1e-3, 0.0, np.zeros(8))
     added = formula_of({**timed, "input": "k * u * t"}).effect()
     along.additions_along(hooks.address("added", [(added, 0)]), np.ones(1), 1e-3, np.zeros(8))
 

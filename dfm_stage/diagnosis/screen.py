@@ -164,7 +164,7 @@ class Screen:
     def _changes(self, model: Model, plain: Array, name: str,
                  points: Sequence[Parameters]) -> Iterator[Array]:
         """What one effect adds to the weighted outputs (N,) at each of several points."""
-        if self._forced is not None and EFFECTS[name].curves:
+        if self._forced is not None and ForceResponse.tells(EFFECTS[name]):
             for point in points:
                 yield self._weighted(self._forced.changes(name, point))
         else:

@@ -12,7 +12,13 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.identification.coordinates import to_physical
 from dfm_stage.identification.criterion import Criterion
-from dfm_stage.identification.decisions import FORETOLD, IN_A_ROW, NEAR, RANK_TOLERANCE
+from dfm_stage.identification.decisions import (
+    CREPT_SHARE,
+    FORETOLD,
+    IN_A_ROW,
+    NEAR,
+    RANK_TOLERANCE,
+)
 from dfm_stage.identification.inference import assemble
 from dfm_stage.identification.least_squares import Jacobian, Solution, dense, minimise
 from dfm_stage.identification.problem import Signals
@@ -123,7 +129,7 @@ def search(system: System, weights: Weights, start: Array, *, iterations: int = 
 
     def minimum(jacobian: Callable[[Array, Array], Jacobian], x: Array, most: int) -> Solution:
         return minimise(residual, jacobian, x, system.scale, system.low, system.high,
-                        max_iterations=most, tolerance=tolerance)
+                        max_iterations=most, tolerance=tolerance, least_share=CREPT_SHARE)
 
     in_windows = any(u.part is not None for u in system.unknowns)
     chord = None if in_windows or (system.nonlinear and light and not system.slow) \

@@ -21,7 +21,6 @@ from dfm_stage.identification.decisions import (
     ACCEPTED,
     CREEP,
     CREPT,
-    CREPT_SHARE,
     NEARLY,
     RANK_TOLERANCE,
     SEEN,
@@ -53,14 +52,15 @@ class Solution:
 
 def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Array], Jacobian],
              start: Array, scale: Array, low: Array, high: Array, *,
-             max_iterations: int = 60, tolerance: float = 1e-5) -> Solution:
+             max_iterations: int = 60, tolerance: float = 1e-5,
+             least_share: float = 0.0) -> Solution:
     """Minimise sum(residual(x)^2) for low <= x <= high.
 
     `residual(x)` gives (N,), not finite where x cannot be simulated; `jacobian(x, r)` gives
     (N, n). `scale` (n,) is the typical size of each x. The search ends when a step is expected to
     lower the cost by less than `tolerance` times its variance (cost over N - n), or when CREEP
-    steps together lowered it by less than CREPT times that, or by less than CREPT_SHARE of what it
-    has above N - n, the cost of noise.
+    steps together lowered it by less than CREPT times that, or by less than `least_share` of what
+    it has above N - n, the cost of noise.
     """
     x = np.clip(np.asarray(start, dtype=float), low, high)
     r = residual(x)
@@ -105,7 +105,7 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Arra
         x, r, cost = trial, new, new_cost
         j = jacobian(x, r)
         history.append(cost)
-        least = max(CREPT * tolerance * variance, CREPT_SHARE * (cost - max(r.size - x.size, 1)))
+        least = max(CREPT * tolerance * variance, least_share * (cost - max(r.size - x.size, 1)))
         if len(history) > CREEP and history[-1 - CREEP] - cost < least:
             return ended(iteration, True, "converged slowly")
     held = _pushed_out(x, j.T @ r, low, high, scale)

@@ -296,7 +296,7 @@ class System(Problem):
 
     def motion(self, index: int, x: Array, times: int) -> tuple[Array, Array, Array]:
         """Position (m), speed (m/s) and actuator force (N) of the driven point in one run at `x`
-        (n,): (m N,) each at the middles of m parts of every sample, `times` or some more."""
+        (n,), each at the middles of at least `times` parts of every sample."""
         names, table, _ = self._table(index, x[None, :])
         position, speed, actuator = (
             self._run(self.runs[index], names, table, signal, False, middles=times)[0]
@@ -308,7 +308,8 @@ class System(Problem):
         driven point, held from sample to sample, acts beside all else."""
         run = self.runs[index]
         names, table, _ = self._table(index, x[None, :])
-        return [self._run(run, names, table, signal, False, force)[0] for signal in run.compared]
+        found = [self._run(run, names, table, signal, False, force) for signal in run.compared]
+        return [signal[0] for signal in self._as_measured(index, x[None, :], found)]
 
     def _simulated(self, index: int, rows: Array, light: bool,
                    values: Mapping[str, Array] | None = None) -> Signals:
@@ -325,6 +326,10 @@ class System(Problem):
         if np.any(allowed):
             for channel, signal in zip(out, run.compared, strict=True):
                 channel[allowed] = self._run(run, names, table[allowed], signal, light)
+        return self._as_measured(index, rows, out)
+
+    def _as_measured(self, index: int, rows: Array, out: Signals) -> Signals:
+        """Signals of one run, (P, N) each, with the gain and the offsets of their sensors."""
         for k, unknown in enumerate(self.unknowns):
             if unknown.run == index and unknown.name == "current.gain":
                 out[1] = out[1] * rows[:, k, None] + rows[:, k + 1, None]

@@ -15,7 +15,8 @@ from dfm_stage.model.kernel.hooks import address
 @dataclass(frozen=True)
 class Motion:
     """Position (m), speed (m/s) and actuator force (N) of the driven point, (N,) each, `period` s
-    apart. `gain` is the force constant (N/V, or N/A), `resistance` that of the coil (ohm), or 1.
+    apart from `begins` (s) on. `gain` is the force constant (N/V, or N/A), `resistance` that of
+    the coil (ohm), or 1.
     """
 
     position: Array
@@ -24,6 +25,7 @@ class Motion:
     period: float
     gain: float
     resistance: float
+    begins: float = 0.0
 
     @property
     def per_newton(self) -> float:
@@ -34,7 +36,7 @@ class Motion:
 def force_along(effect: Effect, values: Array, motion: Motion) -> Array:
     """The force (N,) of all hooks of an effect that give one at once, with memory, or with states
     of their own, with its parameters `values` (p,); in N. Memory is relaxed at the first sample,
-    and states begin at zero."""
+    and states begin at zero. For the command of a hook `flow` stands what moves the actuator."""
     x, v, d = motion.position, motion.speed, motion.actuator
     total, out = np.zeros(x.size), np.zeros(x.size)
     if effect.force is not None:
@@ -46,7 +48,7 @@ def force_along(effect: Effect, values: Array, motion: Motion) -> Array:
         total += out
     if effect.flow is not None:
         along.flows_along(address("flow", [(effect, 0)]), values, len(effect.states), x, v, d,
-                          d / motion.gain, motion.per_newton, motion.period, out)
+                          d / motion.gain, motion.per_newton, motion.period, motion.begins, out)
         total += out
     return total
 

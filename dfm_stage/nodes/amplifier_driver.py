@@ -241,10 +241,11 @@ class AmplifierDriver(ManagedNode):
             words = f"output at zero until clear and arm: {interlock.words()}"
         elif not interlock.armed:
             level, words = DiagnosticStatus.WARN, "the output is disarmed"
-        if self._told is None or self._told[0] != (level, words):
-            self._told = (level, words), serialize_message(self.status(level, words))
+        told = self._told       # another thread may tell another thing meanwhile
+        if told is None or told[0] != (level, words):
+            self._told = told = (level, words), serialize_message(self.status(level, words))
         if self.context.ok():
-            self._health.publish(self._told[1])
+            self._health.publish(told[1])
         return words
 
     def _trip(self, cause: Cause, why: str) -> None:

@@ -25,7 +25,13 @@ from std_srvs.srv import Trigger
 import dfm_stage
 from dfm_interfaces.srv import Ready
 from dfm_stage.errors import DfmError
-from dfm_stage.middleware.hand_over import Receiver, Sender, in_spare_time, no_more_jobs
+from dfm_stage.middleware.hand_over import (
+    Receiver,
+    Sender,
+    in_spare_time,
+    look_anew,
+    no_more_jobs,
+)
 from dfm_stage.middleware.scheduling import LOOK_S, LOOP_PRIORITY, RealTime
 from dfm_stage.middleware.shared_memory import killed_endpoints
 from dfm_stage.middleware.watch import Input, Notices, Watch
@@ -376,6 +382,7 @@ class LoopNode(EachSecond):
             self._opening.cancel()
 
     def _on_ready(self, request: Ready.Request, response: Ready.Response) -> Ready.Response:
+        look_anew(self)     # who asks may have just joined
         reasons = [self.not_ready(), self._unknown(request.nodes)]
         kinds = {name.rpartition("/")[2] for name in request.nodes}
         for publisher in self.publishers_of_links:

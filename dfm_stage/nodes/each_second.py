@@ -7,6 +7,7 @@ goes on between them.
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -22,11 +23,13 @@ from dfm_stage.middleware.watch import Notices, Watch
 
 LOCKSTEP_PATIENCE_S = 5.0
 PIECES = 10
-"""As many pieces at most, each of 0.1 ms or so."""
+"""In a second, each of 0.1 ms or so. With more of them a round takes longer than a second."""
+
+_END = object()
 
 
 class EachSecond(Node):
-    """Its part of a LoopNode."""
+    """The part of a LoopNode that looks after itself; `each_second` is extended by nodes."""
 
     priority: int
     lockstep: bool
@@ -45,14 +48,19 @@ class EachSecond(Node):
     _tell_health: Callable[[], None]
     _waiting_since: tuple[tuple[str, int] | None, float]
     _broken: str
-    _piece = 0
-    _pieces: Iterator[None]
+    _pieces: Iterator[object] | None = None
+    _done, _begun_s = 0, -math.inf
 
     def _next_piece(self) -> None:
-        if self._piece == 0:
-            self._pieces = self.each_second()
-        self._piece = (self._piece + 1) % PIECES
-        next(self._pieces, None)
+        """Do what is due by the clock: a piece if asked in time, several if asked late."""
+        now = time.monotonic()
+        due = (now - self._begun_s) * PIECES - 0.5
+        while self._pieces and self._done < due:
+            self._done += 1
+            if next(self._pieces, _END) is _END:
+                self._pieces = None
+        if self._pieces is None and due > PIECES - 1:
+            self._pieces, self._done, self._begun_s = self.each_second(), 0, now
 
     def each_second(self) -> Iterator[None]:
         """Do what is to be done each second, and report; in pieces, the loop goes on between."""

@@ -218,11 +218,35 @@ def test_what_is_done_each_second_is_done_once_and_in_pieces(make, monkeypatch, 
     monkeypatch.setattr(node, "_look_for_namesakes", lambda: done.append("namesakes"))
     monkeypatch.setattr(node, "_diagnostics", SimpleNamespace(publish=lambda data: done.extend(
         each.name for each in deserialize_message(data, DiagnosticArray).status)))
+    clock = SimpleNamespace(monotonic=lambda: clock.now_s, now_s=100.0)
+    monkeypatch.setattr(each_second, "time", clock)
     pieces = []
     for _ in range(2 * PIECES):
         before = len(done)
         node._next_piece()
         pieces.append(done[before:])
+        clock.now_s += 1.0 / PIECES
     assert done == 2 * ["look", "namesakes", node.get_fully_qualified_name()]
     assert max(map(len, pieces)) == 1
     assert pieces[:PIECES] == pieces[PIECES:]
+    done.clear()
+    for _ in range(5):  # asked late, it does what is due by then
+        node._next_piece()
+        clock.now_s += 0.5
+    assert done == 2 * ["look", "namesakes", node.get_fully_qualified_name()]
+
+
+def test_a_round_of_too_many_pieces_takes_longer_than_a_second(make, monkeypatch):
+    node, ends = make(EncoderDriver), []
+
+    def many():
+        yield from range(PIECES + 3)
+        ends.append(clock.now_s)
+
+    clock = SimpleNamespace(monotonic=lambda: clock.now_s, now_s=0.0)
+    monkeypatch.setattr(each_second, "time", clock)
+    monkeypatch.setattr(node, "each_second", many)
+    while clock.now_s < 5.0:
+        node._next_piece()
+        clock.now_s += 1.0 / PIECES
+    assert len(ends) == 3

@@ -54,9 +54,9 @@ def senses_along(code: int, p: Array, x: Array, period: float, other: Array, out
 
 @entry
 def flows_along(code: int, p: Array, states: int, x: Array, v: Array, d: Array, u: Array,
-                per: float, period: float, out: Array) -> None:
-    """out (N,) is the force (N) of a hook `flow` whose states begin at zero; `d` are the
-    actuator's forces (N), `per` amperes per newton of them, and `u` the commands.
+                per: float, period: float, begins: float, out: Array) -> None:
+    """out (N,) is the force (N) of a hook `flow` whose states begin at zero, at the time `begins`
+    (s); `d` are the actuator's forces (N), `per` amperes per newton of them, and `u` the commands.
 
     A sample that its rates are too fast for is taken in halves, down to its FINEST part.
     """
@@ -67,8 +67,9 @@ def flows_along(code: int, p: Array, states: int, x: Array, v: Array, d: Array, 
         done, size = 0.0, 1.0
         while done < 1.0:
             x0, v0, d0 = _on(x, k, done), _on(v, k, done), _on(d, k, done)
+            t0 = begins + (k + done) * period
             now = call_flow(code, (
-                (k + done) * period, 0.0, x0, x0, x0, x0, v0, v0, v0, v0, d0, d0, d0, d0, u[k],
+                t0, 0.0, x0, x0, x0, x0, v0, v0, v0, v0, d0, d0, d0, d0, u[k],
                 per, first, first, pointer(stages, 0), own, pointer(forces, 0), ONE, 0))
             if done == 0.0:
                 out[k] = now
@@ -76,7 +77,7 @@ def flows_along(code: int, p: Array, states: int, x: Array, v: Array, d: Array, 
                 break
             r1, r2, r3 = done + POINT_1 * size, done + POINT_2 * size, done + size
             call_flow(code, (
-                (k + done) * period, size * period, x0, _on(x, k, r1), _on(x, k, r2),
+                t0, size * period, x0, _on(x, k, r1), _on(x, k, r2),
                 _on(x, k, r3), v0, _on(v, k, r1), _on(v, k, r2), _on(v, k, r3), d0,
                 _on(d, k, r1), _on(d, k, r2), _on(d, k, r3), u[k], per, first,
                 pointer(moved, 0), pointer(stages, 0), own, pointer(forces, 0), THREE, -SWEEPS))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +15,7 @@ from dfm_stage.identification.convention import Drive
 from dfm_stage.identification.system import System
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
+from dfm_stage.model.formula import formula_of
 from dfm_stage.model.registry import ALL, library_of
 
 PERIOD, SAMPLES = 1e-3, 4000
@@ -38,19 +38,16 @@ def system(base: dict[str, float], **how: object) -> System:
     return system_of(model, [replace(bare, output=output)], ())
 
 
-def apart(found: Sequence[np.ndarray], expected: Sequence[np.ndarray]) -> float:
-    """What is left of the expected signals, over their size, without what a screen fits away."""
-    left = size = 0.0
-    for a, b in zip(found, expected, strict=True):
-        left += float(np.sum((a - b - np.mean(a - b)) ** 2))
-        size += float(np.sum((b - np.mean(b)) ** 2))
-    return float(np.sqrt(left / size))
+def apart(found: np.ndarray, expected: np.ndarray) -> float:
+    """What is left of an expected signal over its size, without its mean, which is fitted."""
+    return float(np.std(found - expected) / np.std(expected))
 
 
-def simulated(stage: System, name: str, values: dict[str, float]) -> list[np.ndarray]:
+def simulated(stage: System, name: str, values: dict[str, float],
+              x: np.ndarray) -> list[np.ndarray]:
     own = system_of(stage.model.with_effect(name, values), stage.runs, ())
-    plain = stage.signals(0, stage.start[None, :])
-    return [a[0] - b[0] for a, b in zip(own.signals(0, own.start[None, :]), plain, strict=True)]
+    plain = stage.signals(0, x[None, :])
+    return [a[0] - b[0] for a, b in zip(own.signals(0, x[None, :]), plain, strict=True)]
 
 
 def small(stage: System, name: str) -> dict[str, float]:
@@ -62,18 +59,43 @@ def small(stage: System, name: str) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", FORCES)
-@pytest.mark.parametrize("how", ["held", "finer", "periodic", "velocity"])
+@pytest.mark.parametrize("how", ["held", "finer", "velocity", "current"])
 def test_a_small_effect_moves_the_stage_as_it_is_said_to(name, how):
-    if how == "periodic" and EFFECTS[name].on_the_clock:
-        pytest.skip("nothing is periodic under it")
-    stage = system(STAGE, **{
+    stage = system({**STAGE, "coil_resistance": 8.0, "back_emf": 2.0} if how == "current"
+                   else STAGE, **{
         "finer": {"drive": Drive(np.repeat(DRIVE, 4), 4, -0.5)},
-        "periodic": {"start": "periodic", "period": 2000},
-        "velocity": {"measures": "velocity"}}.get(how, {}))
+        "velocity": {"measures": "velocity"}, "current": {"current": DRIVE}}.get(how, {}))
+    x, values = stage.start.copy(), small(stage, name)
+    if how == "current":
+        x[[u.name for u in stage.unknowns].index("current.gain")] = -1000.0
     assert ForceResponse.serves(stage)
-    values = small(stage, name)
-    found = ForceResponse(stage, stage.start).changes(name, values)[0]
-    assert apart(found, simulated(stage, name, values)) < 0.05
+    for found, expected in zip(ForceResponse(stage, x).changes(name, values)[0],
+                               simulated(stage, name, values, x), strict=True):
+        assert apart(found, expected) < 0.05
+
+
+@pytest.mark.parametrize(("how", "served"), [
+    ({}, True), ({"window": 500}, False), ({"start": "periodic", "period": 2000}, False),
+    ({"measures": "acceleration"}, False)])
+def test_it_serves_where_the_response_does_not_depend_on_the_motion(how, served):
+    assert ForceResponse.serves(system(STAGE, **how)) == served
+
+
+def test_a_force_of_the_time_knows_the_time():
+    timed = {"name": "timed", "parameters": {"k": {"value": 1.0}}}
+    effect = formula_of({**timed, "force": "k * cos(1800 * t) * abs(x)"}).effect()
+    moved = ForceResponse(system(STAGE), system(STAGE).start).runs[0]
+    time = (np.arange(moved.motion.position.size) + 0.5) * PERIOD / moved.parts
+    expected = np.cos(1800.0 * time) * np.abs(moved.motion.position)
+    np.testing.assert_allclose(moved._force(effect, np.ones(1)),
+                               expected.reshape(-1, moved.parts).mean(axis=1), rtol=1e-9,
+                               atol=1e-12 * np.max(expected))
+
+
+def test_a_force_of_the_command_is_not_told_by_the_motion():
+    one = {"name": "one", "parameters": {"k": {"value": 1.0}}}
+    assert not ForceResponse.tells(formula_of({**one, "force": "-k * u * x"}).effect())
+    assert ForceResponse.tells(formula_of({**one, "force": "-k * i * x"}).effect())
 
 
 def test_dry_friction_stops_a_stage_that_comes_to_rest():
@@ -92,9 +114,3 @@ def test_a_model_that_is_curved_or_misread_by_position_is_not_served():
                          ("encoder_periodic_error", {"amplitude": 1e-7, "period": 1e-5})):
         model = stage.model.with_effect(name, values)
         assert not ForceResponse.serves(system_of(model, stage.runs, ()))
-
-
-def test_what_depends_on_the_clock_has_no_periodic_response():
-    stage = system(STAGE, start="periodic", period=2000)
-    found = ForceResponse(stage, stage.start).changes("stiffness_drift", {"rate": 1.0})[0]
-    assert not np.any(np.isfinite(found[0]))

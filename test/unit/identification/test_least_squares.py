@@ -101,5 +101,5 @@ def test_a_search_that_creeps_ends_where_much_more_than_noise_is_left(left, ends
 
     wide = 10.0 * np.ones(2)
     found = minimise(residual, slopes, [-1.0, 1.0], 0.1 * wide, -wide, wide, max_iterations=900,
-                     tolerance=1e-6)
+                     tolerance=1e-6, least_share=1e-3)
     assert found.reason == ends
