@@ -46,12 +46,16 @@ from dfm_stage.recording import (
     QosProfile,
     definition_text,
 )
+from dfm_stage.recording.bag_writer import CHUNK_BYTES
 
 _FETCH_PERIOD_S = 0.01
 """How often each subscription is asked. It keeps what comes meanwhile."""
 _SHARES = 5
 """Shares in which that is done beside a loop in the same process, and what came given to the bag
 writer: at 5 kHz each takes 0.07 ms, a third of a sample. Elsewhere to wake up costs more."""
+_CHUNK_BYTES = 1 << 18
+"""Beside a loop in real time: a chunk is laid out in the same process, and samples are late
+meanwhile."""
 _LOOK_PERIODS_S = (0.1, 0.5)
 _SETTLED_S = 3.0
 _DRAIN_S = 0.05
@@ -84,7 +88,9 @@ class Recorder(LoopNode):
         folder = self.settings["bag"] or f"bags/{datetime.now().astimezone():%Y%m%d_%H%M%S}"
         if BEGUN_ANEW in os.environ and self.settings["bag"]:
             folder = f"{folder}_{os.environ[BEGUN_ANEW]}"  # the first one was closed
+        in_real_time = hands_over(self) and not self.lockstep
         self._bag = BagWriter(folder, compression=self.settings["compression"],
+                              chunk_bytes=_CHUNK_BYTES if in_real_time else CHUNK_BYTES,
                               log_stamps=self.lockstep)
         self._bag.attach(VERSIONS_ATTACHMENT, "application/json",
                          json.dumps(versions(), sort_keys=True).encode())

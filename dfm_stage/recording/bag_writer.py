@@ -41,6 +41,8 @@ from dfm_stage.recording.rosbag2_metadata import (
 )
 
 FLUSH_PERIOD_S = 0.4
+CHUNK_BYTES = 1 << 20
+"""Large chunks are quick to read."""
 
 _LATEST_NS = 2**64 - 1
 
@@ -78,7 +80,7 @@ class BagWriter:
     """
 
     def __init__(self, directory: str | os.PathLike[str], *, compression: str = "zstd",
-                 chunk_bytes: int = 1 << 20, backlog_bytes: int = 256 << 20,
+                 chunk_bytes: int = CHUNK_BYTES, backlog_bytes: int = 256 << 20,
                  ros_distro: str = "jazzy", custom_data: Mapping[str, str] | None = None,
                  log_stamps: bool = False) -> None:
         self.directory = Path(directory)

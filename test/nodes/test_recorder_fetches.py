@@ -6,9 +6,10 @@ from __future__ import annotations
 import pytest
 import rclpy
 
-from dfm_stage.middleware.hand_over import handing_over
+from dfm_stage.middleware.hand_over import handing_over, hands_over
 from dfm_stage.nodes.process import make_executor
 from dfm_stage.nodes.recorder import Recorder
+from dfm_stage.recording.bag_writer import CHUNK_BYTES
 
 
 @pytest.fixture(params=[False, True])
@@ -32,6 +33,10 @@ def recorder(request, tmp_path):
         yield node
         node.destroy_node()
     context.try_shutdown()
+
+
+def test_chunks_are_small_beside_a_loop_in_real_time(recorder):
+    assert (recorder._bag._chunk_bytes < CHUNK_BYTES) == hands_over(recorder)
 
 
 def test_each_subscription_is_asked_once_in_ten_milliseconds(recorder):
