@@ -54,7 +54,9 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
             return part
     search = trial.search
     search.begin_work(FIRST_SHARE * MOST_STEPS)
-    names, found = search.grown((), first, rounds=1)
+    names, found = search.alone(first)
+    if not is_noise(found):
+        names, found = search.grown((), first, rounds=1)
     if part is None and leaves_gross(found):
         part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
         if stays_open(part[2]) and leaves_gross(part[1].fit):

@@ -98,10 +98,11 @@ def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
 
 
 def _relatives(trial: Trial, h: Hypothesis) -> set[str]:
-    """The uncommon effects that may stand behind what was found: behind several effects those of
-    the class of one, behind a single one those that can be the same motion."""
-    return {n for n in trial.uncommon for own in h.names
-            if n in EFFECTS[own].twins or (len(h.names) > 1 and shares_class(n, own))}
+    """The uncommon effects that may stand behind what was found: those that can be the same motion
+    as one of its effects, and those of its class that have fewer parameters than all together."""
+    many = sum(len(EFFECTS[own].parameters) for own in h.names)
+    return {n for n in trial.uncommon for own in h.names if n in EFFECTS[own].twins or (
+        shares_class(n, own) and len(EFFECTS[n].parameters) < many)}
 
 
 def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
@@ -110,10 +111,11 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
     its `relatives` in the place of all, or one that can be the same motion in the place of one."""
     h, search = found[1], wide.search
     fits: dict[Names, Fit] = {}
-    if len(h.names) > 1:
+    alone = {n for n in relatives if any(shares_class(n, own) for own in h.names)}
+    if alone:
         hits = {hit.name: hit for hit in reversed(search.screened(first, ())[1])}
         fits = {(n,): search.fitted((n,), first, [hits[n]])
-                for n in sorted(relatives & hits.keys())}
+                for n in sorted(alone & hits.keys())}
     for own in h.names:
         for twin in sorted(relatives & EFFECTS[own].twins.keys()):
             names = tuple(twin if n == own else n for n in h.names)

@@ -104,16 +104,25 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
         case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=19.0),
              (effect("saturation", exercised=False),)), "named", ("saturation",),
         Reason.AT_FLOOR),
-    "not exercised, and it rises by more": (
-        case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=21.0),
-             (effect("saturation", exercised=False),)), "none", (), Reason.NOISE),
+    "not exercised, and it rises by more, with values that serve both, too": (
+        replace(case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=21.0),
+                     (effect("saturation", exercised=False),)),
+                joint=(1.0 * NOISE, 1.21 * NOISE)), "none", (), Reason.NOISE),
+    "not exercised, and it rises by more, but other values serve both": (
+        replace(case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=21.0),
+                     (effect("saturation", exercised=False),)),
+                joint=(1.0 * NOISE, 1.19 * NOISE)), "named", ("saturation",), Reason.JOINT_FIT),
+    "exercised, and it rises, though other values serve both": (
+        replace(case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=21.0), (FRICTION,)),
+                joint=(1.0 * NOISE, 1.0 * NOISE)), "none", (), Reason.NOISE),
     "not exercised, given values stand, and it rises by what retuning may": (
         case(left(1e-6, held=0.0), left(1e-6, held=0.0), left(0.0, held_above=55.0),
              (effect("saturation", exercised=False),)), "named", ("saturation",),
         Reason.AT_FLOOR),
     "not exercised, given values stand, and it rises by more than that": (
-        case(left(1e-6, held=0.0), left(1e-6, held=0.0), left(0.0, held_above=61.0),
-             (effect("saturation", exercised=False),)), "none", (), Reason.NOISE),
+        replace(case(left(1e-6, held=0.0), left(1e-6, held=0.0), left(0.0, held_above=61.0),
+                     (effect("saturation", exercised=False),)),
+                joint=(1.1 * NOISE, 1.0 * NOISE)), "none", (), Reason.NOISE),
     "lowers the fitted gap, not the held-out one": (
         case(CLEAR, left(1e-6, held=1e-6, remainder=True), left(held=2e-6), (FRICTION,)),
         "unknown", (), Reason.REMAINDER),
@@ -294,6 +303,9 @@ def test_a_fit_to_all_records_is_asked_for_only_where_the_verdict_hangs_on_it():
     asked = found(FRICTION, after=NEAR_FLOOR)
     assert needs_joint_fit(asked)
     assert not needs_joint_fit(replace(asked, joint=(1.0, 1.0)))
+    idle = case(CLEAR, left(1e-6, held=0.0), left(0.0, held_above=21.0),
+                (effect("saturation", exercised=False),))
+    assert needs_joint_fit(idle)
     assert not any(needs_joint_fit(row[0]) for row in ROWS.values())
 
 
