@@ -33,6 +33,7 @@ from dfm_stage.diagnosis.search_decisions import (
     STEPS_BEFORE_LINEAR,
     STEPS_BEFORE_SLOW,
 )
+from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.system import is_nonlinear, rounding_step, steps_taken
 from dfm_stage.identification.weights import Weight, Weights, velocity_weights, white_weights
 from dfm_stage.model import EFFECTS, Model
@@ -344,6 +345,17 @@ class Fits:
                 gain = simple.chi2 - refined.chi2
                 found = refined if gain > self.further(added, simple) else simple
         return found
+
+    def quantities_of(self, name: str, found: Fit) -> dict[str, Quantity]:
+        """Every free parameter with its interval; without the refinements of an effect that have
+        none. They trade with the rest of it: a range that is met at one end has no middle."""
+        lost = {n for r in EFFECTS[name].refinements
+                if (q := found.quantities.get(n := f"{name}.{r}")) is not None
+                and (q.ci95 is None or not all(map(math.isfinite, q.ci95)))}
+        if not lost:
+            return found.quantities
+        free = tuple(n for n in found.system.free if n not in lost)
+        return self._fit(found.model, free, found, iterations=0).quantities
 
     def further(self, names: Iterable[str], current: Fit) -> float:
         """Fall in chi-square that a further effect must bring."""

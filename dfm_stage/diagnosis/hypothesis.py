@@ -226,8 +226,8 @@ class Trial:
         """Drop effects of which a parameter has no interval: the fit ran to the bound of what the
         effect can be, and stands for something else there; so does a sine of which the records
         show but a part. One whose size may be zero is not shown."""
-        values = h.fit.quantities
         for name in reversed(h.names):
+            values = self.search.quantities_of(name, h.fit)
             own = [q for address, q in values.items() if address.startswith(f"{name}.")]
             sizes = [q for size in EFFECTS[name].sizes
                      if (q := values.get(f"{name}.{size}")) is not None]

@@ -358,3 +358,17 @@ def test_a_twin_to_which_the_data_give_no_size_begins_where_it_is_the_same_loop(
     assert looped.ok
     assert search.in_place_of("hysteresis", "presliding_friction", ("presliding_friction",),
                               looped).ok
+
+
+def test_a_range_that_ends_on_one_side_only_is_found_though_its_middle_is_not_known():
+    def cut(feed: np.ndarray, seed: int) -> Record:
+        made = truth.record(feed, truth.move(feed), seed)
+        reading = np.minimum(made.axes["x"].position, 2.0e-4)
+        return replace(made, axes={"x": replace(made.axes["x"], position=reading)})
+
+    feed = truth.scan() + 0.3
+    found = diagnose([cut(feed, 1)], truth.believed(), holdout=[cut(feed[::-1], 2)],
+                     library=["sensor_clipping", "cubic_stiffness", "saturation"])
+    assert found.names == ("sensor_clipping",)
+    limit, centre = (found.effects[0].parameters[n] for n in ("limit", "centre"))
+    assert limit.value + centre.value == pytest.approx(2.0e-4, rel=1e-2)

@@ -40,6 +40,10 @@ class OneFit:
         return SimpleNamespace(model=None, names=names, ok=True, chi2=0.0,
                                quantities=INTERVALS.get(names, {}))
 
+    @staticmethod
+    def quantities_of(_, fit):
+        return fit.quantities
+
 
 def start(*names, **more) -> Hypothesis:
     fit = OneFit().fitted(names, None)
