@@ -238,7 +238,8 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
 
 def _own(trial: Trial, h: Hypothesis, name: str,
          values: Mapping[str, Quantity]) -> dict[str, Quantity]:
-    """The parameters of one effect; one that a fit held has the interval of its search."""
+    """The parameters of one effect; one that a fit held has the interval of its search, one that
+    trades with the others has none."""
     model = h.fit.model
     use = model.effect(name)
     assert use is not None  # noqa: S101 (it was added by the search)
@@ -247,7 +248,9 @@ def _own(trial: Trial, h: Hypothesis, name: str,
         address, value = f"{name}.{parameter}", use.parameters[parameter]
         half = value * _searched_to(trial, address, value)
         held = Quantity(value, model.parameter(address).unit, (value - half, value + half))
-        own[parameter] = replace(values.get(address, held), value=float(value))
+        told = values.get(address, held)
+        known = told.ci95 is not None and all(map(math.isfinite, told.ci95))
+        own[parameter] = replace(told, value=float(value), ci95=told.ci95 if known else None)
     return own
 
 

@@ -372,3 +372,4 @@ def test_a_range_that_ends_on_one_side_only_is_found_though_its_middle_is_not_kn
     assert found.names == ("sensor_clipping",)
     limit, centre = (found.effects[0].parameters[n] for n in ("limit", "centre"))
     assert limit.value + centre.value == pytest.approx(2.0e-4, rel=1e-2)
+    assert limit.ci95 is centre.ci95 is None
