@@ -46,7 +46,6 @@ from dfm_stage.recording import (
     QosProfile,
     definition_text,
 )
-from dfm_stage.recording.bag_writer import CHUNK_BYTES
 
 _FETCH_PERIOD_S = 0.01
 """How often each subscription is asked. It keeps what comes meanwhile."""
@@ -80,7 +79,10 @@ class Recorder(LoopNode):
     )
 
     def __init__(self, **kwargs: Any) -> None:
-        from dfm_stage.recording import BagWriter  # with numba, which the help can do without
+        from dfm_stage.recording.bag_writer import (  # numba, which the help can do without
+            CHUNK_BYTES,
+            BagWriter,
+        )
 
         super().__init__(**kwargs)
         self._wanted = _pattern("topics", self.settings["topics"])

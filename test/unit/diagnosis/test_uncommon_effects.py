@@ -262,13 +262,16 @@ def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch, names,
 
 class Gap:
     """A search whose first effects leave `left` times the noise, and `minimum` in a fit begun
-    anew."""
+    anew; one by itself leaves `alone` times the noise."""
 
-    def __init__(self, left: float, minimum: float) -> None:
-        self.left, self.minimum = left, minimum
+    def __init__(self, left: float, minimum: float, alone: float = 99.0) -> None:
+        self.left, self.minimum, self.by_itself = left, minimum, alone
 
     def begin_work(self, _: float) -> None:
         pass
+
+    def alone(self, *_: object) -> tuple[tuple[str, ...], SimpleNamespace]:
+        return ("cogging",), leaving(self.by_itself)
 
     def grown(self, *_: object, **__: object) -> tuple[tuple[str, ...], SimpleNamespace]:
         return ("creep",), leaving(self.left)
@@ -297,3 +300,11 @@ def test_the_search_to_the_noise_ends_where_nothing_explains_a_part(
     monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
     found = explaining.explained(trial, leaving(50.0), (), split=False)
     assert found[2] == ("tested" if on else "graded")
+
+
+@pytest.mark.parametrize(("alone", "begun"), [(1.0, ("cogging",)), (1.2, ("creep",))])
+def test_one_effect_that_leaves_only_noise_is_gone_on_from(alone, begun, monkeypatch):
+    trial = SimpleNamespace(search=Gap(1.2, 1.2, alone), witness=None)
+    monkeypatch.setattr(explaining, "to_noise", lambda _, names, *__: (names, "tested"))
+    monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
+    assert explaining.explained(trial, leaving(50.0), (), split=False)[1] == begun
