@@ -399,11 +399,9 @@ def stays_open(e: Evidence) -> bool:
 
 
 def needs_joint_fit(e: Evidence) -> bool:
-    """Whether the verdict hangs on one fit to fitted and held-out records that is not there: the
-    held-out ones are predicted above the floor, or, by what they do not exercise, a little worse.
-    Other values of the base may do that."""
-    reason = judge_hypothesis(e).reason
-    idle = any(not x.exercised for x in e.effects)
+    """Whether the verdict hangs on one fit to all records that is not there: other values of the
+    base may predict held-out records above the floor, or a little worse with what these lack."""
+    reason, idle = judge_hypothesis(e).reason, any(not x.exercised for x in e.effects)
     return e.joint is None and (reason is Reason.ABOVE_FLOOR or (
         idle and reason is Reason.NOT_HELD_OUT))
 
