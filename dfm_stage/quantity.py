@@ -39,6 +39,11 @@ class Quantity:
         """Half the width of the interval, zero for a held value."""
         return 0.0 if self.ci95 is None else 0.5 * (self.ci95[1] - self.ci95[0])
 
+    @property
+    def bounded(self) -> bool:
+        """Whether there is an interval, with two finite limits."""
+        return self.ci95 is not None and all(map(math.isfinite, self.ci95))
+
     def covers(self, truth: float) -> bool:
         """Whether the interval contains `truth`."""
         return self.ci95 is not None and self.ci95[0] <= truth <= self.ci95[1]

@@ -350,8 +350,8 @@ class Fits:
         """Every free parameter with its interval; without the refinements of an effect that have
         none. They trade with the rest of it: a range that is met at one end has no middle."""
         lost = {n for r in EFFECTS[name].refinements
-                if (q := found.quantities.get(n := f"{name}.{r}")) is not None
-                and (q.ci95 is None or not all(map(math.isfinite, q.ci95)))}
+                if (n := f"{name}.{r}") in found.quantities
+                and not found.quantities[n].bounded}
         if not lost:
             return found.quantities
         free = tuple(n for n in found.system.free if n not in lost)

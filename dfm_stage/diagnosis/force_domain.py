@@ -272,8 +272,7 @@ class Terms:
         """The measured motion; what the actuator gives is what moves the linear part, because a
         term made of the input would predict itself."""
         t = run.trajectory
-        return Motion(t.x, t.v, self.linear.force(t), run.grid.period, self.gain or 1.0,
-                      self.model.base.get("coil_resistance", 0.0) or 1.0)
+        return Motion.of(self.model, t.x, t.v, self.linear.force(t), run.grid.period)
 
     def moved(self, run: RunForces, effect: Effect, values: Array) -> Array:
         """A force along the motion."""

@@ -58,9 +58,7 @@ class _RunResponse:
         position, speed, actuator = system.motion(index, x, PARTS)
         self.parts = position.size // self.size
         part = run.sample_period / self.parts
-        self.motion = Motion(position, speed, actuator, part,
-                             base.get("force_constant", 1.0) or 1.0,
-                             base.get("coil_resistance", 0.0) or 1.0, 0.5 * part)
+        self.motion = Motion.of(system.model, position, speed, actuator, part, 0.5 * part)
         stiffness = base.get("stiffness", 0.0)
         stopping_time = math.sqrt(base["mass"] / stiffness) if stiffness > 0.0 else part
         self.stops = stopping_time / base["mass"]

@@ -249,8 +249,8 @@ def _own(trial: Trial, h: Hypothesis, name: str,
         half = value * _searched_to(trial, address, value)
         held = Quantity(value, model.parameter(address).unit, (value - half, value + half))
         told = values.get(address, held)
-        known = told.ci95 is not None and all(map(math.isfinite, told.ci95))
-        own[parameter] = replace(told, value=float(value), ci95=told.ci95 if known else None)
+        own[parameter] = replace(told, value=float(value),
+                                 ci95=told.ci95 if told.bounded else None)
     return own
 
 

@@ -232,7 +232,7 @@ class Trial:
             sizes = [q for size in EFFECTS[name].sizes
                      if (q := values.get(f"{name}.{size}")) is not None]
             unbound = cycles(name, h.fit.model, self.search.runs) < FEWEST_CYCLES or any(
-                q.ci95 is None or not all(map(math.isfinite, q.ci95)) for q in own)
+                not q.bounded for q in own)
             if unbound or (len(sizes) == 1 and sizes[0].covers(0.0)):
                 self.dropped[name] = DropReason.AT_BOUND if unbound else DropReason.NO_SIZE
                 return self.at_bound(h.without(name, self.search))

@@ -114,13 +114,10 @@ class Screen:
         """The weighted output (N,) of a model at the base's local values; None if impossible."""
         system = system_of(model, self.runs, (), self.noise)
         x = system.started(self.base.locals)
-        parts = []
-        for i, ws in enumerate(self.weights):
-            for out, w in zip(system.signals(i, x[None, :]), ws, strict=True):
-                if not np.all(np.isfinite(out)):
-                    return None
-                parts.append(w.apply(out[0]))
-        return np.concatenate(parts)
+        found = [[out[0] for out in system.signals(i, x[None, :])] for i in range(len(self.runs))]
+        if not all(np.all(np.isfinite(signal)) for run in found for signal in run):
+            return None
+        return self._weighted(found)
 
     def _force_response(self) -> ForceResponse | None:
         """What small forces add to the motion of the model; None beside nonlinear effects."""

@@ -194,15 +194,16 @@ def judge_hypothesis(e: Evidence) -> Outcome:
         allowed += (RETUNE_RATIO**2 - 1.0) * e.retuned.held_out.chi2
     worse = not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed or (
         e.extended.held_out.power > RETUNE_RATIO**2 * e.retuned.held_out.power)
-    limit, ratio = HELD_OUT_FLOOR * e.noise.rms, e.extended.held_out.rms / e.noise.rms
+    limit = HELD_OUT_FLOOR * e.noise.rms
     by_one_fit = e.joint is not None and e.joint[1] <= limit and (
         e.joint[0] <= JOINT_LOSS * e.extended.fitted.rms)
     if worse and not (idle and by_one_fit):
         return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
     if e.extended.remainder:
         return Outcome(False, Reason.NEAR, (Doubt(Reason.NEAR, names),))
-    if ratio <= HELD_OUT_FLOOR and not worse:
+    if e.extended.held_out.rms <= limit and not worse:
         return Outcome(True, Reason.AT_FLOOR, doubts)
+    ratio = e.extended.held_out.rms / e.noise.rms
     if by_one_fit:
         return Outcome(True, Reason.JOINT_FIT,
                        (*doubts, Doubt(Reason.JOINT_FIT, names, ratio)))

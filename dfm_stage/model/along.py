@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dfm_stage.arrays import Array
+from dfm_stage.model.description import Model
 from dfm_stage.model.effect import Effect
 from dfm_stage.model.kernel import along
 from dfm_stage.model.kernel.hooks import address
@@ -26,6 +27,14 @@ class Motion:
     gain: float
     resistance: float
     begins: float = 0.0
+
+    @classmethod
+    def of(cls, model: Model, position: Array, speed: Array, actuator: Array, period: float,
+           begins: float = 0.0) -> Motion:
+        """A motion of a one-axis `model`. Without a force constant, or with one of zero, an
+        actuator's force is taken for the current."""
+        return cls(position, speed, actuator, period, model.base.get("force_constant", 1.0) or 1.0,
+                   model.base.get("coil_resistance", 0.0) or 1.0, begins)
 
     @property
     def per_newton(self) -> float:
