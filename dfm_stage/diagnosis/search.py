@@ -203,7 +203,7 @@ class Search(Fits):
         for hit in sorted(listed, key=lambda h: bool(EFFECTS[h.name].freed_last)):
             self.step(f"fitting {hit.name}")
             found = self.fitted((*names, hit.name), current, [hit], worth)
-            if at_upper_end(found, [hit.name]):
+            if not found.ok or at_upper_end(found, [hit.name]):
                 continue
             trials.append(((*names, hit.name), found))
             worth = min(worth, found.chi2 + WORTH * max(above, 0.0))
@@ -219,7 +219,7 @@ class Search(Fits):
             both = (*names, pair[0].name, pair[1].name)
             self.step(f"fitting {pair[0].name} and {pair[1].name}")
             found = self.fitted(both, current, pair)
-            if at_upper_end(found, both[len(names):]):
+            if not found.ok or at_upper_end(found, both[len(names):]):
                 continue
             trials.append((both, found))
             if current.chi2 - found.chi2 > FULL_SHARE * above:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -133,6 +135,15 @@ def test_a_mount_in_the_place_of_a_far_mode_begins_with_the_base_as_it_was(searc
     search.in_place_of("second_mode", "sensor_mount", ("sensor_mount",), mode)
     wanted = bare.model if known == "bare" else search.model
     assert begun[0].base["force_constant"] == wanted.base["force_constant"]
+
+
+def test_a_fit_that_was_not_begun_is_no_trial(search, monkeypatch):
+    """For want of work it is the fit without the effect, whose base may still be improved."""
+    bare = search.begin()
+    hits = [Hit.at(name, {}) for name in search.library]
+    monkeypatch.setattr(search, "_from", lambda *_, **__: replace(bare, chi2=math.inf))
+    assert not search._singles((), bare, hits, math.inf, math.inf)
+    assert not search._pairs((), bare, [hits], math.inf)
 
 
 @pytest.mark.parametrize(("leaves", "sizes"), [
