@@ -44,6 +44,12 @@ def starts(name: str, at: Conditions) -> list[Parameters]:
                    for n, v in found.items())]
 
 
+def shown_by_none(name: str, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Parameters of an effect that no run shows: where nothing drives the stage, those that only
+    an input shows."""
+    return () if any(run.driven for run in runs) else EFFECTS[name].by_input
+
+
 def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
     """Cycles that a sine makes in the longest run, or over the widest motion of one, which is the
     reading without what the sine itself adds; infinite for other effects. Where nothing drives the

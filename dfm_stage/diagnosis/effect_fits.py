@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dfm_stage.diagnosis.candidates import late_splits, starts
+from dfm_stage.diagnosis.candidates import late_splits, shown_by_none, starts
 from dfm_stage.diagnosis.decisions import (
     FURTHER,
     GRADED_FALL,
@@ -326,7 +326,8 @@ class Fits:
         """What is free in a model with effects added: the base and all of theirs."""
         own = [f"{use.name}.{n}" for use in model.effects
                if self.model.effect(use.name) is None
-               for n in use.effect.fittable(use.parameters)]
+               for n in use.effect.fittable(use.parameters)
+               if n not in shown_by_none(use.name, self.runs)]
         return (*self.free, *own)
 
     def refined(self, found: Fit) -> Fit:
@@ -335,6 +336,8 @@ class Fits:
         added = [use.name for use in found.model.effects if self.model.effect(use.name) is None]
         for effect in added if found.ok else ():
             for name in EFFECTS[effect].refinements:
+                if name in shown_by_none(effect, self.runs):
+                    continue
                 address, default = f"{effect}.{name}", EFFECTS[effect].defaults[name]
                 freed = address in found.system.free
                 free = tuple(n for n in found.system.free if n != address) if freed else (

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dfm_stage.diagnosis.alike import shares_class
-from dfm_stage.diagnosis.candidates import excluded
+from dfm_stage.diagnosis.candidates import excluded, shown_by_none
 from dfm_stage.diagnosis.decisions import (
     AS_GIVEN,
     BLOCK_MARGIN,
@@ -245,6 +245,8 @@ def _own(trial: Trial, h: Hypothesis, name: str,
     assert use is not None  # noqa: S101 (it was added by the search)
     own: dict[str, Quantity] = {}
     for parameter in EFFECTS[name].told(use.parameters):
+        if parameter in shown_by_none(name, trial.search.runs):
+            continue
         address, value = f"{name}.{parameter}", use.parameters[parameter]
         half = value * _searched_to(trial, address, value)
         held = Quantity(value, model.parameter(address).unit, (value - half, value + half))

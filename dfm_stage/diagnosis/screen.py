@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.diagnosis.candidates import starts
+from dfm_stage.diagnosis.candidates import shown_by_none, starts
 from dfm_stage.diagnosis.decisions import COARSER, FEWEST_CYCLES, STEP_GRID
 from dfm_stage.diagnosis.fit import Fit, system_of
 from dfm_stage.diagnosis.force_response import ForceResponse
@@ -149,6 +149,8 @@ class Screen:
             plain = self._outputs(model)
         if plain is None or not points:
             return [None] * len(points)
+        if shown_by_none(name, self.runs) and not any(run.window for run in self.runs):
+            return [self._in_free_motion(model, name, p) for p in points]
         directions = [effect.directions(p, self.at) for p in points]
         changes = self._changes(model, plain, name, [p for group in directions for p in group])
         found: list[Hit | None] = []
@@ -157,6 +159,31 @@ class Screen:
             found.append(self._hit(name, parameters, group, columns) if np.all(
                 np.isfinite(columns)) else None)
         return found
+
+    def _in_free_motion(self, model: Model, name: str, parameters: Parameters) -> Hit | None:
+        """The hit of an effect that nothing drives: its states at the beginning of each run, not
+        a size, are what the residual tells."""
+        hidden = {n: EFFECTS[name].defaults[n] for n in shown_by_none(name, self.runs)}
+        parameters = {**parameters, **hidden}
+        system = system_of(model.with_effect(name, parameters), self.runs, (), self.noise)
+        x = system.started(self.base.locals)
+        columns = []
+        for i, ((a, b), ws) in enumerate(zip(self.edges, self.weights, strict=True)):
+            own = [k for k, u in enumerate(system.unknowns)
+                   if u.run == i and u.name.startswith(f"initial.{name}.")]
+            rows = np.tile(x, (len(own) + 1, 1))
+            rows[range(1, len(own) + 1), own] += [system.unknowns[k].scale for k in own]
+            weighted = np.concatenate([[w.apply(row) for row in out] for out, w in zip(
+                system.signals(i, rows), ws, strict=True)], axis=1)
+            for row in weighted[1:]:
+                column = np.zeros(self.residual.size)
+                column[a:b] = row - weighted[0]
+                columns.append(column)
+        if not columns or not np.all(np.isfinite(columns)):
+            return None
+        projected = self.project(np.array(columns).T)
+        multiples, gain = _best(projected, self.residual)
+        return Hit(name, gain, parameters, (projected @ multiples)[:, None], np.ones(1), False)
 
     def _changes(self, model: Model, plain: Array, name: str,
                  points: Sequence[Parameters]) -> Iterator[Array]:

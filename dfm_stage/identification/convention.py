@@ -80,6 +80,12 @@ class Convention:
         return self.hold == "zero" and self.late is not None and self.late_sigma is not None \
             and self.late < -HELD_SIGMAS * self.late_sigma
 
+    @property
+    def acts_when_held(self) -> bool:
+        """Whether the record shows that the input acts when a held one does behind no lag."""
+        return self.hold == "zero" and self.source == "estimated" and self.late is not None \
+            and abs(self.late) <= EARLY_SHIFT
+
     def behind(self, late: float) -> Convention:
         """Return the same for a stage that is known to be `late` (samples) by itself: an input
         that acts early in spite of it was set so much earlier."""

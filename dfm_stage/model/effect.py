@@ -210,6 +210,9 @@ class Effect:
     refinements: tuple[str, ...] = ()
     """Parameters that stay at their default, and are no parameter of a fit, unless the model has
     another value or freeing them pays as a further effect must."""
+    by_input: tuple[str, ...] = ()
+    """Parameters that only an input shows: in a free motion the effect's states begin anywhere,
+    and how much of them is seen is a part of that."""
     distance: str = ""
     """The fitted coordinate that is the distance (m) after a reversal within which the force
     changes. Far below the noise it cannot be told from dry friction, and is slow to simulate."""

@@ -13,6 +13,7 @@ from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
 from dfm_stage.diagnosis.other_convention import (
     by_other_conventions,
+    clearest,
     has_linear_effect,
     is_simpler,
     may_be_simpler,
@@ -130,10 +131,24 @@ def test_the_same_instant_by_another_kind(known, kind, shift, late):
     assert other.late == pytest.approx(late)
 
 
-def trial(source: str, driven: bool = True) -> Trial:
+def trial(source: str, driven: bool = True, late: float | None = None) -> Trial:
     feed = np.sin(np.arange(1000) / 7.0) * driven
-    run = Observation("run", feed, 1e-6 * feed, PERIOD).by(Convention(source=source))
-    return Trial(Search(MODEL, [run], ("damping",), library=tuple(EFFECTS)), [run])
+    run = Observation("run", feed, 1e-6 * feed, PERIOD).by(Convention(source=source, late=late))
+    return Trial(Search(MODEL, [run], ("damping", "delay"), library=tuple(EFFECTS)), [run])
+
+
+@pytest.mark.parametrize(("source", "late", "tried"), [
+    ("estimated", 0.08, False), ("estimated", -0.08, False), ("estimated", 0.3, True),
+    ("estimated", -0.3, True), ("assumed", None, True)])
+def test_an_input_that_acts_as_a_held_one_is_not_taken_for_another_kind(monkeypatch, source,
+                                                                        late, tried):
+    """Behind another kind it is a lag of half a sample, which may be less or more: what is left
+    is less for that, as drag that the model lacked made it."""
+    first, other = (SimpleNamespace(ok=True, rms=rms) for rms in (1.0, 0.5))
+    monkeypatch.setattr(Search, "fit_like", lambda *_: other)
+    monkeypatch.setattr(Search, "begin", lambda _: other)
+    chosen, _ = clearest(trial(source, late=late), first)
+    assert chosen.search.runs[0].convention.hold == ("first" if tried else "zero")
 
 
 def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
