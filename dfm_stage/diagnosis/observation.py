@@ -12,6 +12,7 @@ from dfm_stage.diagnosis.decisions import (
     DIED_OUT,
     FITTED_SHARE,
     LEAD_IN,
+    LEAD_IN_PART,
     SHORTEST,
     SHORTEST_PERIOD,
     SHORTEST_WINDOW,
@@ -76,8 +77,13 @@ class Observation(Run):
         return replace(
             self.sliced(cut),
             reference=None if self.reference is None else self.reference[cut],
-            periodicity=found, skip=max(start - first, LEAD_IN),
+            periodicity=found, skip=max(start - first, lead_in(stop - first)),
             start_s=self.start_s + first * self.sample_period)
+
+
+def lead_in(size: int) -> int:
+    """Samples at the beginning of a record of `size` samples that are simulated, not compared."""
+    return min(LEAD_IN, int(LEAD_IN_PART * size))
 
 
 def observe(record: Record, model: Model, axis: str | None = None,
@@ -134,8 +140,9 @@ def observe(record: Record, model: Model, axis: str | None = None,
                        periodicity=_periodicity(whole(data.extra.get("excitation")), applied),
                        measures=data.measures, velocity=whole(
                            _usable(data.velocity) if data.measures == "position" else None),
-                       lost_s=tuple(float(record.time[loss.at]) for loss in lost
-                                    for _ in loss.input)).by(found)
+                       skip=lead_in(output.size), lost_s=tuple(
+                           float(record.time[loss.at]) for loss in lost for _ in loss.input)
+                       ).by(found)
 
 
 def alike(runs: Sequence[Observation], late: float = 0.0) -> list[Observation]:
@@ -197,7 +204,8 @@ def split_by_time(runs: Sequence[Observation],
         size = run.input.size
         cut = int(share * size)
         if _dies_out(run.output, cut):
-            first, second = max(size // 10, 100), 3 * size // 10
+            first = max(size // 10, min(100, size // 4))
+            second = max(3 * size // 10, first + size // 5)
             early += [replace(run.part(run.skip, first), name=f"{run.name}, beginning"),
                       replace(run.part(second, size), name=f"{run.name}, end")]
             late.append(replace(run.part(first, second), name=f"{run.name}, between"))

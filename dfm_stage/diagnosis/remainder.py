@@ -21,8 +21,10 @@ from dfm_stage.diagnosis.decisions import (
     DRIFT,
     DRIFT_LINES,
     EXCESS,
+    FEW_SAMPLES,
     FEWEST_OF_OCTAVE,
     FLATNESS,
+    FLATNESS_SIGMAS,
     FORETOLD_SHARE,
     HELD_OUT_FLOOR,
     LINE,
@@ -76,7 +78,7 @@ def findings(run: Observation, residual: Array, known_noise: float | None,
     if known_noise:
         found.append(Finding("known_noise", spread / known_noise, EXCESS,
                              "RMS over the noise that the model gives"))
-    if model is not None and any(f.real for f in found) \
+    if model is not None and any(f.real for f in found) and run.input.size >= FEW_SAMPLES \
             and all(share < FORETOLD_SHARE for share in foretold(run, residual, model)):
         found = [replace(f, coloured=f.real) for f in found]
     white = _white(residual)
@@ -177,7 +179,8 @@ def _pattern(run: Observation, residual: Array, white: Array) -> Finding:
 def _shape(white: Array) -> Finding:
     scaled = white / max(float(np.std(white)), 1e-300)
     kurtosis = 3.0 - float(np.mean(scaled**4))
-    return Finding("flatness", kurtosis, FLATNESS,
+    limit = max(FLATNESS, FLATNESS_SIGMAS * math.sqrt(24.0 / white.size))
+    return Finding("flatness", kurtosis, limit,
                    "distribution flatter than normal, as rounding and periodic errors make it")
 
 

@@ -203,6 +203,12 @@ def lost_samples(name: str, times: Sequence[float]) -> str:
             "show it; what they must have been was put in")
 
 
+def few_samples(name: str, count: int) -> str:
+    """What a short record can and cannot show."""
+    return (f"{name}: {count} samples are few; a large effect shows, but a small one is not "
+            "excluded; detection_limits says which size would show")
+
+
 def missing_force(s: Surface) -> str:
     """The force that is still missing, in a sentence."""
     where = "" if s.frequency_hz is None else \

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from dfm_stage.diagnosis.decisions import STRETCHES_FITTED, STRETCHES_HELD
+from dfm_stage.diagnosis.decisions import FEW_SAMPLES, STRETCHES_FITTED, STRETCHES_HELD
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.explaining import Judgement, begun_in_windows, is_noise
@@ -33,7 +33,7 @@ from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.stretches import Stretches, changes, is_long, observe_stretches
 from dfm_stage.diagnosis.uncommon import judged_among_all
 from dfm_stage.diagnosis.verdict import leaves_open, verdict
-from dfm_stage.diagnosis.wording import lost_samples
+from dfm_stage.diagnosis.wording import few_samples, lost_samples
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.formula import Formula
@@ -102,6 +102,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     both = alike([*runs, *held], late_samples(one))
     runs, held = both[:len(runs)], both[len(runs):]
     warnings += [lost_samples(run.name, run.lost_s) for run in (*runs, *held) if run.lost_s]
+    warnings += [few_samples(run.name, run.input.size) for run in (*runs, *held)
+                 if run.input.size < FEW_SAMPLES]
     whole = [run for run in runs if not run.of]
     if not holdout:
         parts = split_by_time(whole)

@@ -188,6 +188,15 @@ def test_noise_above_what_the_model_gives_is_told():
     assert real(noise(), known=0.6) == set()
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_few_samples_of_noise_are_not_flat(seed):
+    """The kurtosis of 80 normal numbers has a standard deviation of 0.5."""
+    samples = np.random.default_rng(seed).standard_normal((40, 80))
+    observed = Observation("run", np.ones(80), np.zeros(80), 1e-3, skip=0)
+    found = [f for each in samples for f in findings(observed, each, None)]
+    assert not any(f.real for f in found if f.name == "flatness")
+
+
 def test_rounding_is_flat():
     assert "flatness" in real(np.random.default_rng(3).uniform(-1.0, 1.0, SIZE))
 

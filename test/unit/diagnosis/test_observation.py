@@ -34,7 +34,7 @@ def test_a_current_that_says_nothing_is_left_out():
 
 
 @pytest.mark.parametrize(("given", "model", "said"), [
-    (record(399), MODEL, "at least 400"),
+    (record(99), MODEL, "at least 100"),
     (record(), replace(MODEL, sample_period=2e-3), "sampled every"),
     (record(position_unit="rad"), MODEL, "output is in rad")])
 def test_a_record_that_does_not_suit_is_refused(given, model, said):
@@ -58,6 +58,12 @@ def test_a_part_keeps_its_time_and_whole_periods():
     assert observe(record(period=500), MODEL).part(600, 1200).periodicity is None
 
 
+@pytest.mark.parametrize(("size", "lead"), [(100, 10), (300, 30), (400, 40), (2000, 40)])
+def test_a_short_record_has_a_short_lead_in(size, lead):
+    assert observe(record(size), MODEL).skip == lead
+    assert observe(record(size), MODEL).part(0, size).skip == lead
+
+
 def moving(output) -> Observation:
     return Observation("run", np.ones(output.size), output, 1e-3)
 
@@ -75,3 +81,13 @@ def test_of_a_motion_that_died_out_an_early_part_is_held_out():
     assert [r.name for r in fitted] == ["run, beginning", "run, end"]
     assert held[0].name == "run, between"
     assert held[0].time[held[0].skip] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("size", "first", "second"), [
+    (100, 25, 45), (400, 100, 180), (1000, 100, 300)])
+def test_of_a_short_motion_that_died_out_a_fifth_is_held_out(size, first, second):
+    time = 1e-3 * np.arange(size) * 4000 / size
+    fitted, held = split_by_time([moving(np.exp(-4.0 * time) * np.cos(30.0 * time))])
+    assert fitted[0].input.size == first
+    assert held[0].input.size - held[0].skip == second - first
+    assert fitted[1].input.size - fitted[1].skip == size - second
