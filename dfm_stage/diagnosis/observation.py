@@ -112,7 +112,7 @@ def observe(record: Record, model: Model, axis: str | None = None,
         raise DiagnosisError(f"{called}: the output is in {unit}, the model in "
                              f"{model.position_unit}; give --output-unit or set position_unit "
                              "in the model")
-    mismatch = input_mismatch(model, data.input_unit)
+    mismatch = input_mismatch(model, data.input_unit) if np.any(data.input) else None
     if mismatch:
         raise DiagnosisError(f"{called}: {mismatch}")
     for what, signal in (("input", data.input), ("output", data.position)):

@@ -99,7 +99,7 @@ def _test(name: str, statistic: float, dof: int, lags: Lines, correlation: Array
           verdicts: tuple[str, str]) -> ResidualTest:
     from scipy.special import chdtrc, ndtri
 
-    p = float(chdtrc(dof, statistic))
+    p = float(chdtrc(dof, statistic)) if dof else 1.0  # nothing to be correlated with
     band = np.full(lags.size, ndtri(0.5 * (1.0 + BAND)) / math.sqrt(samples))
     largest = float(correlation[int(np.argmax(np.abs(correlation)))])
     clean, failed = verdicts

@@ -243,7 +243,8 @@ def _check_usable(sources: Sequence[Source], holdout: Sequence[Source],
     if not sources:
         raise IdentificationError("no record to identify from: give at least one")
     _check_alike([*sources, *holdout])
-    mismatch = None if model is None else input_mismatch(model, sources[0].axis.input_unit)
+    first = sources[0].axis
+    mismatch = input_mismatch(model, first.input_unit) if model and np.any(first.input) else None
     if mismatch:
         raise IdentificationError(f"{sources[0].name}: {mismatch}")
     for source in sources:

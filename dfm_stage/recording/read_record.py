@@ -44,7 +44,8 @@ def read_record(
     axis : str, optional
         Only this axis. With `input` and `output` given: the name of the axis they make.
     time, input, output : str, optional
-        Names of columns that are not named as in `time_s,input_v,position_m`. Of a bag: fields,
+        Names of columns that are not named as in `time_s,input_v,position_m`. For `input`, `none`
+        stands for zeros: nothing drove the stage. Of a bag: fields,
         as `/joint_states.effort[0]`, and as time one of `header`, `publish` and `arrival`, or a
         field; by default the stamps of the headers, where there are none those of the transport.
     time_unit, input_unit, output_unit : str, optional

@@ -29,6 +29,8 @@ from dfm_stage.recording.time_base import (
 from dfm_stage.recording.units import Unit, measured, suffix_of, unit_of
 
 DEFAULT_AXIS = "x"
+NO_INPUT = "none"
+"""In the place of an input's column: nothing drove the stage."""
 _QUANTITY = re.compile(r"(?:(?P<axis>\w+)_)?(?P<quantity>input|position|velocity|acceleration|"
                        r"current|reference)")
 _KINDS = {"position": "a position", "input": "an input"}
@@ -96,6 +98,32 @@ class _Choice:
         return list(dict.fromkeys([*first, *([self.number] if self.number else []), *names]))
 
 
+class _Undriven:
+    """A table with an input of zeros for each axis, in the place of those that it has."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+        self.path, self.kind, self.warnings = table.path, table.kind, table.warnings
+        self.sample_period = table.sample_period
+        kinds = {name: _QUANTITY.fullmatch(suffix_of(name, of_input=True)[0])
+                 for name in table.names}
+        axes = dict.fromkeys(kind["axis"] for kind in kinds.values()
+                             if kind is not None and kind["quantity"] in _OUTPUTS)
+        self.inputs = [f"{axis}_input_v" if axis else "input_v" for axis in axes or (None,)]
+        self.names: Sequence[str] = [*(name for name, kind in kinds.items()
+                        if kind is None or kind["quantity"] != "input"), *self.inputs]
+
+    def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """As in `Table`."""
+        found = self._table.columns([name for name in names if name not in self.inputs])
+        zeros = np.zeros(len(next(iter(found.values()))))
+        return {**found, **{name: zeros for name in names if name in self.inputs}}
+
+    def where(self, row: int) -> str:
+        """As in `Table`."""
+        return self._table.where(row)
+
+
 def table_record(table: Table, options: Options, fingerprint: str = "") -> Record:
     """Return the record in a table.
 
@@ -104,6 +132,9 @@ def table_record(table: Table, options: Options, fingerprint: str = "") -> Recor
     RecordError
         If columns are missing or their content cannot be a record.
     """
+    if options.input == NO_INPUT and NO_INPUT not in table.names:
+        table = undriven = _Undriven(table)
+        options = replace(options, input=None if options.output is None else undriven.inputs[0])
     with in_file(table.path), np.errstate(over="ignore", invalid="ignore"):
         return _record(table, options, fingerprint)
 
@@ -182,7 +213,8 @@ def _choose(table: Table, options: Options) -> _Choice:
         raise RecordError(
             f"no input and position columns among {_list(table.names)}; name them like "
             f"time_s,input_v,position_m, or say which they are with the options for time, input "
-            f"and output (--time, --input, --output)")
+            f"and output (--time, --input, --output); where nothing drove the stage, give "
+            f"--input {NO_INPUT}")
     if options.axis is not None:
         if options.axis not in complete:
             raise RecordError(f"has no axis {options.axis}; choose one of {', '.join(complete)}")

@@ -320,3 +320,30 @@ def test_writing_is_all_or_nothing(tmp_path: Path) -> None:
             write_csv(record, place)
         assert str(place) in str(caught.value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.csv", "run.csv"]
+
+
+@pytest.mark.parametrize(("header", "given", "axes"), [
+    ("time_s,position_m", {}, {"x"}), ("time_s,position_m", {"output": "position_m"}, {"x"}),
+    ("time_s,x_position_m,y_position_m", {}, {"x", "y"}),
+    ("time_s,input_a,position_m", {}, {"x"}),
+    ("time_s,reading", {"output": "reading", "output_unit": "um"}, {"x"})])
+def test_where_nothing_drove_the_stage_the_input_is_zero(tmp_path, header, given, axes):
+    rows = [f"{1e-3 * k:.3f}," + ",".join(["1.5"] * header.count(",")) for k in range(20)]
+    found = read_record(save(tmp_path, [header, *rows]), input="none", **given)
+    assert set(found.axes) == axes
+    for axis in found.axes.values():
+        assert np.array_equal(axis.input, np.zeros(20))
+        assert axis.position[0] == pytest.approx(1.5e-6 if given.get("output_unit") else 1.5)
+
+
+def test_a_column_called_none_is_a_column(tmp_path):
+    rows = [f"{1e-3 * k:.3f},{k},1.5" for k in range(20)]
+    path = save(tmp_path, ["time_s,none,position_m", *rows])
+    found = read_record(path, input="none", output="position_m", input_unit="V")
+    assert np.array_equal(found.axes["x"].input, np.arange(20.0))
+
+
+def test_a_table_without_an_input_says_how_to_read_it(tmp_path):
+    path = save(tmp_path, ["time_s,position_m", "0.0,1.0", "0.1,1.0", "0.2,1.0"])
+    with pytest.raises(RecordError, match="--input none"):
+        read_record(path)
