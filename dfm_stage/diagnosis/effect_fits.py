@@ -23,6 +23,7 @@ from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search_decisions import (
     AROUND_STEPS,
     MOST_STEPS,
+    NEAR_NOISE,
     NOISE_SHARES,
     PER_PARAMETER,
     POLISHED,
@@ -153,6 +154,10 @@ class Fits:
             again = self._from(model, names, start, hits, worth, others_first, split=False)
             if again.chi2 < found.chi2:
                 found = self._split(again, hits)
+        if len(hits) == 1 and not found.chi2 <= NEAR_NOISE * found.white.size:
+            alone = self._in_place_of_base(names, start, hits[0])
+            if alone is not None and alone.chi2 < found.chi2:
+                found = alone
         return self.keep(names, self._no_worse(found, names, hits, lambda fewer, weaker:
                                                self._from(fewer.model, names, fewer, weaker,
                                                           worth)))
@@ -294,6 +299,30 @@ class Fits:
             model = model.with_effect(hit.name, inside(hit.name, hit.parameters))
             later += [f"{hit.name}.{n}" for n in EFFECTS[hit.name].freed_last]
         return model, later
+
+    def _in_place_of_base(self, names: Sequence[str], start: Fit, hit: Hit) -> Fit | None:
+        """The fit that begins with an effect in the place of the base parameter that it acts like,
+        which is at its lower limit and freed last: begun beside it, a fit does not come along
+        that limit. None of an effect that replaces none."""
+        effect, coordinates = EFFECTS[hit.name], EFFECTS[hit.name].coordinates
+        base = effect.replaces
+        if coordinates is None or base not in self.free:
+            return None
+        model, _ = self._with(start.model, names, [hit])
+        size, low = f"{hit.name}.{effect.sizes[0]}", model.parameter(base).low
+
+        def both(values: Parameters) -> float:
+            given = {**model.parameters(), **values}
+            return float(coordinates.forward(np.array([given[n] for n in coordinates.names]))[0])
+
+        whole = both({size: 0.0}) - both({base: low, size: 0.0})
+        share = both({base: low}) - both({base: low, size: 0.0})
+        if whole * share <= 0.0:
+            return None
+        model = model.with_parameters({base: low, size: model.parameters()[size] * whole / share})
+        free = self.parameters(model)
+        alone = self._fit(model, tuple(n for n in free if n != base), start, tolerance=1.0)
+        return self.refined(self._fit(alone.model, free, alone))
 
     def _fit(self, model: Model, free: Names, start: Fit, *, iterations: int = 25,
              tolerance: float = 1e-2, exact: bool = False) -> Fit:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -161,6 +161,8 @@ class Problem:
             rows += [up, down] if central else [up]
         found = self.signals(index, np.array(rows), simulate)
         parts = {k: self.shown(k, index) for members in groups for k in members}
+        if not central:
+            found = self._from_below(index, x, groups, widths, parts, found, simulate)
         # between two finite sides the centre is not looked at, and need not be simulated
         centre = [f[0] for f in found] if not central or all(
             np.isfinite(f[:, part][:, -1:]).all() for f in found for part in
@@ -173,6 +175,28 @@ class Problem:
                         (outputs[j + 1], here) if widths[k][0] else (here, outputs[j + 1])
                     up, down = (side[parts[k]] for side in sides)
                     slopes[self.rows[k], parts[k]] = _slope(up, down, here[parts[k]], widths[k])
+
+
+    def _from_below(self, index: int, x: Array, groups: Sequence[Sequence[int]],
+                    widths: dict[int, tuple[float, float]], parts: Mapping[int, slice],
+                    found: Signals, simulate: Simulate | None) -> Signals:
+        """The signals of one-sided differences, with those that could not be simulated, as where
+        a parameter would leave its limits, made on the other side; `widths` are changed there."""
+        lost = [j for j, members in enumerate(groups) if not all(
+            np.isfinite(f[j + 1, parts[k]][-1:]).all() for f in found for k in members)
+            and all(widths[k][0] and x[k] - widths[k][0] >= self.unknowns[k].low
+                    for k in members)]
+        if not lost:
+            return found
+        rows = np.tile(x, (len(lost), 1))
+        for row, j in zip(rows, lost, strict=True):
+            for k in groups[j]:
+                row[k] -= widths[k][0]
+                widths[k] = 0.0, widths[k][0]
+        found = [f.copy() for f in found]
+        for f, other in zip(found, self.signals(index, rows, simulate), strict=True):
+            f[[j + 1 for j in lost]] = other
+        return found
 
 
 TINY = 1e-300

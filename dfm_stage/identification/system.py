@@ -152,8 +152,8 @@ class System(Problem):
                 if state == "position" and not self._sees_position(run):
                     continue
                 moving = state.endswith("velocity")
-                first = known.get(state, 0.0) if self.springless and (
-                    run.window or state == run.measures) else 0.0
+                first = known.get(state, 0.0) if not run.driven or (self.springless and (
+                    run.window or state == run.measures)) else 0.0
                 low, high = run.speeds if state == "velocity" else (-math.inf, math.inf)
                 yield Unknown(at_window(f"initial.{state}", run, part), first,
                               (run.speed or 1e-9) if moving else run.travelled or 1e-9,

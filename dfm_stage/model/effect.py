@@ -175,6 +175,9 @@ class Effect:
     optional: tuple[str, ...] = ()
     classes: tuple[Equivalence, ...] = ()
     fit: Reparametrisation | None = None
+    replaces: str = ""
+    """The base parameter that a linear model takes the effect for: their sum is the first fitted
+    coordinate, and there may be the effect alone."""
     adds_to: str | None = None
     states: tuple[str, ...] = ()
     stage: Literal["modes", "amplifier", "mechanics", "sensor"] = "mechanics"

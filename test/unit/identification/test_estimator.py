@@ -198,3 +198,30 @@ def test_a_row_that_is_asked_for_again_is_counted_and_not_simulated(monkeypatch)
     assert system.work == 2.0 * work
     with pytest.raises(TypeError):
         system.simulated(0, 1.01 * x)
+
+
+@pytest.mark.parametrize("central", [True, False])
+@pytest.mark.parametrize("limits", [(-np.inf, 1.0), (1.0, np.inf)])
+def test_where_one_side_cannot_be_simulated_the_slope_is_that_of_the_other(central, limits):
+    """A parameter that depends on several unknowns leaves its limits on one side of one."""
+    y = np.linspace(1.0, 2.0, 60)
+
+    def simulate(_, rows):
+        return np.array([a * b * y if limits[0] <= a + b <= limits[1] else np.full(60, np.nan)
+                         for a, b in rows])
+
+    problem = Problem((Unknown("a", 0.3, 1.0), Unknown("b", 0.7, 1.0)),
+                      (Run("toy", y, y, 1.0, trend=-1),), simulate)
+    out = problem.no_slopes(0)
+    problem.differences(0, np.array([0.3, 0.7]), [0, 1], central, out)
+    for k, factor in ((0, 0.7), (1, 0.3)):
+        assert problem.slope(out[0], k, 0) == pytest.approx(factor * y, rel=1e-6)
+
+
+def test_a_free_motion_begins_where_the_record_does():
+    """From rest, the states of a wide swing are a far minimum."""
+    time = H * np.arange(N)
+    rest = Run("free", np.zeros(N), 0.3 * np.cos(20.0 * time + 1.0), H)
+    start = System(STAGE, [rest], FREE).start[5:7]
+    assert start == pytest.approx([0.3 * np.cos(1.0), -6.0 * np.sin(1.0)], rel=0.15)
+    assert not np.any(System(STAGE, [run_of(STAGE)], FREE).start[5:7])

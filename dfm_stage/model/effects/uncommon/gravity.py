@@ -96,5 +96,6 @@ EFFECT = Gravity(
     ),
     fit=Reparametrisation(("stiffness", ".weight", ".length"),
                           (".total_stiffness", ".softening", ".length"), _forward, _backward),
+    replaces="stiffness",
     force=force,
 )
