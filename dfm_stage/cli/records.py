@@ -24,8 +24,8 @@ COLUMNS: Group = ("CSV files with other column names, bags of other nodes", (
     option("--time", metavar="COLUMN",
            help="column of the time; of a bag: header, publish, arrival or a field"),
     option("--input", metavar="COLUMN",
-           help="column of the input, or none where nothing drove the stage; of a bag: a field, "
-           "as /joint_states.effort[0]"),
+           help="column of the input, or none in a table where nothing drove the stage; of a bag: "
+           "a field, as /joint_states.effort[0]"),
     option("--output", metavar="COLUMN", help="column of the output, likewise"),
     *(option(f"--{name}-unit", metavar="UNIT", help=f"such as {unit}, if its name has none")
       for name, unit in (("time", "ms"), ("input", "V"), ("output", "um"))),

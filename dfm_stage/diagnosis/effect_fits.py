@@ -154,7 +154,7 @@ class Fits:
             again = self._from(model, names, start, hits, worth, others_first, split=False)
             if again.chi2 < found.chi2:
                 found = self._split(again, hits)
-        if len(hits) == 1 and not found.chi2 <= NEAR_NOISE * found.white.size:
+        if len(hits) == 1 and found.ok and found.chi2 > NEAR_NOISE * found.white.size:
             alone = self._in_place_of_base(names, start, hits[0])
             if alone is not None and alone.chi2 < found.chi2:
                 found = alone
@@ -321,7 +321,10 @@ class Fits:
             return None
         model = model.with_parameters({base: low, size: model.parameters()[size] * whole / share})
         free = self.parameters(model)
-        alone = self._fit(model, tuple(n for n in free if n != base), start, tolerance=1.0)
+        # without the base parameter no spring tells the offset of the reading from a force
+        runs = [run if run.trend is not None else replace(run, trend=0) for run in self.runs]
+        alone = fit(model, runs, tuple(n for n in free if n != base), self.weights,
+                    earlier=start.locals, noise=self.noise, tolerance=1.0, allowance=STEPS_A_FIT)
         return self.refined(self._fit(alone.model, free, alone))
 
     def _fit(self, model: Model, free: Names, start: Fit, *, iterations: int = 25,
@@ -365,8 +368,6 @@ class Fits:
         added = [use.name for use in found.model.effects if self.model.effect(use.name) is None]
         for effect in added if found.ok else ():
             for name in EFFECTS[effect].refinements:
-                if name in shown_by_none(effect, self.runs):
-                    continue
                 address, default = f"{effect}.{name}", EFFECTS[effect].defaults[name]
                 freed = address in found.system.free
                 free = tuple(n for n in found.system.free if n != address) if freed else (

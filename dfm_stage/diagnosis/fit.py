@@ -20,12 +20,11 @@ STATES = ("position", "velocity")
 def system_of(model: Model, runs: Sequence[Observation], free: Sequence[str],
               noise: float = 0.0) -> System:
     """A model on runs as the diagnosis fits it: a body without a spring feels an unknown constant
-    force in each run, and where nothing drives the stage, whatever moves was set going before."""
-    sensor = [state for use in model.effects if use.effect.stage == "sensor"
-              for state in use.effect.state_names]
-    driven = any(run.driven for run in runs)
-    return System(model, runs, free, noise=noise, states=(*STATES, *sensor) if driven else None,
-                  pushed=True)
+    force in each run, and where nothing drives the stage, modes were set going before, too."""
+    stages = ("sensor",) if all(run.driven for run in runs) else ("sensor", "modes")
+    own = [state for use in model.effects if use.effect.stage in stages
+           for state in use.effect.state_names]
+    return System(model, runs, free, noise=noise, states=(*STATES, *own), pushed=True)
 
 
 def fit(model: Model, runs: Sequence[Observation], free: Sequence[str], weights: Weights, *,

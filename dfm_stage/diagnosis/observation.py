@@ -38,7 +38,8 @@ class Observation(Run):
     `output` (N,) is in `unit`; `other` has its noise filtered out. `reference` (N,) is what the
     stage was to follow, where recorded. `start_s` is the time of the first sample since the record
     began, `lost_s` are times at which the logger had dropped samples, which were put in. `of` is
-    the name of the long record of which the run is a stretch, in `part_of_record`.
+    the name of the long record of which the run is a stretch, in `part_of_record`; `samples` is
+    the size of the record of which it is a part, 0 of a whole one.
     """
 
     unit: str = "m"
@@ -49,11 +50,17 @@ class Observation(Run):
     lost_s: tuple[float, ...] = ()
     of: str = ""
     part_of_record: int = 0
+    samples: int = 0
 
     @property
     def record(self) -> str:
         """The name of the record that it is, or that it is a part of."""
         return self.of or self.name
+
+    @property
+    def record_size(self) -> int:
+        """Samples of the record that it is, or that it is a part of."""
+        return self.samples or self.input.size
 
     def simulated_position(self, residual: Array) -> Array:
         """The position (N - skip,) that a simulation gave which left `residual` of the output; the
@@ -77,7 +84,8 @@ class Observation(Run):
         return replace(
             self.sliced(cut),
             reference=None if self.reference is None else self.reference[cut],
-            periodicity=found, skip=max(start - first, lead_in(stop - first)),
+            samples=self.record_size, periodicity=found,
+            skip=max(start - first, lead_in(stop - first)),
             start_s=self.start_s + first * self.sample_period)
 
 

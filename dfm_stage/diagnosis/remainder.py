@@ -78,7 +78,7 @@ def findings(run: Observation, residual: Array, known_noise: float | None,
     if known_noise:
         found.append(Finding("known_noise", spread / known_noise, EXCESS,
                              "RMS over the noise that the model gives"))
-    if model is not None and any(f.real for f in found) and run.input.size >= FEW_SAMPLES \
+    if model is not None and any(f.real for f in found) and run.record_size >= FEW_SAMPLES \
             and all(share < FORETOLD_SHARE for share in foretold(run, residual, model)):
         found = [replace(f, coloured=f.real) for f in found]
     white = _white(residual)

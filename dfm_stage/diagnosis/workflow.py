@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from dfm_stage.diagnosis.candidates import shown_by_none
 from dfm_stage.diagnosis.decisions import FEW_SAMPLES, STRETCHES_FITTED, STRETCHES_HELD
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import Evidence
@@ -109,7 +110,9 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         parts = split_by_time(whole)
         runs, held = ([run for run in each if run.of] + part
                       for each, part in zip((runs, held), parts, strict=True))
-    freed = tuple(n for n in (default_free(one) if free is None else free) if n not in fixed)
+    hidden = {f"{use.name}.{n}" for use in one.effects for n in shown_by_none(use.name, runs)}
+    freed = tuple(n for n in (default_free(one) if free is None else free)
+                  if n not in fixed and (free is not None or n not in hidden))
     search = Search(one, runs, freed, library=known, again=library is not None, step=tell)
     found = _diagnosis(Trial(search, held, seed, uncommon=uncommon), warnings,
                        bool(whole) and not holdout, (unextended, accept))

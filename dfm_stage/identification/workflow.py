@@ -243,10 +243,10 @@ def _check_usable(sources: Sequence[Source], holdout: Sequence[Source],
     if not sources:
         raise IdentificationError("no record to identify from: give at least one")
     _check_alike([*sources, *holdout])
-    first = sources[0].axis
-    mismatch = input_mismatch(model, first.input_unit) if model and np.any(first.input) else None
-    if mismatch:
-        raise IdentificationError(f"{sources[0].name}: {mismatch}")
+    for source in (*sources, *holdout):
+        if model is not None and np.any(source.axis.input) and (
+                mismatch := input_mismatch(model, source.axis.input_unit)):
+            raise IdentificationError(f"{source.name}: {mismatch}")
     for source in sources:
         if np.ptp(source.axis.position) == 0.0:
             what = source.axis.measures

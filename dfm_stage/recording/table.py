@@ -99,9 +99,10 @@ class _Choice:
 
 
 class _Undriven:
-    """A table with an input of zeros for each axis, in the place of those that it has."""
+    """A table with an input of zeros for each axis, in the place of those that it has; `output` is
+    the column of the output, where it was named."""
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: Table, output: str | None) -> None:
         self._table = table
         self.path, self.kind, self.warnings = table.path, table.kind, table.warnings
         self.sample_period = table.sample_period
@@ -109,9 +110,11 @@ class _Undriven:
                  for name in table.names}
         axes = dict.fromkeys(kind["axis"] for kind in kinds.values()
                              if kind is not None and kind["quantity"] in _OUTPUTS)
-        self.inputs = [f"{axis}_input_v" if axis else "input_v" for axis in axes or (None,)]
-        self.names: Sequence[str] = [*(name for name, kind in kinds.items()
-                        if kind is None or kind["quantity"] != "input"), *self.inputs]
+        self.inputs = ["(no input)"] if output is not None else [
+            f"{axis}_input_v" if axis else "input_v" for axis in axes]
+        self.names: Sequence[str] = [*(
+            name for name, kind in kinds.items() if name == output or kind is None
+            or kind["quantity"] != "input"), *self.inputs]
 
     def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """As in `Table`."""
@@ -133,8 +136,10 @@ def table_record(table: Table, options: Options, fingerprint: str = "") -> Recor
         If columns are missing or their content cannot be a record.
     """
     if options.input == NO_INPUT and NO_INPUT not in table.names:
-        table = undriven = _Undriven(table)
-        options = replace(options, input=None if options.output is None else undriven.inputs[0])
+        table = undriven = _Undriven(table, options.output)
+        named = options.output is not None
+        options = replace(options, input=undriven.inputs[0] if named else None,
+                          input_unit=options.input_unit or ("V" if named else None))
     with in_file(table.path), np.errstate(over="ignore", invalid="ignore"):
         return _record(table, options, fingerprint)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,3 +69,46 @@ def test_drag_in_a_ring_down_is_no_second_mode():
     found = diagnose(records[:2], MODEL, holdout=records[2:])
     assert found.names == ("quadratic_damping",)
     assert found.effects[0].parameters["coefficient"].covers(drag)
+
+
+def test_a_ring_down_beside_a_driven_record_tells_more_and_spoils_nothing():
+    """By the frequency response of both modes, with a share that the driven record shows."""
+    share, omega = 0.2, 2.0 * math.pi * np.fft.rfftfreq(SIZE, PERIOD)
+    feed = np.fft.rfft(np.random.default_rng(5).standard_normal(SIZE))
+    feed[omega > 2.0 * math.pi * 100.0] = 0.0
+
+    def response(mode):
+        w = 2.0 * math.pi * mode[0]
+        return 1.0 / (w * w - omega**2 + 2j * mode[1] * w * omega)
+
+    held = np.sinc(omega * PERIOD / (2.0 * math.pi)) * np.exp(-0.5j * omega * PERIOD)
+    motion = np.fft.irfft(held * feed * ((1.0 - share) * response(FIRST)
+                                         + share * response(SECOND)), SIZE)
+    size = 1e-3 / np.std(motion)
+    driven = record(1, size * motion)
+    driven = replace(driven, axes={"x": replace(
+        driven.axes["x"], input=size * np.fft.irfft(feed, SIZE))})
+    found = diagnose([driven, ringing(2, 0.3)], MODEL, holdout=[ringing(3, 0.3)])
+    assert found.names == ("second_mode",)
+    told = found.effects[0].parameters
+    assert told["share"].covers(share)
+    assert told["share"].half_width < 1e-3
+
+
+def test_a_share_that_the_model_has_stays_where_nothing_shows_it():
+    known = MODEL.with_effect("second_mode", {"share": 0.2, "frequency": 30.5,
+                                              "damping_ratio": 0.008})
+    found = diagnose([ringing(1, 0.3), ringing(2, 0.3)], known, holdout=[ringing(3, 0.3)])
+    assert found.verdict == "retune"
+    told = found.model.parameters()
+    assert told["second_mode.share"] == 0.2
+    assert told["force_constant"] == pytest.approx(1.0, rel=1e-3)
+    assert told["second_mode.frequency"] == pytest.approx(SECOND[0], abs=0.01)
+
+
+def test_a_mount_of_the_sensor_rings_from_where_it_was():
+    """The model's only wrong number is its damping; the mount is no second mode besides."""
+    known = MODEL.with_effect("sensor_mount", {"frequency": SECOND[0],
+                                               "damping_ratio": SECOND[1]})
+    found = diagnose([ringing(1, 0.3), ringing(2, 0.3)], known, holdout=[ringing(3, 0.3)])
+    assert found.verdict == "retune"

@@ -91,3 +91,4 @@ def test_of_a_short_motion_that_died_out_a_fifth_is_held_out(size, first, second
     assert fitted[0].input.size == first
     assert held[0].input.size - held[0].skip == second - first
     assert fitted[1].input.size - fitted[1].skip == size - second
+    assert {r.record_size for r in (*fitted, *held)} == {size}

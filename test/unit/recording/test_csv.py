@@ -325,7 +325,7 @@ def test_writing_is_all_or_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("header", "given", "axes"), [
     ("time_s,position_m", {}, {"x"}), ("time_s,position_m", {"output": "position_m"}, {"x"}),
     ("time_s,x_position_m,y_position_m", {}, {"x", "y"}),
-    ("time_s,input_a,position_m", {}, {"x"}),
+    ("time_s,input_a,position_m", {}, {"x"}), ("time_s,input_v", {"output": "input_v"}, {"x"}),
     ("time_s,reading", {"output": "reading", "output_unit": "um"}, {"x"})])
 def test_where_nothing_drove_the_stage_the_input_is_zero(tmp_path, header, given, axes):
     rows = [f"{1e-3 * k:.3f}," + ",".join(["1.5"] * header.count(",")) for k in range(20)]
