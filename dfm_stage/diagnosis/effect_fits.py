@@ -304,22 +304,14 @@ class Fits:
         """The fit that begins with an effect in the place of the base parameter that it acts like,
         which is at its lower limit and freed last: begun beside it, a fit does not come along
         that limit. None of an effect that replaces none."""
-        effect, coordinates = EFFECTS[hit.name], EFFECTS[hit.name].coordinates
-        base = effect.replaces
-        if coordinates is None or base not in self.free:
+        base, own = EFFECTS[hit.name].replaces or ("", None)
+        if own is None or base not in self.free:
             return None
         model, _ = self._with(start.model, names, [hit])
-        size, low = f"{hit.name}.{effect.sizes[0]}", model.parameter(base).low
-
-        def both(values: Parameters) -> float:
-            given = {**model.parameters(), **values}
-            return float(coordinates.forward(np.array([given[n] for n in coordinates.names]))[0])
-
-        whole = both({size: 0.0}) - both({base: low, size: 0.0})
-        share = both({base: low}) - both({base: low, size: 0.0})
-        if whole * share <= 0.0:
-            return None
-        model = model.with_parameters({base: low, size: model.parameters()[size] * whole / share})
+        known = model.parameters()
+        made = own(known[base], {n: known[f"{hit.name}.{n}"] for n in EFFECTS[hit.name].defaults})
+        model = model.with_parameters({base: model.parameter(base).low, **{
+            f"{hit.name}.{n}": v for n, v in made.items()}})
         free = self.parameters(model)
         # without the base parameter no spring tells the offset of the reading from a force
         runs = [run if run.trend is not None else replace(run, trend=0) for run in self.runs]

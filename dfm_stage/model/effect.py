@@ -175,9 +175,9 @@ class Effect:
     optional: tuple[str, ...] = ()
     classes: tuple[Equivalence, ...] = ()
     fit: Reparametrisation | None = None
-    replaces: str = ""
-    """The base parameter that a linear model takes the effect for: their sum is the first fitted
-    coordinate, and there may be the effect alone."""
+    replaces: tuple[str, Callable[[float, Mapping[str, float]], Parameters]] | None = None
+    """The base parameter that a linear model takes the effect for where there is the effect alone,
+    and its own parameters that make up for a value of that, from that and from where it begins."""
     adds_to: str | None = None
     states: tuple[str, ...] = ()
     stage: Literal["modes", "amplifier", "mechanics", "sensor"] = "mechanics"

@@ -10,6 +10,7 @@ Source: Nayfeh and Mook, Nonlinear Oscillations (1979), sec. 2.1.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -40,6 +41,10 @@ def _forward(values: Array) -> Array:
 def _backward(fitted: Array) -> Array:
     total, softening, length = fitted
     return np.array([total - softening * length**2, softening * length**3, length])
+
+
+def _of_stiffness(stiffness: float, values: Mapping[str, float]) -> Parameters:
+    return {"weight": stiffness * values["length"]}
 
 
 class Gravity(Effect):
@@ -96,6 +101,6 @@ EFFECT = Gravity(
     ),
     fit=Reparametrisation(("stiffness", ".weight", ".length"),
                           (".total_stiffness", ".softening", ".length"), _forward, _backward),
-    replaces="stiffness",
+    replaces=("stiffness", _of_stiffness),
     force=force,
 )
