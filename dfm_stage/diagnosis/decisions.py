@@ -262,9 +262,9 @@ FLATNESS = decision(
     "FLATNESS", 0.35, "1", meaning="Kurtosis below that of the normal distribution by this much "
     "is that of rounding or of periodic errors.", set_on=FIRST_FORM)
 FLATNESS_SIGMAS = decision(
-    "FLATNESS_SIGMAS", 4.0, "standard errors", meaning="So far below that of few samples of noise "
-    "it must also be: their kurtosis has the variance 24/N.", set_on="derivation: FLATNESS is as "
-    "much at 3100 samples")
+    "FLATNESS_SIGMAS", 4.0, "standard errors", meaning="It must also be so far below: "
+    "the kurtosis of N samples of noise has the variance 24/N.",
+    set_on="derivation: FLATNESS is as much at 3100 samples")
 FEWEST_CYCLES = decision(
     "FEWEST_CYCLES", 2.0, "cycles", meaning="Cycles in a record from which a vibration is looked "
     "for, and named.", set_on=FIRST_FORM)
@@ -321,7 +321,7 @@ LEAD_IN = decision(
     "LEAD_IN", 40, "samples", meaning="Simulated but not compared: what the amplifier held "
     "before the record began dies out.", set_on=FIRST_FORM)
 LEAD_IN_PART = decision(
-    "LEAD_IN_PART", 0.1, "1", meaning="Part of a short record that this is at most.",
+    "LEAD_IN_PART", 0.1, "1", meaning="Share of a record that the lead-in is at most.",
     set_on="derivation: a lead-in of 40 samples would leave 60 of 100")
 SHORTEST = decision(
     "SHORTEST", 100, "samples", meaning="Shortest record that is diagnosed.",

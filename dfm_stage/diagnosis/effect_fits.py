@@ -315,15 +315,16 @@ class Fits:
         free = self.parameters(model)
         # without the base parameter no spring tells the offset of the reading from a force
         runs = [run if run.trend is not None else replace(run, trend=0) for run in self.runs]
-        alone = fit(model, runs, tuple(n for n in free if n != base), self.weights,
-                    earlier=start.locals, noise=self.noise, tolerance=1.0, allowance=STEPS_A_FIT)
+        alone = self._fit(model, tuple(n for n in free if n != base), start, tolerance=1.0,
+                          runs=runs)
         return self.refined(self._fit(alone.model, free, alone))
 
     def _fit(self, model: Model, free: Names, start: Fit, *, iterations: int = 25,
-             tolerance: float = 1e-2, exact: bool = False) -> Fit:
+             tolerance: float = 1e-2, exact: bool = False,
+             runs: Sequence[Observation] | None = None) -> Fit:
         """A fit within what is left of the work that may be done; parameters that have no
         meaning where it ends are at their defaults again, and no longer free."""
-        found = fit(model, self.runs, free, self.weights, earlier=start.locals,
+        found = fit(model, runs or self.runs, free, self.weights, earlier=start.locals,
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
                     allowance=min(max(self.most_steps - self.steps, 0.0), STEPS_A_FIT))
         if self.steps > self.most_steps:

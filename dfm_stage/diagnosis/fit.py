@@ -20,10 +20,11 @@ STATES = ("position", "velocity")
 def system_of(model: Model, runs: Sequence[Observation], free: Sequence[str],
               noise: float = 0.0) -> System:
     """A model on runs as the diagnosis fits it: a body without a spring feels an unknown constant
-    force in each run, and where nothing drives the stage, modes were set going before, too."""
-    stages = ("sensor",) if all(run.driven for run in runs) else ("sensor", "modes")
-    own = [state for use in model.effects if use.effect.stage in stages
-           for state in use.effect.state_names]
+    force in each run, and where nothing drives the stage, whatever moves was set going before."""
+    driven = all(run.driven for run in runs)
+    own = [state for use in model.effects for state in use.effect.state_names
+           if use.effect.stage == "sensor"
+           or (not driven and state.rpartition(".")[2] in STATES)]
     return System(model, runs, free, noise=noise, states=(*STATES, *own), pushed=True)
 
 

@@ -36,8 +36,8 @@ from dfm_stage.model import EFFECTS, Model
 def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     """The trial by the kind of hold that leaves clearly least before any effect is added, with
     that fit; only where the model has a lag or delay to fit, because an effect that is late would
-    stand for a kind otherwise. Nor where the input acts as a held one does: behind another kind it
-    has a lag of half a sample, and a fit makes that less or more for what the model lacks."""
+    stand for a kind otherwise. Nor where the input acts half a sample late, as a held one does:
+    another kind needs a lag of the stage for that, and fits the lag to what the model lacks."""
     search = trial.search
     if late_parameters(search.model, search.free) \
             and not any(run.convention.acts_when_held for run in search.runs):

@@ -82,7 +82,7 @@ class Convention:
 
     @property
     def acts_when_held(self) -> bool:
-        """Whether the record shows that the input acts when a held one does behind no lag."""
+        """Whether the record shows an input that acts half a sample late, as a held one does."""
         return self.hold == "zero" and self.source == "estimated" and self.late is not None \
             and abs(self.late) <= EARLY_SHIFT
 

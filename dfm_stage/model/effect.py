@@ -176,8 +176,9 @@ class Effect:
     classes: tuple[Equivalence, ...] = ()
     fit: Reparametrisation | None = None
     replaces: tuple[str, Callable[[float, Mapping[str, float]], Parameters]] | None = None
-    """The base parameter that a linear model takes the effect for where there is the effect alone,
-    and its own parameters that make up for a value of that, from that and from where it begins."""
+    """A base parameter that may be at its lower limit beside the effect, because a linear model
+    takes one for the other; and a function of its value and of the effect's parameters that gives
+    those of the effect that make up for it."""
     adds_to: str | None = None
     states: tuple[str, ...] = ()
     stage: Literal["modes", "amplifier", "mechanics", "sensor"] = "mechanics"
@@ -214,8 +215,8 @@ class Effect:
     """Parameters that stay at their default, and are no parameter of a fit, unless the model has
     another value or freeing them pays as a further effect must."""
     by_input: tuple[str, ...] = ()
-    """Parameters that only an input shows: in a free motion the effect's states begin anywhere,
-    and how much of them is seen is a part of that."""
+    """Parameters that only an input shows. In a free motion the effect's states begin at unknown
+    values: more of smaller states is the same reading."""
     distance: str = ""
     """The fitted coordinate that is the distance (m) after a reversal within which the force
     changes. Far below the noise it cannot be told from dry friction, and is slow to simulate."""

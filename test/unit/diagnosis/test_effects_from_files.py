@@ -14,6 +14,8 @@ from scipy.integrate import solve_ivp
 
 from dfm_stage.cli.diagnose_report import write_report
 from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis.fit import system_of
+from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import EFFECTS, Simulator, load_model, save_model
 from dfm_stage.model.registry import load_effect
@@ -100,3 +102,14 @@ def test_an_effect_from_a_file_is_simulated_fitted_named_written_and_drawn(name,
     page = (tmp_path / "report.html").read_text("utf-8")
     for shown in (name.replace("_", " "), "Measured against simulated", *TRUE[name]):
         assert shown in page
+
+
+@pytest.mark.parametrize(("driven", "own"), [(False, {"position", "velocity"}), (True, set())])
+def test_a_body_of_its_own_was_set_going_before_a_ring_down(driven, own):
+    model = truth.believed().with_effect("absorber", TRUE["absorber"])
+    feed, output = np.full(500, float(driven)), np.sin(np.arange(500) / 9.0)
+    feed[::2] = 0.0
+    run = Observation("run", feed, 1e-4 * output, model.sample_period)
+    unknowns = {u.name for u in system_of(model, [run], ()).unknowns}
+    assert {n for n in unknowns if n.startswith("initial.absorber")} == {
+        f"initial.absorber.{n}" for n in own}
