@@ -27,7 +27,7 @@ from mcap.records import Attachment, Channel, Schema
 
 from dfm_stage.files import write_whole
 from dfm_stage.recording.bag import DROPPED_KEY
-from dfm_stage.recording.chunk import AS_IT_CAME, Chunk, Messages
+from dfm_stage.recording.chunk import Arrival, Arrived, Chunk, Messages
 from dfm_stage.recording.chunk_kernels import number
 from dfm_stage.recording.errors import BagWriteError, writing
 from dfm_stage.recording.mcap_sink import McapSink
@@ -110,7 +110,7 @@ class BagWriter:
         self._chunk_size = 0
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
-        self._jobs: list[Callable[[], None] | Messages] = []
+        self._jobs: list[Callable[[], None] | Messages | Arrived] = []
         self._flush_now = self._closing = False
         self._process = os.getpid()
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
@@ -206,26 +206,19 @@ class BagWriter:
         if refused is not None:
             raise refused
 
-    def write_arrived(self, arrivals: Sequence[tuple[int, bytes, int]]) -> None:
+    def write_arrived(self, arrivals: Sequence[Arrival]) -> None:
         """Add messages as they came: topic id, data, and the system time of that (ns).
 
         They are numbered topic by topic. A stamped message was published at its stamp, another
-        one when it came.
+        one when it came. A topic that was not announced ends the bag (`error`).
 
         Raises
         ------
         BagWriteError
-            If the writer is closed or has failed, or a topic was not announced.
+            If the writer is closed or has failed.
         """
-        if not arrivals:
-            return
-        topics, data, came_ns = zip(*arrivals, strict=True)
-        if min(topics) < 1 or max(topics) > len(self._topics):
-            raise BagWriteError(f"{self.directory}: messages refused: one of their topics was not "
-                                "announced")
-        times = np.full((len(data), 3), AS_IT_CAME)
-        times[:, :2] = np.array(came_ns, np.int64)[:, None]
-        self._accept(Messages.of(topics, data, times))
+        if arrivals:
+            self._accept(Arrived(list(arrivals), sum([len(each[1]) for each in arrivals])))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file into the bag; it stands before every message written after this call."""
@@ -291,9 +284,9 @@ class BagWriter:
     def _queue(self, job: Callable[[], None]) -> None:
         self._jobs.append(lambda: self._do(job))
 
-    def _accept(self, messages: Messages) -> None:
+    def _accept(self, messages: Messages | Arrived) -> None:
         """Queue messages, unless too many wait."""
-        count, size = len(messages.lengths), messages.size
+        count, size = messages.message_count, messages.memory
         with self._lock:
             full = self._waiting_bytes + size > self._backlog_limit
             if not self._closing:
@@ -303,20 +296,21 @@ class BagWriter:
             if full:
                 return
             self._waiting_bytes += size
-            self._new_bytes += len(messages.data)
+            self._new_bytes += messages.content
             self._jobs.append(messages)
             if self._new_bytes >= self._chunk_bytes:
                 self._work.notify()
 
     # In the writer's thread
 
-    def _work_off(self, jobs: Sequence[Callable[[], None] | Messages]) -> None:
+    def _work_off(self, jobs: Sequence[Callable[[], None] | Messages | Arrived]) -> None:
         parts: list[Messages] = []
         size = 0
         for job in jobs:
-            if isinstance(job, Messages):
-                parts.append(job)
-                size += len(job.data)
+            if isinstance(job, Messages | Arrived):
+                self._chunk_size += job.memory
+                parts.append(job.columns())
+                size += job.content
                 if size >= self._chunk_bytes:
                     self._lay_out(parts)
                     self._write_chunk()
@@ -331,9 +325,10 @@ class BagWriter:
         """Move messages into the chunk, all in one: after each step that needs no interpreter
         lock it has to be waited for."""
         if parts:
-            self._chunk_size += sum(each.size for each in parts)
             messages = Messages.joined(parts)
             parts.clear()
+            if not 0 < messages.channels.min() <= messages.channels.max() < len(self._stamped):
+                raise BagWriteError("one of the topics was not announced")
             self._arrived.resize(len(self._stamped), refcheck=False)
             number(*messages, np.array(self._stamped, np.int64), self._log_stamps, self._arrived)
             self._chunk.add(messages)
@@ -375,18 +370,18 @@ class BagWriter:
                 if self._closing and not self._jobs:
                     return
 
-    def _fail(self, jobs: Sequence[Callable[[], None] | Messages], written: int,
+    def _fail(self, jobs: Sequence[Callable[[], None] | Messages | Arrived], written: int,
               error: Exception) -> None:
         """Write nothing more after an error that is not the disk's; what of `jobs` was not
         `written` counts as lost, and who waits for a flush goes on."""
         failed = BagWriteError(f"{self.file_path}: {type(error).__name__}: {error}")
         with self._lock:
             self.error = self.error or failed
-            self.lost += sum(len(job.lengths) for job in jobs
-                             if isinstance(job, Messages)) - written
+            self.lost += sum(job.message_count for job in jobs
+                             if isinstance(job, Messages | Arrived)) - written
         self._chunk, self._chunk_size = Chunk(), 0
         for job in jobs:
-            if not isinstance(job, Messages):
+            if not isinstance(job, Messages | Arrived):
                 job()
 
     def _finish(self) -> None:

@@ -6,17 +6,22 @@ Laid out one by one in Python, a message cost more than all that its nodes did w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from dfm_stage.recording.chunk_kernels import AS_IT_CAME, lay_out
 from dfm_stage.recording.numba_tools import MESSAGE_HEAD, Bytes, Ints
 
-__all__ = ["AS_IT_CAME", "Chunk", "Messages"]
+__all__ = ["Arrival", "Arrived", "Chunk", "Messages"]
 
-ARRAYS_BYTES = 700
+Arrival: TypeAlias = tuple[int, bytes, int]
+"""Channel, serialised message, and the system time at which it came (ns)."""
+
+_ARRAYS_BYTES = 700
 """What four arrays take beside what they hold."""
+_ARRIVAL_BYTES = 140
+"""What the objects of one arrival take beside what it says."""
 
 
 class Messages(NamedTuple):
@@ -30,9 +35,23 @@ class Messages(NamedTuple):
     Where the number is `AS_IT_CAME`, both times are that of arrival."""
 
     @property
-    def size(self) -> int:
-        """Bytes of memory that they take, about."""
-        return len(self.data) + len(self.lengths) * MESSAGE_HEAD + ARRAYS_BYTES
+    def message_count(self) -> int:
+        """How many they are."""
+        return len(self.lengths)
+
+    @property
+    def content(self) -> int:
+        """Bytes of what they say."""
+        return len(self.data)
+
+    @property
+    def memory(self) -> int:
+        """Bytes that they take, about."""
+        return self.content + self.message_count * MESSAGE_HEAD + _ARRAYS_BYTES
+
+    def columns(self) -> Messages:
+        """Return them as they are laid out."""
+        return self
 
     @classmethod
     def of(cls, channels: Sequence[int], data: Sequence[bytes], times: Ints) -> Messages:
@@ -44,6 +63,32 @@ class Messages(NamedTuple):
     def joined(cls, parts: Sequence[Messages]) -> Messages:
         """Return several as one."""
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+class Arrived(NamedTuple):
+    """Messages as they came, one by one: to make columns of them takes longer than the thread
+    that brings them has."""
+
+    arrivals: Sequence[Arrival]
+    content: int
+    """Bytes of what they say."""
+
+    @property
+    def message_count(self) -> int:
+        """How many they are."""
+        return len(self.arrivals)
+
+    @property
+    def memory(self) -> int:
+        """Bytes that they take, about."""
+        return self.content + self.message_count * _ARRIVAL_BYTES
+
+    def columns(self) -> Messages:
+        """Return them as they are laid out."""
+        channels, data, came_ns = zip(*self.arrivals, strict=True)
+        times = np.full((len(data), 3), AS_IT_CAME)
+        times[:, :2] = np.array(came_ns, np.int64)[:, None]
+        return Messages.of(channels, data, times)
 
 
 class Chunk:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from benchmarks import formulas_found
+from benchmarks import formulas_found, versions
 from benchmarks.blind import published, wide_rates
 from benchmarks.blind.measured_scoring import MeasuredScore
 from benchmarks.blind.published import by_severity, kept, kept_misses, measured_rates, rates
@@ -45,6 +46,32 @@ def test_the_rates_of_cases_that_look_like_measurements_are_those_kept():
 
 def test_the_rates_of_uncommon_effects_are_those_kept():
     assert "\n".join(rate_rows(wide_rates.kept()["figures"])) in PAGE.read_text("utf-8")
+
+
+def test_the_comparison_of_two_versions_in_the_docs_is_that_kept():
+    text, found = PAGE.read_text("utf-8"), versions.kept()
+    times, _, differences = "\n".join(versions.tables(found)).partition("\n\n")
+    assert times in text
+    assert differences in text
+    assert f"{found['cases'] - len(found['differences'])} answers are the same" in text
+
+
+def answer(index: int, verdict: str, *effects: list[str], seconds: float = 1.0) -> dict[str, Any]:
+    return {"commit": "abc", "seed": 1, "index": index, "truth": ["creep"], "verdict": verdict,
+            "effects": [[kin[0], kin] for kin in effects], "seconds": seconds}
+
+
+def test_versions_differ_where_a_verdict_a_name_or_a_class_does():
+    old = [answer(0, "named", ["creep"]), answer(1, "named", ["creep"]), answer(2, "none"),
+           answer(3, "named", ["creep"], seconds=3.0)]
+    new = [answer(0, "named", ["creep"], seconds=2.0), answer(1, "ambiguous", ["creep", "drift"]),
+           answer(2, "retune"), answer(3, "named", ["creep"])]
+    found = versions.compared(old, new)
+    assert [each["case"] for each in found["differences"]] == [1, 2]
+    assert found["differences"][0]["after"] == "`ambiguous`: creep (or drift)"
+    assert (found["before"]["sum_s"], found["before"]["longest_s"]) == (6.0, 3.0)
+    with pytest.raises(ValueError, match="same cases"):
+        versions.compared(old, new[:3])
 
 
 def test_a_run_of_measured_like_cases_is_kept_with_its_wrong_answers(monkeypatch, tmp_path):
