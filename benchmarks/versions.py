@@ -48,7 +48,7 @@ def run(out: Path, seed: int, cases: int) -> None:
         row = {"commit": version(), "seed": seed, "index": index,
                "truth": list(case.label.get("true_effects", [])),
                "verdict": answer.get("verdict", answer.get("error")),
-               "effects": [[each["name"], each["equivalence_class"]]
+               "effects": [[each["name"], each["class"]]
                            for each in answer.get("effects", [])],
                "seconds": round(seconds, 2)}
         with out.open("a", encoding="utf-8") as file:
