@@ -16,7 +16,9 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -37,22 +39,27 @@ def version() -> str:
                           capture_output=True, text=True).stdout.strip()
 
 
-def run(out: Path, seed: int, cases: int) -> None:
+def answered(seed: int, index: int) -> dict[str, Any]:
+    """Return the answer to one case, with its processor time (s)."""
+    case = shown(make_truth(case_plan(index + 1, seed)[index]))
+    answer, seconds = timed(partial(diagnosed, case))
+    return {"commit": version(), "seed": seed, "index": index,
+            "truth": list(case.label.get("true_effects", [])),
+            "verdict": answer.get("verdict", answer.get("error")),
+            "effects": [[each["name"], each["class"]] for each in answer.get("effects", [])],
+            "seconds": round(seconds, 2)}
+
+
+def run(out: Path, seed: int, cases: int, jobs: int) -> None:
     """Answer the first cases of a seed, each one line of `out`."""
-    answered = {each["index"] for each in read(out)} if out.exists() else set()
-    for index, spec in enumerate(case_plan(cases, seed)):
-        if index in answered:
-            continue
-        case = shown(make_truth(spec))
-        answer, seconds = timed(partial(diagnosed, case))
-        row = {"commit": version(), "seed": seed, "index": index,
-               "truth": list(case.label.get("true_effects", [])),
-               "verdict": answer.get("verdict", answer.get("error")),
-               "effects": [[each["name"], each["class"]]
-                           for each in answer.get("effects", [])],
-               "seconds": round(seconds, 2)}
-        with out.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+    known = {each["index"] for each in read(out)} if out.exists() else set()
+    one_thread_each()
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool, \
+            out.open("a", encoding="utf-8") as file:
+        for done in as_completed([pool.submit(answered, seed, index) for index in range(cases)
+                                  if index not in known]):
+            file.write(json.dumps(done.result()) + "\n")
+            file.flush()
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -119,13 +126,13 @@ def main(arguments: Sequence[str]) -> int:
     answering.add_argument("out", type=Path)
     answering.add_argument("--seed", type=int, required=True)
     answering.add_argument("--cases", type=int, required=True)
+    answering.add_argument("--jobs", type=int, default=1)
     comparing = commands.add_parser("compare")
     comparing.add_argument("old", type=Path)
     comparing.add_argument("new", type=Path)
     options = parser.parse_args(arguments)
     if options.command == "run":
-        one_thread_each()
-        run(options.out, options.seed, options.cases)
+        run(options.out, options.seed, options.cases, options.jobs)
         return 0
     found = compared(read(options.old), read(options.new))
     write_whole(KEPT, json.dumps(found, indent=1) + "\n")
