@@ -35,7 +35,7 @@ DropReason = Enum("DropReason", [
     # where a remainder stays:
     "BLOCKS",         # held-out blocks are not worse without it
     "SMALL_PART",     # takes too little of what is left on held-out blocks
-    "RIVALS",         # rivals of no common class do as well
+    "RIVALS",         # unlike effects do as well, or one of its class better
     "UNHEARD",        # the force domain, which can judge it, finds none of it
 ])
 

@@ -81,7 +81,7 @@ class Screen:
         norms = np.linalg.norm(jacobian, axis=0)
         seen = norms > UNSEEN_PART**2 * max(float(norms.max()), 1e-300)
         left, values, _ = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
-        self.basis = np.asarray(left[:, values > SCREEN_RANK * values[0]])
+        self.basis = np.asarray(left[:, values > SCREEN_RANK * values.max(initial=0.0)])
         white = base.white
         self.residual = white - self.basis @ (self.basis.T @ white)
         self.edges = self._edges()

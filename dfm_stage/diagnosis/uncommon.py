@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from dfm_stage.diagnosis.alike import shares_class
-from dfm_stage.diagnosis.decisions import FURTHER, FURTHER_PART, NAMED_SHARE
+from dfm_stage.diagnosis.decisions import (
+    FIRST,
+    FURTHER,
+    FURTHER_PART,
+    MARGIN,
+    NAMED_SHARE,
+)
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.explaining import Judgement, explained, is_noise, to_noise
 from dfm_stage.diagnosis.fit import Fit
@@ -99,36 +105,61 @@ def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
 
 def _relatives(trial: Trial, h: Hypothesis) -> set[str]:
     """The uncommon effects that may stand behind what was found: those that can be the same motion
-    as one of its effects, and those of its class that have fewer parameters than all together."""
+    as one of its effects, those of its class that have fewer parameters than all together, and
+    those of its class that what is left looks like."""
     many = sum(len(EFFECTS[own].parameters) for own in h.names)
-    return {n for n in trial.uncommon for own in h.names if n in EFFECTS[own].twins or (
-        shares_class(n, own) and len(EFFECTS[n].parameters) < many)}
+    kin = [n for n in trial.uncommon if any(shares_class(n, own) for own in h.names)]
+    return {n for n in trial.uncommon if any(n in EFFECTS[own].twins for own in h.names)} | {
+        n for n in kin if len(EFFECTS[n].parameters) < many} | _seen_in_what_is_left(trial, h, kin)
+
+
+def _seen_in_what_is_left(trial: Trial, h: Hypothesis, names: Sequence[str]) -> set[str]:
+    """Those of some effects that would lower the chi-square of what was found: one of it may only
+    be the first term of theirs."""
+    if not names or trial.search.runs[0].window:
+        return set()
+    _, hits = trial.search.widened(tuple(names)).screened(h.fit, h.names)
+    return {hit.name for hit in hits if hit.name in names and hit.gain > FIRST}
 
 
 def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
                  warnings: Sequence[str], split: bool) -> Judgement:
-    """What was found to leave only noise, or what explains as much with fewer parameters: one of
-    its `relatives` in the place of all, or one that can be the same motion in the place of one."""
+    """What was found to leave only noise, or what explains as much with fewer parameters, or
+    clearly more: one of its `relatives` in the place of all, or one in the place of one."""
     h, search = found[1], wide.search
-    fits: dict[Names, Fit] = {}
     alone = {n for n in relatives if any(shares_class(n, own) for own in h.names)}
+    begun: dict[Names, Fit] = {}
     if alone:
         hits = {hit.name: hit for hit in reversed(search.screened(first, ())[1])}
-        fits = {(n,): search.fitted((n,), first, [hits[n]])
-                for n in sorted(alone & hits.keys())}
+        begun = {(n,): search.fitted((n,), first, [hits[n]])
+                 for n in sorted(alone & hits.keys())}
     for own in h.names:
         for twin in sorted(relatives & EFFECTS[own].twins.keys()):
             names = tuple(twin if n == own else n for n in h.names)
-            fits[names] = search.in_place_of(own, twin, names, h.fit)
+            begun[names] = search.in_place_of(own, twin, names, h.fit)
     search.reweigh(found[0].search.weights, found[0].search.noise)
-    fits = {names: search.fitted(names, each) for names, each in fits.items() if each.ok}
-    fits = {names: each for names, each in fits.items()
-            if each.ok and len(each.system.free) < len(h.fit.system.free)}
-    names = min(fits, key=lambda each: search.score(fits[each]), default=())
-    if not names or search.score(fits[names]) > search.score(h.fit):
+    fits = {names: search.fitted(names, each) for names, each in begun.items() if each.ok}
+    if len(h.names) > 1:
+        fits.update(_in_place_of_one(search, h, alone))
+    least = search.score(h.fit)
+    fits = {names: each for names, each in fits.items() if each.ok and search.score(each) <= (
+        least if len(each.system.free) < len(h.fit.system.free) else least - MARGIN)}
+    if not fits:
         return found
+    names = min(fits, key=lambda each: search.score(fits[each]))
     other = wide, *to_noise(wide, names, fits[names], MOST_STEPS, warnings, split)
-    return other if len(other[1].names) == len(names) and verdict(other[2]).complete else found
+    return other if len(other[1].names) <= len(names) and verdict(other[2]).complete else found
+
+
+def _in_place_of_one(search: Search, h: Hypothesis, kin: set[str]) -> Iterator[tuple[Names, Fit]]:
+    """Fits of what was found with an effect of `kin` in the place of the one of its class."""
+    for own in h.names:
+        rest = tuple(n for n in h.names if n != own)
+        wanted = {n for n in kin if shares_class(n, own) and n not in EFFECTS[own].twins}
+        if wanted and (without := search.fitted(rest, h.fit)).ok:
+            hits = {hit.name: hit for hit in reversed(search.screened(without, rest)[1])}
+            for name in sorted(wanted & hits.keys()):
+                yield (*rest, name), search.fitted((*rest, name), without, [hits[name]])
 
 
 def _may_explain(wide: Trial, found: Judgement) -> bool:

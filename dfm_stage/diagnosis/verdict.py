@@ -271,8 +271,7 @@ def above(e: Evidence, power: float) -> float:
     if not math.isfinite(power):
         return 0.0
     noise = e.judged.noise_power
-    gap = max(e.retuned.held_out.power - noise, 1e-300)
-    return 1.0 - (power - noise) / gap
+    return 1.0 - (power - noise) / max(e.retuned.held_out.power - noise, 1e-300)
 
 
 def _predictable(e: Evidence) -> float:
@@ -318,6 +317,7 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
     left = x.without.held_out.power - e.judged.noise_power
     taken = x.without.held_out.power - e.extended.held_out.power
     unrelated = [r for r in x.rivals if _level(r) and not r.related]
+    behind = any(r.related and r.margin < -BLOCK_MARGIN for r in x.rivals)
     rules = (
         (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
         (taken < _least_part(x, further) * left or (further and _is_small(e, x)),
@@ -325,7 +325,7 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
         (x.force_share is not None and not x.in_best
          and (not _takes_all(e, x) if further else x.force_share < LEAST_HEARD),
          DropReason.UNHEARD),
-        (len(unrelated) > (0 if further else 1), DropReason.RIVALS))
+        (behind or len(unrelated) > (0 if further else 1), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
 
 

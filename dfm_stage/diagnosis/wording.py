@@ -58,7 +58,7 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     DropReason.BLOCKS: "held-out blocks are not clearly worse without it",
     DropReason.SMALL_PART: "takes little of what is left on held-out blocks",
     DropReason.UNHEARD: "the force domain, which can judge it, finds none of it",
-    DropReason.RIVALS: "several unlike effects do as well in its place",
+    DropReason.RIVALS: "other effects do as well in its place, or better",
     Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
     Rejected.EXCLUDED: "{about}",
     Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",

@@ -23,7 +23,7 @@ from dfm_stage.identification.coordinates import group, late_parameters
 from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
-from dfm_stage.identification.windows import Windows, at_window, first_slope
+from dfm_stage.identification.windows import Windows, at_window, slope_at
 from dfm_stage.model import EFFECTS, Model, SimulationError, Simulator
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import reads
@@ -175,11 +175,11 @@ class System(Problem):
     @staticmethod
     def _known_start(run: Run, part: slice) -> dict[str, float]:
         """What the output says by itself of the state at the beginning of a window."""
-        output = run.output[part]
+        first = float(run.output[part.start])
         if run.order == 0:
-            return {"position": float(output[0]),
-                    "velocity": first_slope(output) / run.sample_period}
-        return {"velocity": float(output[0])} if run.order == 1 else {}
+            return {"position": first,
+                    "velocity": slope_at(run.output, part.start) / run.sample_period}
+        return {"velocity": first} if run.order == 1 else {}
 
     def _sees_position(self, run: Run) -> bool:
         """Whether the output depends on where the point is when it begins to move: a velocity of

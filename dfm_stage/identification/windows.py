@@ -16,7 +16,7 @@ from dfm_stage.identification.run import Run
 WINDOW = "@"
 """Stands between the name of an unknown and the sample at which its window begins."""
 SLOPE_SAMPLES = 20
-"""Samples over which the velocity at the beginning of a window is first read off."""
+"""Samples around the beginning of a window over which its velocity is first read off."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,12 @@ def at_window(name: str, run: Run, part: slice) -> str:
     return f"{name}{WINDOW}{part.start}" if run.window else name
 
 
-def first_slope(output: Array) -> float:
-    """Change a sample at the beginning of `output` (N,), by least squares."""
-    first = output[:SLOPE_SAMPLES]
-    ramp = np.arange(first.size) - 0.5 * (first.size - 1)
-    return float(ramp @ first / max(float(ramp @ ramp), 1.0))
+def slope_at(output: Array, at: int) -> float:
+    """Change a sample of `output` (N,) at sample `at`, of a parabola by least squares through the
+    samples around it: a straight line is as wrong as the motion is bent."""
+    begin = max(at - SLOPE_SAMPLES // 2, 0)
+    near = output[begin:begin + SLOPE_SAMPLES + 1]
+    if near.size < 3:
+        return float(near[-1] - near[0]) if near.size > 1 else 0.0
+    return float(np.polynomial.polynomial.polyfit(np.arange(near.size) - float(at - begin), near,
+                                                  2)[1])

@@ -142,7 +142,8 @@ OUTSIDE: dict[str, Outside] = {
         "odd in the position: no effect of the library brakes on one side and drives on another"),
     "position_damping_even": Outside(
         lambda _r, a, s: {"damping_x2": s * a.force / a.x**2 / a.v},
-        frozenset({"quadratic_damping"}), "damping that grows with the amplitude"),
+        frozenset({"quadratic_damping", "position_dependent_friction"}),
+        "damping that grows with the amplitude, as a friction does that grows with the position"),
     "directional_damping": Outside(
         lambda r, a, s: {"damping_direction": _sign(r) * s * a.force / a.v}, NO_RELATIVE,
         "|v|: even in the speed, and all dampers of the library are odd",
@@ -183,8 +184,9 @@ OUTSIDE: dict[str, Outside] = {
         lambda r, a, s: {"distortion_even": 0.3 * _sign(r) * s / a.x}, EVEN,
         "below the resonance a curved reading is a curved spring", force=False),
     "sensor_odd": Outside(
-        lambda r, a, s: {"distortion_odd": 0.2 * _sign(r) * s / a.x**2}, ODD,
-        "below the resonance a curved reading is a curved spring", force=False),
+        lambda r, a, s: {"distortion_odd": 0.2 * _sign(r) * s / a.x**2},
+        ODD | {"sensor_clipping"}, "below the resonance a curved reading is a curved spring; one "
+        "that gains less at its ends is in part a range that ends", force=False),
     "gain_noise": Outside(
         lambda _r, _a, s: {"gain_noise": s}, NO_RELATIVE, "multiplies; disturbances add"),
     "dead_zone": Outside(

@@ -26,7 +26,8 @@ SAME_ON: dict[str, frozenset[str]] = {
     "sensor_mount": frozenset({"second_mode", "transport_delay"}),
     "slew_limit": frozenset({"amplifier_bandwidth"}),
     "stiffness_drift": frozenset({"coil_heating"}),
-    "stribeck_friction": frozenset({"coulomb_friction", "presliding_friction"}),
+    "stribeck_friction": frozenset({"coulomb_friction", "presliding_friction",
+                                    "eddy_current_damping"}),
     "structural_damping": frozenset({"creep"}),
     "supply_sag": frozenset({"coil_heating"}),
 }

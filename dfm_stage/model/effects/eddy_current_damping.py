@@ -10,6 +10,7 @@ Source: Wouterse, IEE Proc. B 138 (1991) 153; Smythe, Trans. AIEE 61 (1942) 681.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from dfm_stage.model.effect import (
     SMALL,
@@ -27,6 +28,14 @@ def force(x: float, v: float, actuator: float, p: Values) -> float:
     """N"""
     ratio = v / p[1]
     return -p[0] * v / (1.0 + ratio * ratio)
+
+
+def _as_friction(brake: Mapping[str, float]) -> Parameters:
+    """The friction that falls from the largest force of the brake to a part 1 / e at the same
+    speed: there 2 r / (1 + r^2) = 1 / e, r the ratio to the critical speed."""
+    return {"force": 0.5 * brake["damping"] * brake["critical_velocity"], "sliding_ratio": 0.0,
+            "stribeck_velocity": brake["critical_velocity"] * (
+                math.e + math.sqrt(math.e**2 - 1.0))}
 
 
 class EddyCurrentDamping(Effect):
@@ -64,6 +73,10 @@ EFFECT = EddyCurrentDamping(
     optional=("critical_velocity",),
     classes=(Equivalence(("eddy_current_damping", "damping"),
                          "speeds far below critical_velocity",
-                         "speeds near critical_velocity"),),
+                         "speeds near critical_velocity"),
+             Equivalence(("eddy_current_damping", "stribeck_friction"),
+                         "motion much faster than critical_velocity",
+                         "speeds up to critical_velocity, and standstill")),
     force=force,
+    twins={"stribeck_friction": _as_friction},
 )

@@ -23,6 +23,7 @@ from benchmarks.corpus.measured.plant import (
 )
 from benchmarks.corpus.measured.truth import make_setup
 from benchmarks.corpus.plan import EFFECTS, class_of
+from benchmarks.corpus.uncommon import PARAMETERS
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -48,7 +49,7 @@ def test_the_plan_has_every_effect_share_and_kind() -> None:
 
 def test_relatives_are_effects_of_the_library_and_remainders_no_effect_s_own() -> None:
     for name, kind in OUTSIDE.items():
-        assert kind.relatives <= set(EFFECTS), name
+        assert kind.relatives <= {*EFFECTS, *PARAMETERS}, name
         assert name not in EFFECTS
         assert kind.reason
         for effect in LIBRARY:

@@ -29,7 +29,9 @@ left, at, part, found, FRICTION = made.left, made.at, made.part, made.found, mad
     (part(0.9, margin=2.9), DropReason.BLOCKS),
     (part(0.49), DropReason.SMALL_PART),
     (part(0.9, at(2.9)), None),
-    (part(0.9, at(2.9), at(2.9)), DropReason.RIVALS)])
+    (part(0.9, at(2.9), at(2.9)), DropReason.RIVALS),
+    (part(0.9, replace(at(-2.9), related=True)), None),
+    (part(0.9, replace(at(-3.1), related=True)), DropReason.RIVALS)])
 def test_an_effect_falls_beside_a_remainder(evidence, reason):
     assert fallen(evidence) == (None if reason is None else ("coulomb_friction", reason))
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dfm_stage.diagnosis.candidates import excluded, starts
+from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.screen import Hit, Screen
 from dfm_stage.diagnosis.search import Search
@@ -91,3 +92,13 @@ def test_a_linear_model_needs_no_first_look(search):
 
 def test_a_linear_model_that_moves_otherwise_is_not_asked():
     assert screen(search_of(HARDER), "cubic_stiffness")._first is None
+
+
+def test_parameters_that_move_nothing_leave_the_whole_residual(search):
+    """A reading rounded to more than the motion never changes: nothing can be refitted to it."""
+    bare = search.fitted((), search.begin())
+    blind = fit(bare.model.with_effect("encoder_quantization", {"step": 1.0}), search.runs, (),
+                search.weights, iterations=0)
+    own = Screen(blind, search.runs, search.weights, search.noise)
+    assert own.basis.shape == (blind.white.size, 0)
+    assert np.array_equal(own.residual, blind.white)

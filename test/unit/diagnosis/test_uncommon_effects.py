@@ -59,14 +59,15 @@ CLASSES = {"sensor_lag": {"sensor_lag", "amplifier_bandwidth"}}
 """Those that these records do not part from others."""
 
 
-def record(name: str, values: dict[str, float], seed: int, amplitude: float) -> Record:
+def record(name: str, values: dict[str, float], seed: int, amplitude: float,
+           stage: Model = STAGE) -> Record:
     """A multisine from 0.5 to 100 Hz, V RMS, with noise on the reading."""
     rng = np.random.default_rng(seed)
     t = PERIOD * np.arange(SAMPLES)
     f = np.arange(0.5, 100.0, 0.5)
     feed = np.cos(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.283, (f.size, 1))).sum(axis=0)
     feed *= amplitude / np.std(feed)
-    moved = Simulator(STAGE.with_effect(name, values)).run(feed)
+    moved = Simulator(stage.with_effect(name, values)).run(feed)
     return Record(t, PERIOD, {"x": AxisRecord(feed, moved.measured(seed))},
                   Provenance(f"run {seed}", "csv"))
 
@@ -171,6 +172,20 @@ def test_an_effect_of_which_the_spring_takes_most_is_found(
                      holdout=[record(name, values, 2, 3.0)],
                      without=[n for n in library_of([ALL]) if n not in allowed])
     assert [e.members for e in found.effects] == [(name,)]
+
+
+def test_a_friction_that_falls_is_no_eddy_brake_beside_another_effect() -> None:
+    """Faster than its critical speed the brake falls, too, and leaves hardly more than noise."""
+    shaken = STAGE.with_effect("periodic_disturbance", {
+        "amplitude": 0.3, "frequency": 13.0, "phase": 0.3})
+    values = {"force": 0.004, "sliding_ratio": 0.0, "stribeck_velocity": 0.054}
+    allowed = {"stribeck_friction", "eddy_current_damping", "coulomb_friction",
+               "periodic_disturbance"}
+    runs = [record("stribeck_friction", values, seed, 3.0, shaken) for seed in (1, 2)]
+    found = diagnose(runs[:1], BELIEVED, holdout=runs[1:],
+                     without=[n for n in library_of([ALL]) if n not in allowed])
+    assert [e.members for e in found.effects] == [("periodic_disturbance",),
+                                                  ("stribeck_friction",)]
 
 
 @pytest.mark.parametrize(("chi2", "common", "tested"), [

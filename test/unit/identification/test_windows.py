@@ -14,6 +14,7 @@ from dfm_stage.identification.criterion import Criterion
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.system import System
 from dfm_stage.identification.weights import Weight
+from dfm_stage.identification.windows import slope_at
 from dfm_stage.model import Model, Simulator
 
 PERIOD, SIZE, WINDOW = 1e-3, 1000, 300
@@ -191,3 +192,14 @@ def test_what_a_model_misses_carries_a_free_body_away_but_not_its_windows():
     whole, cut = (fit(model, [each], (), weights).rms for each in (
         run, replace(run, window=100)))
     assert cut < 0.03 * whole
+
+
+@pytest.mark.parametrize("at", [0, 3, 50, 97, 99])
+def test_a_window_begins_with_the_speed_that_a_bent_motion_has_there(at: int) -> None:
+    k = np.arange(100.0)
+    assert slope_at(3.0 - 2.0 * k + 0.4 * k**2, at) == pytest.approx(-2.0 + 0.8 * at)
+
+
+@pytest.mark.parametrize(("output", "slope"), [([5.0], 0.0), ([5.0, 7.0], 2.0)])
+def test_a_record_of_a_sample_or_two_has_the_slope_it_shows(output, slope) -> None:
+    assert slope_at(np.array(output), 0) == slope

@@ -118,6 +118,19 @@ def test_play_that_is_met_at_one_end_is_a_cable_and_a_stop(centre, inside) -> No
                 expected, abs=1e-15)
 
 
+def test_a_brake_faster_than_its_critical_speed_is_a_friction_that_falls() -> None:
+    """Both have their largest force, and a part 1 / e of it at the same higher speed."""
+    brake, stribeck = EFFECTS["eddy_current_damping"], EFFECTS["stribeck_friction"]
+    values = {"damping": 3.0, "critical_velocity": 0.2}
+    given = {**stribeck.defaults, **brake.twins["stribeck_friction"](values)}
+    speeds = np.linspace(1e-3, 4.0, 4000)
+    forces = np.array([-brake.force(0.0, v, 0.0, (3.0, 0.2)) for v in speeds])
+    frictions = np.array([stribeck.friction(0.0, v, 0.0, tuple(given.values())) for v in speeds])
+    assert frictions[0] == pytest.approx(np.max(forces), rel=1e-3)
+    fallen = np.flatnonzero(forces > np.max(forces) / math.e)[-1]
+    assert frictions[fallen] == pytest.approx(np.max(forces) / math.e, rel=1e-2)
+
+
 @pytest.mark.parametrize("name", EVERY)
 def test_effect_runs_within_its_priors_and_changes_something(name: str) -> None:
     """In the middle of its prior each effect is seen in a large fast record."""
