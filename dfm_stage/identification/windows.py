@@ -18,6 +18,8 @@ WINDOW = "@"
 SLOPE_SAMPLES = 20
 """Samples around the beginning of a window over which its velocity is first read off."""
 
+PARABOLA = 2
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -73,7 +75,6 @@ def slope_at(output: Array, at: int) -> float:
     samples around it: a straight line is as wrong as the motion is bent."""
     begin = max(at - SLOPE_SAMPLES // 2, 0)
     near = output[begin:begin + SLOPE_SAMPLES + 1]
-    if near.size < 3:
-        return float(near[-1] - near[0]) if near.size > 1 else 0.0
-    return float(np.polynomial.polynomial.polyfit(np.arange(near.size) - float(at - begin), near,
-                                                  2)[1])
+    degree = min(PARABOLA, near.size - 1)
+    times = np.arange(near.size) - float(at - begin)
+    return float(np.polynomial.polynomial.polyfit(times, near, degree)[1]) if degree else 0.0
