@@ -202,4 +202,4 @@ def test_a_window_begins_with_the_speed_that_a_bent_motion_has_there(at: int) ->
 
 @pytest.mark.parametrize(("output", "slope"), [([5.0], 0.0), ([5.0, 7.0], 2.0)])
 def test_a_record_of_a_sample_or_two_has_the_slope_it_shows(output, slope) -> None:
-    assert slope_at(np.array(output), 0) == slope
+    assert slope_at(np.array(output), 0) == pytest.approx(slope)
