@@ -6,9 +6,11 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import page
+from benchmarks.composed import late_percent
 from benchmarks.figure import Figure
 from dfm_stage.cli.bench_runs import combined, merged
 
@@ -153,3 +155,14 @@ def test_targets_of_spoilt_inputs_have_a_row_each():
                         page.number)
     assert "| csv | 19,200 | 3,723 | 15,477 | 0 | 1.06 | 576 |" in text
     assert "| all | 38,400 | 7,446 | 30,954 | 0 | 1.06 | 576 |" in text
+
+
+def test_a_sample_is_late_by_more_than_a_period_of_the_one_most_in_time() -> None:
+    numbers = np.arange(10)
+    stamps = 5_000_000_000 + 1_000_000 * numbers
+    stamps[3] += 999_999
+    stamps[7] += 1_000_001
+    assert late_percent(numbers, stamps, 1000.0, 10) == 10.0
+    seen = numbers != 5
+    assert late_percent(numbers[seen], stamps[seen], 1000.0, 10) == 20.0
+    assert late_percent(numbers[:0], stamps[:0], 1000.0, 10) == 100.0
