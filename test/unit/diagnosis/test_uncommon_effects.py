@@ -174,13 +174,15 @@ def test_an_effect_of_which_the_spring_takes_most_is_found(
     assert [e.members for e in found.effects] == [(name,)]
 
 
-def test_a_friction_that_falls_is_no_eddy_brake_beside_another_effect() -> None:
-    """Faster than its critical speed the brake falls, too, and leaves hardly more than noise."""
+@pytest.mark.parametrize("force", [0.004, 0.01])
+def test_a_friction_that_falls_is_told_as_itself_beside_another_effect(force: float) -> None:
+    """A small one leaves hardly more than noise where an eddy brake stands in its place, a larger
+    one where Coulomb friction and a drag do."""
     shaken = STAGE.with_effect("periodic_disturbance", {
         "amplitude": 0.3, "frequency": 13.0, "phase": 0.3})
-    values = {"force": 0.004, "sliding_ratio": 0.0, "stribeck_velocity": 0.054}
-    allowed = {"stribeck_friction", "eddy_current_damping", "coulomb_friction",
-               "periodic_disturbance"}
+    values = {"force": force, "sliding_ratio": 0.0, "stribeck_velocity": 0.054}
+    allowed = {"stribeck_friction", "coulomb_friction", "periodic_disturbance",
+               "quadratic_damping", "eddy_current_damping"}
     runs = [record("stribeck_friction", values, seed, 3.0, shaken) for seed in (1, 2)]
     found = diagnose(runs[:1], BELIEVED, holdout=runs[1:],
                      without=[n for n in library_of([ALL]) if n not in allowed])
