@@ -279,8 +279,8 @@ SIZES_APART = decision(
     "an exponent of amplitude.", set_on=FIRST_FORM)
 
 AS_GIVEN = decision(
-    "AS_GIVEN", 1e-6, "1", meaning="Half of the relative interval of a parameter that was found "
-    "by search and is known exactly.", set_on=FIRST_FORM)
+    "AS_GIVEN", 1e-6, "1", meaning="Half of the relative interval of a step that was read off "
+    "the values that occur and is known exactly.", set_on=FIRST_FORM)
 
 # -- noise ---------------------------------------------------------------------------------------
 

@@ -238,8 +238,8 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
 
 def _own(trial: Trial, h: Hypothesis, name: str,
          values: Mapping[str, Quantity]) -> dict[str, Quantity]:
-    """The parameters of one effect; one that a fit held has the interval of its search, one that
-    trades with the others has none."""
+    """The parameters of one effect; a step that a search found has the interval of that, what a
+    fit held otherwise, or what trades with the others, has none."""
     model = h.fit.model
     use = model.effect(name)
     assert use is not None  # noqa: S101 (it was added by the search)
@@ -248,22 +248,23 @@ def _own(trial: Trial, h: Hypothesis, name: str,
         if parameter in shown_by_none(name, trial.search.runs):
             continue
         address, value = f"{name}.{parameter}", use.parameters[parameter]
-        half = value * _searched_to(trial, address, value)
-        held = Quantity(value, model.parameter(address).unit, (value - half, value + half))
+        searched = None
+        if EFFECTS[name].rounds:
+            half = value * _searched_to(trial, value)
+            searched = value - half, value + half
+        held = Quantity(value, model.parameter(address).unit, searched)
         told = values.get(address, held)
         own[parameter] = replace(told, value=float(value),
                                  ci95=told.ci95 if told.bounded else None)
     return own
 
 
-def _searched_to(trial: Trial, address: str, value: float) -> float:
-    """Half the relative interval of a parameter that was found by search and held.
+def _searched_to(trial: Trial, value: float) -> float:
+    """Half the relative interval of a step that was found by search and held.
 
-    A step read off the set of values that occur is known to their own rounding over the travel;
-    any other to the grid it was looked for on.
+    One read off the set of values that occur is known to their own rounding over the travel; any
+    other to the grid it was looked for on.
     """
-    if not EFFECTS[address.partition(".")[0]].rounds:
-        return AS_GIVEN
     output = trial.search.runs[0].output
     travel = max(float(np.ptp(output)), value)
     seen = lattice(output)

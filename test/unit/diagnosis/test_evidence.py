@@ -7,6 +7,7 @@ import enum
 import importlib.util
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import verdict
 from dfm_stage.identification.system import System
-from dfm_stage.model import Simulator
+from dfm_stage.model import Model, Simulator
+from dfm_stage.quantity import Quantity
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -165,3 +167,17 @@ def test_the_error_of_an_offset_is_that_of_slow_noise(count, size):
         offset = gathering._offset(bare, ("force_offset",))
         ratios.append(offset.value / offset.sigma)
     assert 0.3 < float(np.std(ratios)) < 2.5
+
+
+def test_a_parameter_that_a_fit_held_has_no_interval():
+    """It was not estimated, and the value that a search begins with has no error."""
+    model = Model("m", 1e-3, {"mass": 1.0, "damping": 1.0, "stiffness": 100.0,
+                                 "force_constant": 1.0}).with_effect(
+        "hysteresis", {"stiffness": 40.0, "yield_displacement": 1e-5, "shape": 0.6,
+                       "exponent": 1.0})
+    search = SimpleNamespace(runs=[SimpleNamespace(driven=True)], model=model)
+    fitted = {"hysteresis.stiffness": Quantity(41.0, "N/m", (39.0, 43.0))}
+    own = gathering._own(SimpleNamespace(search=search), SimpleNamespace(
+        fit=SimpleNamespace(model=model)), "hysteresis", fitted)
+    assert own["stiffness"] == Quantity(40.0, "N/m", (39.0, 43.0))
+    assert own["exponent"] == Quantity(1.0, "", None)
