@@ -18,7 +18,12 @@ from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.grading import beside_main
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.search import Search
-from dfm_stage.diagnosis.search_decisions import FIRST_SHARE, MOST_STEPS, NEAR_NOISE
+from dfm_stage.diagnosis.search_decisions import (
+    FIRST_SHARE,
+    LEAST_STEPS,
+    MOST_STEPS,
+    NEAR_NOISE,
+)
 from dfm_stage.diagnosis.verdict import (
     explained_share,
     is_clearly_more,
@@ -127,6 +132,7 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
     """What was found to leave only noise, or what explains as much with fewer parameters, or
     clearly more: one of its `relatives` in the place of all, or one in the place of one."""
     h, search = found[1], wide.search
+    search.begin_work(LEAST_STEPS)
     alone = {n for n in relatives if any(shares_class(n, own) for own in h.names)}
     begun: dict[Names, Fit] = {}
     if alone:

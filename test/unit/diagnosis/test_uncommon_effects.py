@@ -239,6 +239,9 @@ class Twins:
     def __init__(self) -> None:
         self.weights, self.noise = "loose", 1.0
 
+    def begin_work(self, _: float) -> None:
+        pass
+
     def reweigh(self, weights: str, noise: float) -> None:
         self.weights, self.noise = weights, noise
 
