@@ -19,6 +19,7 @@ SLOPE_SAMPLES = 20
 """Samples around the beginning of a window over which its velocity is first read off."""
 
 PARABOLA = 2
+"""Degree of the polynomial through them."""
 
 
 @dataclass(frozen=True)

@@ -210,15 +210,20 @@ class BagWriter:
         """Add messages as they came: topic id, data, and the system time of that (ns).
 
         They are numbered topic by topic. A stamped message was published at its stamp, another
-        one when it came. A topic that was not announced ends the bag (`error`).
+        one when it came.
 
         Raises
         ------
         BagWriteError
-            If the writer is closed or has failed.
+            If the writer is closed or has failed, or a topic was not announced.
         """
-        if arrivals:
-            self._accept(Arrived(list(arrivals), sum([len(each[1]) for each in arrivals])))
+        if not arrivals:
+            return
+        topics = [each[0] for each in arrivals]
+        if min(topics) < 1 or max(topics) > len(self._topics):
+            raise BagWriteError(f"{self.directory}: messages refused: one of their topics was not "
+                                "announced")
+        self._accept(Arrived(list(arrivals), sum([len(each[1]) for each in arrivals])))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file into the bag; it stands before every message written after this call."""
@@ -327,8 +332,6 @@ class BagWriter:
         if parts:
             messages = Messages.joined(parts)
             parts.clear()
-            if not 0 < messages.channels.min() <= messages.channels.max() < len(self._stamped):
-                raise BagWriteError("one of the topics was not announced")
             self._arrived.resize(len(self._stamped), refcheck=False)
             number(*messages, np.array(self._stamped, np.int64), self._log_stamps, self._arrived)
             self._chunk.add(messages)

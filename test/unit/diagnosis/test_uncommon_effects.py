@@ -174,13 +174,15 @@ def test_an_effect_of_which_the_spring_takes_most_is_found(
     assert [e.members for e in found.effects] == [(name,)]
 
 
-@pytest.mark.parametrize("force", [0.004, 0.01])
-def test_a_friction_that_falls_is_told_as_itself_beside_another_effect(force: float) -> None:
-    """A small one leaves hardly more than noise where an eddy brake stands in its place, a larger
-    one where Coulomb friction and a drag do."""
+@pytest.mark.parametrize(("force", "velocity"), [
+    (0.004, 0.054),  # hardly more than noise is left where an eddy brake stands in its place,
+    (0.01, 0.054),   # where Coulomb friction and a drag do,
+    (0.01, 0.193)])  # where Coulomb friction does: only what is left shows the fall
+def test_a_friction_that_falls_is_told_as_itself_beside_another_effect(
+        force: float, velocity: float) -> None:
     shaken = STAGE.with_effect("periodic_disturbance", {
         "amplitude": 0.3, "frequency": 13.0, "phase": 0.3})
-    values = {"force": force, "sliding_ratio": 0.0, "stribeck_velocity": 0.054}
+    values = {"force": force, "sliding_ratio": 0.0, "stribeck_velocity": velocity}
     allowed = {"stribeck_friction", "coulomb_friction", "periodic_disturbance",
                "quadratic_damping", "eddy_current_damping"}
     runs = [record("stribeck_friction", values, seed, 3.0, shaken) for seed in (1, 2)]
