@@ -60,6 +60,8 @@ PRIORITY = Setting(
     "realtime_priority", LOOP_PRIORITY, "SCHED_RR priority of the node's process (recorder: 10) "
     "where the user has the right to it (rtprio in limits.conf); 0 = none; of nodes that share a "
     "process, the first that is no recorder sets it; not in the process of a program", "", 0, 99)
+_OPENING_S = 0.02
+"""How often a node looks whether everyone listens who must not miss its first message."""
 
 
 class Publisher(Sender):
@@ -71,27 +73,33 @@ class Publisher(Sender):
                          LOCKSTEP_QOS if node.lockstep else PUBLISHER_QOS)
         self._node = node
         self._pair = codec(self.link.type, prefix.strip("/") or node.axis).pair
-        self._open = False
+        self._wanted = [*([RECORDER_TAP] if node.settings["wait_for_recorder"] else []),
+                        *(self.link.subscribers if node.lockstep else [])]
+        self.is_open = not self._wanted
         self._held: list[tuple[bytes, Any]] = []
 
     def send(self, stamp_ns: int, *fields: Any) -> None:
         """Publish one message; where the history is full, wait for the slowest reader.
 
         Before everyone who must not miss it listens, a lockstep message is held back and a
-        real-time one, of no use to anybody, is dropped.
+        real-time one, of no use to anybody, is dropped. `release` looks who listens, not this: a
+        look takes about a millisecond, and one a sample takes the processor that the recorder
+        needs to begin to listen.
         """
         data, named = self._pair(stamp_ns, *fields)
-        if self._open or self.open():
+        if self.is_open:
             self.put(data, named)
         elif self._node.lockstep:
             self._held.append((data, named))
 
     def release(self) -> bool:
-        """Publish what was held back, if everyone listens by now; return whether it is open."""
-        if self.open():
+        """Publish what was held back, if everyone who must not miss the first message listens by
+        now; return whether they do."""
+        if not self.is_open and not self.missing(self._wanted):
+            self.is_open = True
             while self._held:
                 self.put(*self._held.pop(0))
-        return self._open
+        return self.is_open
 
     def to_dds(self, data: bytes) -> None:
         """Publish; where the history is full, wait for the slowest reader."""
@@ -123,14 +131,6 @@ class Publisher(Sender):
         if not missing and self.ros.get_subscription_count() < len(here):
             missing = ["a subscriber that is still being matched"]
         return missing
-
-    def open(self) -> bool:
-        """Return whether the first message may go out: everyone who must not miss it listens."""
-        if not self._open:
-            wanted = [*([RECORDER_TAP] if self._node.settings["wait_for_recorder"] else []),
-                      *(self.link.subscribers if self._node.lockstep else [])]
-            self._open = not wanted or not self.missing(wanted)
-        return self._open
 
 
 def node_class(kind: str) -> type[LoopNode]:
@@ -181,7 +181,7 @@ class LoopNode(EachSecond):
         self._broken = ""
         self.beside_the_loop(1.0 / PIECES, self._next_piece)
         self.beside_the_loop(LOOK_S, self._look_at_priority)
-        self._opening = self.create_timer(0.02, self._open_links, clock=self.steady)
+        self._opening = self.create_timer(_OPENING_S, self._open_links, clock=self.steady)
 
     def begin(self) -> None:
         """Check the parameters as a whole and start to work; once the node is complete.
@@ -375,7 +375,7 @@ class LoopNode(EachSecond):
     @property
     def links_open(self) -> bool:
         """Whether everyone who must not miss the first message was there, and it may go out."""
-        return self._opening.is_canceled()
+        return all(publisher.is_open for publisher in self.publishers_of_links)
 
     def _open_links(self) -> None:
         if all(publisher.release() for publisher in self.publishers_of_links):

@@ -159,7 +159,7 @@ class SimPlant(LoopNode):
         now = time.monotonic_ns()
         period_ns = self._timer.timer_period_ns  # not always the nearest whole number
         if self._due_ns is None:
-            if not all(publisher.open() for publisher in self.publishers_of_links):
+            if not self.links_open:
                 return
             self._due_ns = self._first_due_ns()
             self._publish_samples(self.now_ns())

@@ -97,7 +97,8 @@ def test_a_recorder_that_dies_before_it_said_anything_is_reported(make, monkeypa
     for second in range(1, 15):
         now[0] = 100.0 + second
         if second == 5:
-            node._opening.cancel()  # as it does when the recorder's subscriptions are there
+            for publisher in node.publishers_of_links:  # the recorder's subscriptions are there
+                publisher.is_open = True
         if second == 12:
             node._on_diagnostics(b"/stage/recorder\0")
         list(node.each_second())
@@ -209,6 +210,25 @@ def test_a_node_that_ends_waits_for_its_last_messages(make, monkeypatch, leaving
     node.destroy_node()
     assert [topic for topic, _ in waited] == asked * topics
     assert all(0.0 < within_s <= leaving_s for _, within_s in waited)
+
+
+def test_samples_before_the_recorder_listens_cost_no_look_into_the_graph(make, monkeypatch):
+    """One a sample took so much of two processors that the recorder never came to listen."""
+    node, looks, listeners, out = make(SimPlant, wait_for_recorder=True), [], [], []
+    monkeypatch.setattr(base.Publisher, "missing", lambda self, names: looks.append(names) or [
+        name for name in names if name not in listeners])
+    monkeypatch.setattr(base.Publisher, "put", lambda self, data, named: out.append(data))
+    for _ in range(50):
+        node._tick()
+        node._publish_samples(node.now_ns())
+    assert (looks, out) == ([], [])
+    node._open_links()
+    assert not node.links_open
+    listeners += looks[0]
+    node._open_links()
+    node._tick()
+    assert node.links_open
+    assert out
 
 
 @pytest.mark.parametrize("kind", [EncoderDriver, TrajectoryGenerator, AmplifierDriver, SimPlant])
