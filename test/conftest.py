@@ -20,6 +20,7 @@ import hypothesis
 import pytest
 
 from dfm_stage.harness.domain import Domain, claim_domain
+from dfm_stage.middleware.discovery import keep_to_this_machine
 
 pytest_plugins = ["pytest_dfm_stage"]
 GRACE_S = 3.0
@@ -89,6 +90,7 @@ def pytest_configure(config: pytest.Config) -> None:
         ROS_LOG_DIR=str(folder / "log"),
         MPLBACKEND="Agg",
     )
+    keep_to_this_machine()  # anew: the profile was taken out with the rest
     # worker processes of pytest-xdist ignore it, and what a test starts would inherit that
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -174,6 +176,31 @@ def opens_well(browse: Callable[..., list[Any]]) -> Callable[..., None]:
                 "the width of a desk is empty")
 
     return judge
+
+
+@pytest.fixture
+def ros() -> Iterator[Callable[[], Any]]:
+    """Make ROS contexts as a node process does; they leave with the test.
+
+    One that `rclpy.init` makes alone writes into shared memory, and so do those that the next
+    tests make in this process.
+    """
+    import rclpy
+
+    from dfm_stage.middleware.discovery import loopback_alone
+
+    made: list[Any] = []
+
+    def begin() -> Any:
+        made.append(rclpy.Context())
+        with loopback_alone():
+            rclpy.init(context=made[-1], args=[])
+        return made[-1]
+
+    yield begin
+    for context in made:
+        context.try_shutdown()
+        context.destroy()
 
 
 @pytest.fixture(autouse=True)

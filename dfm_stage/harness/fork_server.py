@@ -9,6 +9,7 @@ with it. The server of `multiprocessing` would run the user's main module again 
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import gc
@@ -34,6 +35,7 @@ SEVERAL = "compose"
 """What is asked for in place of a node, to run several: their full names come first."""
 _READ_ONCE = ("PYTHON", "NUMBA", "RMW_", "LD_", "OPENBLAS", "MKL")
 """What variables begin with that are read by imports: where one changes, a new process is due."""
+_THREADS_OF_DDS = "dds."
 _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 _POLL_S = 0.005
 _lock = threading.RLock()
@@ -219,7 +221,32 @@ def _run(request: Mapping[str, Any]) -> int:
     sys.orig_argv = [sys.executable, "-m", "dfm_stage", kind, *arguments]
     interruption.end_at_once()
     place = "harness" if kind == SEVERAL else "nodes"
-    return int(importlib.import_module(f"dfm_stage.{place}.{kind}").main(arguments))
+    code = int(importlib.import_module(f"dfm_stage.{place}.{kind}").main(arguments))
+    if _has_left():
+        _end(code)
+    return code
+
+
+def _has_left() -> bool:
+    """Whether the middleware has said goodbye, and no thread has anything left to do."""
+    import rclpy
+
+    rclpy.get_default_context().destroy()
+    gc.collect()  # of what was made since the interpreter was made steady: a millisecond
+    for task in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):
+            if task.joinpath("comm").read_text("utf-8").startswith(_THREADS_OF_DDS):
+                return False
+    return threading.active_count() == 1
+
+
+def _end(code: int) -> None:
+    """End this process as `sys.exit` does, but leave its memory to the system: to free one object
+    after the other takes 0.14 s of a processor."""
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -142,6 +142,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
     def destroy_node(self) -> None:
         """Leave the device safe, whatever ended the node."""
         self._transition("shutdown", self._end)
+        self._state_machine.destroy_when_not_in_use()  # it keeps the participant
         super().destroy_node()
 
     # Diagnostics

@@ -420,6 +420,11 @@ class TrajectoryGenerator(LoopNode):
         yield
         yield from super().each_second()
 
+    def destroy_node(self) -> None:
+        """End the action, which keeps the participant, then the node."""
+        self._action.destroy()
+        super().destroy_node()
+
     def not_ready(self) -> str | None:
         """Measurements must be on their way."""
         return None if self.count_publishers("measurement") else "no encoder_driver"

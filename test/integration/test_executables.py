@@ -40,10 +40,9 @@ def _start(folder, name, tmp_path, *extra):
                             start_new_session=True)
 
 
-def test_all_six_start_work_together_and_end_on_a_signal(folder, tmp_path):
+def test_all_six_start_work_together_and_end_on_a_signal(folder, tmp_path, ros):
     processes = {name: _start(folder, name, tmp_path) for name in NODES}
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
+    context = ros()
     node = rclpy.create_node("observer", context=context)
     try:
         from rclpy.executors import SingleThreadedExecutor

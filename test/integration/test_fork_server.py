@@ -69,6 +69,19 @@ def test_ends_are_told_as_of_any_process():
         one.process.send_signal(signal.SIGINT)  # nothing, it has ended
 
 
+@pytest.mark.parametrize("kind", ["encoder_driver", "trajectory_generator", "sim_plant"])
+def test_an_ended_node_keeps_nothing_of_the_middleware(kind):
+    """Its participant has said goodbye then, and the process may end at once. What is kept would
+    have to be freed first, object by object."""
+    code = ("import os, signal, sys, threading\nfrom dfm_stage.harness import fork_server\n"
+            f"from dfm_stage.nodes.{kind} import main\n"
+            "threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
+            f"sys.argv = ['dfm_stage', '{kind}']\ncode = main([])\n"
+            "print(code, fork_server._has_left())")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-2:] == ["0", "True"]
+
+
 def test_a_signal_before_a_node_can_answer_ends_it_quietly(tmp_path):
     for number in (signal.SIGINT, signal.SIGTERM):
         log = tmp_path / f"{number}.log"

@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 
 from dfm_stage.harness import HarnessError, StageGraph, node_set
 from dfm_stage.middleware import hand_over
+from dfm_stage.middleware.discovery import loopback_alone
 from dfm_stage.model import Simulator, load_model
 from dfm_stage.nodes.process import make_executor
 from dfm_stage.nodes.wiring import LINKS, LOCKSTEP_QOS
@@ -101,7 +102,8 @@ def test_nothing_of_a_composed_graph_outlives_it():
 def listening(graph, heard):
     """Listen from a context of one's own, as another process does, in a thread."""
     context, over = rclpy.Context(), threading.Event()
-    rclpy.init(context=context, domain_id=graph.domain_id, args=[])
+    with loopback_alone():
+        rclpy.init(context=context, domain_id=graph.domain_id, args=[])
     node, executor = rclpy.create_node("outside", context=context), make_executor(context)
     executor.add_node(node)
     ears = [node.create_subscription(LINKS[topic].type, f"/stage/x/{topic}", data.append,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 import pytest
-import rclpy
 
 from dfm_stage.cli import tune
 from dfm_stage.control import read_parameters, sample_model, ultimate
@@ -13,24 +12,23 @@ from dfm_stage.model import load_model
 from dfm_stage.nodes.controller import Controller
 
 
-def load(path) -> dict:
-    """Start a controller with the file as --params-file; return its settings."""
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    try:
-        node = Controller(context=context, cli_args=["--ros-args", "--params-file", str(path)])
+@pytest.fixture
+def load(ros):
+    """Start a controller with a file as --params-file; return its settings."""
+    def started(path) -> dict:
+        node = Controller(context=ros(), cli_args=["--ros-args", "--params-file", str(path)])
         values = dict(node.settings.values)
         node.destroy_node()
         return values
-    finally:
-        context.try_shutdown()
+
+    return started
 
 
 @pytest.mark.parametrize(("method", "extra"), [
     ("pid", []), ("lqr", ["--no-integral", "--disturbance"]),
     ("ziegler_nichols", ["--way", "model"]),
 ])
-def test_the_controller_loads_what_tune_writes(tmp_path, capfd, method, extra):
+def test_the_controller_loads_what_tune_writes(tmp_path, capfd, method, extra, load):
     out = tmp_path / "gains.yaml"
     assert tune.main(["--model", "paper_stage", "--method", method, "--margin", "0.55",
                       "--out", str(out), "--json", *extra]) == 0
@@ -79,7 +77,7 @@ def test_predicted_and_achieved_error_agree_on_the_graph(tmp_path, capfd, extra,
     assert found["achieved"]["rms"] == pytest.approx(found["predicted"]["rms"], rel=0.15)
 
 
-def test_relay_tuning_runs_on_the_node_graph(tmp_path, capfd):
+def test_relay_tuning_runs_on_the_node_graph(tmp_path, capfd, load):
     out = tmp_path / "zn.yaml"
     assert tune.main(["--model", "paper_stage", "--method", "ziegler_nichols", "--way", "relay",
                       "--duration", "16", "--out", str(out), "--json"]) == 0

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import pytest
-import rclpy
 
 from dfm_stage.nodes.recorder import Recorder
 
 
 @pytest.fixture
-def make(tmp_path):
+def make(tmp_path, ros):
     """Make a node of a kind with parameters; `a__b` stands for `a.b`."""
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    nodes = []
+    context, nodes = ros(), []
 
     def start(kind, **parameters):
         if kind is Recorder:
@@ -27,4 +24,3 @@ def make(tmp_path):
     yield start
     for node in nodes:
         node.destroy_node()
-    context.try_shutdown()

@@ -59,9 +59,8 @@ class Loop:
 
 
 @pytest.fixture
-def loop():
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
+def loop(ros):
+    context = ros()
     made: list[Loop] = []
 
     def make(**options) -> Loop:
@@ -71,7 +70,6 @@ def loop():
     yield make
     for each in made:
         each.node.destroy_node()
-    rclpy.try_shutdown(context=context)
 
 
 def test_modes_change_without_a_bump_on_the_move(loop):

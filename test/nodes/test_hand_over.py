@@ -54,10 +54,9 @@ class Process:
 
 
 @pytest.fixture(params=["events", "default"])
-def process(request, monkeypatch):
+def process(request, monkeypatch, ros):
     monkeypatch.setenv("DFM_EXECUTOR", request.param)
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
+    context = ros()
     made = Process(context)
     with handing_over(context, made.executor):
         yield made
@@ -248,10 +247,10 @@ def test_names_are_told_apart_by_namespace_and_context(process, domain_of):
 
 
 @pytest.fixture
-def domain_of():
+def domain_of(ros):
     """A context of its own in the same domain, as another process has one."""
     class Elsewhere:
-        context = rclpy.Context()
+        context = ros()
 
         def create_node(self, name):
             self.node = rclpy.create_node(name, context=self.context)
@@ -260,11 +259,9 @@ def domain_of():
             return self.node
 
     made = Elsewhere()
-    rclpy.init(context=made.context, args=[])
     yield made
     made.executor.remove_node(made.node)
     made.node.destroy_node()
-    made.context.try_shutdown()
 
 
 @pytest.mark.parametrize("name", ["", "x", "xy", "abc", "abcd", "axis_12"])

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import rclpy
 
 import dfm_stage
 from dfm_stage.commands import NODES, module_of
@@ -101,18 +100,15 @@ def test_its_parameters_are_those_that_the_node_declares(started):
                     assert f"({span.from_value:g} to {span.to_value:g})" in row[1]
 
 
-def test_its_example_can_be_started(started, tmp_path, monkeypatch):
+def test_its_example_can_be_started(started, tmp_path, monkeypatch, ros):
     node, text = started
     monkeypatch.chdir(tmp_path)
     line = text[text.index("\nexample"):].splitlines()[2]
     command, _, arguments = line.strip().partition(" --ros-args ")
     assert command.endswith(f" {node.kind}")
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    again = type(node)(context=context, cli_args=["--ros-args", *arguments.replace(
+    again = type(node)(context=ros(), cli_args=["--ros-args", *arguments.replace(
         "'", "").split()])
     again.destroy_node()
-    context.try_shutdown()
 
 
 @pytest.mark.parametrize("name", NODES)

@@ -4,7 +4,6 @@ its process together with a loop."""
 from __future__ import annotations
 
 import pytest
-import rclpy
 
 from dfm_stage.middleware.hand_over import handing_over, hands_over
 from dfm_stage.nodes.process import make_executor
@@ -13,10 +12,9 @@ from dfm_stage.recording.bag_writer import CHUNK_BYTES
 
 
 @pytest.fixture(params=[False, True])
-def recorder(request, tmp_path):
+def recorder(request, tmp_path, ros):
     """A recorder, beside a loop or not."""
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
+    context = ros()
     executor = make_executor(context)
 
     def made():
@@ -32,7 +30,6 @@ def recorder(request, tmp_path):
         node = made()
         yield node
         node.destroy_node()
-    context.try_shutdown()
 
 
 def test_chunks_are_small_beside_a_loop_in_real_time(recorder):
