@@ -17,7 +17,7 @@ from std_msgs.msg import Float64
 
 from benchmarks.figure import Figure
 from dfm_interfaces.msg import PlantState
-from dfm_stage.harness import StageGraph
+from dfm_stage.harness import HarnessError, StageGraph
 from dfm_stage.harness.domain import claim_domain
 from dfm_stage.middleware.discovery import loopback_alone
 
@@ -27,7 +27,7 @@ STEP = {"name": "step", "mode": "pid", "duration_s": 6.0,
         "axes": {"x": {"reference": {"kind": "steps", "levels_m": [0.0, 1e-3], "dwell_s": 3.0}}}}
 PATIENCE_S = 30.0
 NODE = [sys.executable, "-m", "dfm_stage", "sim_plant"]
-BARE_NODE = [sys.executable, "-c", """
+BARE_NODE = [sys.executable, "-c", """\
 import rclpy
 from std_msgs.msg import Float64
 rclpy.init()
@@ -95,7 +95,9 @@ def first_message_s(command: Sequence[str], kind: type[Any], topic: str) -> floa
                 node.destroy_node()
         finally:
             context.try_shutdown()
-    return heard[0] - begin if heard else float("nan")
+    if not heard:
+        raise HarnessError(f"nothing on {topic} within {PATIENCE_S:g} s of {' '.join(command)}")
+    return heard[0] - begin
 
 
 def ready_s(layout: str) -> float:

@@ -139,7 +139,8 @@ class NodeSet:
         try:
             self._open()
             if self.composed:
-                steady_interpreter()  # before nodes run: it may take half a second
+                gc.collect()  # before nodes run: it may take half a second
+                steady_interpreter()
             self.start_nodes()
             if self.composed:
                 gc.freeze()
