@@ -378,7 +378,8 @@ class LoopNode(EachSecond):
         return all(publisher.is_open for publisher in self.publishers_of_links)
 
     def _open_links(self) -> None:
-        if all(publisher.release() for publisher in self.publishers_of_links):
+        opened = [each.release() for each in self.publishers_of_links]  # none waits for another
+        if all(opened):
             self._opening.cancel()
 
     def _on_ready(self, request: Ready.Request, response: Ready.Response) -> Ready.Response:

@@ -224,6 +224,7 @@ def test_samples_before_the_recorder_listens_cost_no_look_into_the_graph(make, m
     assert (looks, out) == ([], [])
     node._open_links()
     assert not node.links_open
+    assert len(looks) == len(node.publishers_of_links)  # none waits for another
     listeners += looks[0]
     node._open_links()
     node._tick()
