@@ -123,8 +123,14 @@ def _seen_in_what_is_left(trial: Trial, h: Hypothesis, names: Sequence[str]) -> 
     be the first term of theirs."""
     if not names or trial.search.runs[0].window:
         return set()
-    _, hits = trial.search.widened(tuple(names)).screened(h.fit, h.names)
+    search = trial.search.widened(tuple(names))
+    _, hits = search.screened(_weighed(search, h), h.names)
     return {hit.name for hit in hits if hit.name in names and hit.gain > FIRST}
+
+
+def _weighed(search: Search, h: Hypothesis) -> Fit:
+    """The fit of what was found under the weights of a search: tests of it may have set others."""
+    return h.fit if h.fit.weights is search.weights else search.fitted(h.names, h.fit)
 
 
 def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
@@ -147,7 +153,7 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
     fits = {names: search.fitted(names, each) for names, each in begun.items() if each.ok}
     if len(h.names) > 1:
         fits.update(_in_place_of_one(search, h, alone))
-    least = search.score(h.fit)
+    least = search.score(_weighed(search, h))
     fits = {names: each for names, each in fits.items() if each.ok and search.score(each) <= (
         least if len(each.system.free) < len(h.fit.system.free) else least - MARGIN)}
     if not fits:

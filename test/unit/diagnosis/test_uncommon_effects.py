@@ -261,7 +261,8 @@ class Twins:
 
 
 def fit_of(rms: float, free: int) -> SimpleNamespace:
-    return SimpleNamespace(ok=True, rms=rms, system=SimpleNamespace(free=range(free)))
+    return SimpleNamespace(ok=True, rms=rms, weights="tight",
+                           system=SimpleNamespace(free=range(free)))
 
 
 @pytest.mark.parametrize(("names", "rms", "taken"), [
@@ -300,6 +301,20 @@ class Gap:
 
     def restarted(self, *_: object) -> SimpleNamespace:
         return leaving(self.minimum)
+
+
+def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
+    """A filter of the noise of another length left three samples more: the screen ended in an
+    error."""
+    screened = []
+    search = SimpleNamespace(
+        weights=("now",), runs=[SimpleNamespace(window=0)], fitted=lambda *given: ("anew", *given),
+        widened=lambda _: search, screened=lambda fit, _: (screened.append(fit), []))
+    earlier, same = (SimpleNamespace(names=("hysteresis",), fit=SimpleNamespace(weights=weights))
+                     for weights in (("earlier",), search.weights))
+    for h in (earlier, same):
+        uncommon._seen_in_what_is_left(SimpleNamespace(search=search), h, ["backlash"])
+    assert screened == [("anew", ("hysteresis",), earlier.fit), same.fit]
 
 
 def leaving(rms: float) -> SimpleNamespace:
