@@ -222,13 +222,13 @@ def _run(request: Mapping[str, Any]) -> int:
     interruption.end_at_once()
     place = "harness" if kind == SEVERAL else "nodes"
     code = int(importlib.import_module(f"dfm_stage.{place}.{kind}").main(arguments))
-    if _has_left():
+    if _left():
         _end(code)
     return code
 
 
-def _has_left() -> bool:
-    """Whether the middleware has said goodbye, and no thread has anything left to do."""
+def _left() -> bool:
+    """Leave the graph; return whether nothing of the middleware, and no other thread, is left."""
     import rclpy
 
     rclpy.get_default_context().destroy()

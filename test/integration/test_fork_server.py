@@ -77,7 +77,7 @@ def test_an_ended_node_keeps_nothing_of_the_middleware(kind):
             f"from dfm_stage.nodes.{kind} import main\n"
             "threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
             f"sys.argv = ['dfm_stage', '{kind}']\ncode = main([])\n"
-            "print(code, fork_server._has_left())")
+            "print(code, fork_server._left())")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-2:] == ["0", "True"]
 
