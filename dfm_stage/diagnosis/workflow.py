@@ -21,9 +21,12 @@ from dfm_stage.diagnosis.gather import with_next_experiment, with_surface
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, alike, observe, split_by_time
 from dfm_stage.diagnosis.other_convention import (
+    before_it_is_set,
     by_other_conventions,
+    clearer_kind,
     clearest,
     has_linear_effect,
+    is_clearer,
     is_simpler,
     late_samples,
     may_be_simpler,
@@ -166,6 +169,8 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     found = judged_among_all(trial, first, warnings, split)
     if has_linear_effect(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)
+    if before_it_is_set(found[0]) and not verdict(found[2]).complete:
+        found = _clearest(found, warnings, split)
     trial, hypothesis, evidence = found
     search = trial.search
     models = {"given": search.model, "retuned": hypothesis.bare.model,
@@ -197,6 +202,15 @@ def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
             if is_simpler(other[1:], found[1:]):
                 found = other
     return found
+
+
+def _clearest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
+    """What was found, or what is by the kind of hold that leaves clearly less."""
+    kind = clearer_kind(*found[:2])
+    if kind is None:
+        return found
+    other = judged_among_all(*kind, warnings, split)
+    return other if is_clearer(other[1:], found[1:]) else found
 
 
 def _as_judged(trial: Trial, h: Hypothesis, evidence: Evidence) -> tuple[Trial, Hypothesis]:

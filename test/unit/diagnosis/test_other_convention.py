@@ -12,9 +12,12 @@ from dfm_stage.diagnosis import diagnose
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
 from dfm_stage.diagnosis.other_convention import (
+    before_it_is_set,
     by_other_conventions,
+    clearer_kind,
     clearest,
     has_linear_effect,
+    is_clearer,
     is_simpler,
     may_be_simpler,
     timed,
@@ -232,3 +235,52 @@ def test_a_convention_is_judged_where_a_short_search_explains_as_much(
 
 def fitted(rms, free):
     return SimpleNamespace(ok=True, rms=rms, system=SimpleNamespace(free=range(free)))
+
+
+def instant(seed: int, model: Model = MODEL, late: float = 3.5e-4) -> Record:
+    """A record of a stage that is `late` (s), both columns sampled at the same instant."""
+    return record(seed, model.with_parameters({"delay": late}), band=0.1)
+
+
+def test_a_delay_is_not_taken_for_a_held_input_that_acts_before_it_is_set():
+    """A delay of 0.35 samples is near half a sample, by which a held input acts late: taken as
+    held it left half the gap, which no effect explained."""
+    base = {n: v for n, v in MODEL.base.items() if n != "delay"}
+    model = Model("stage", PERIOD, base)
+    run, held = (instant(seed) for seed in (1, 3))
+    found = diagnose([run], model, holdout=[held], library=("transport_delay", "coulomb_friction"))
+    assert all(each["input_hold"] != "zero" for each in found.conventions)
+    assert found.names == ("transport_delay",)
+    assert found.effects[0].parameters["delay"].value == pytest.approx(3.5e-4, abs=2e-6)
+
+
+@pytest.mark.parametrize(("late", "sigma", "window", "before"), [
+    (-0.15, 0.01, 0, True), (-0.15, 0.1, 0, False), (0.2, 0.01, 0, False),
+    (-0.15, 0.01, 50, False)])
+def test_only_an_input_that_surely_acts_too_early_is_asked(late, sigma, window, before):
+    known = Convention("zero", source="estimated", late=late, late_sigma=sigma)
+    run = SimpleNamespace(convention=known, window=window)
+    assert before_it_is_set(SimpleNamespace(search=SimpleNamespace(runs=[run]), held=[])) is before
+
+
+@pytest.mark.parametrize(("left", "kind"), [
+    ({"first": 0.9, "band_limited": 0.8}, None),       # less, but not clearly
+    ({"first": 0.5, "band_limited": 0.6}, "first"),
+    ({"first": 0.5, "band_limited": 0.4}, "band_limited")])
+def test_the_kind_of_hold_that_leaves_least_is_taken_where_that_is_clearly_less(monkeypatch, left,
+                                                                               kind):
+    def by_kind(search, *_, **__):
+        return (), fitted(left[search.runs[0].convention.hold], 3)
+
+    monkeypatch.setattr(Search, "begin", lambda _: fitted(1.0, 3))
+    monkeypatch.setattr(Search, "grown", by_kind)
+    h = SimpleNamespace(names=(), fit=fitted(1.0, 3))
+    found = clearer_kind(trial("estimated", late=-0.15), h)
+    assert (found and found[0].search.runs[0].convention.hold) == kind
+
+
+@pytest.mark.parametrize(("rms", "held_out", "clearer"), [
+    (0.7, 0.7, True), (0.72, 0.5, False), (0.5, 0.72, False)])
+def test_it_must_leave_half_the_power_of_fitted_and_of_held_out_records(rms, held_out, clearer):
+    other, found = Fitted(7, rms, held_out), Fitted(7, 1.0, 1.0)
+    assert is_clearer((other, other), (found, found)) is clearer
