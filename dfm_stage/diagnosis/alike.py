@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit
-from dfm_stage.diagnosis.search_decisions import AT_END
+from dfm_stage.diagnosis.search_decisions import AT_END, DRY
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.description import EffectUse
 
@@ -25,6 +25,15 @@ def at_upper_end(found: Fit, names: Sequence[str]) -> bool:
             if value > AT_END * use.effect.search_range(parameter, found.system.at)[1]:
                 return True
     return False
+
+
+def is_dry(found: Fit, names: Sequence[str]) -> bool:
+    """Whether an effect among `names` yields at the end of the range of its distance that the
+    noise hides: it is dry friction there, and nothing else of it shows."""
+    return found.ok and any(
+        use.effect.yields_within(use.parameters)
+        <= DRY * use.effect.search_range(use.effect.distance, found.system.at)[0]
+        for use in found.model.effects if use.name in names and use.effect.distance)
 
 
 def folds(use: EffectUse) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dfm_stage.diagnosis.alike import is_dry
 from dfm_stage.diagnosis.candidates import late_splits, shown_by_none, starts
 from dfm_stage.diagnosis.decisions import (
     FURTHER,
@@ -22,6 +23,7 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search_decisions import (
     AROUND_STEPS,
+    BENT,
     MOST_STEPS,
     NEAR_NOISE,
     NOISE_SHARES,
@@ -72,8 +74,7 @@ class Fits:
     def begin_work(self, most_steps: float) -> None:
         """Allow so many integration steps from now on, also for fits that were cut short."""
         self.begun, self.most_steps = steps_taken(), most_steps
-        self.fits = {key: found for key, found in self.fits.items()
-                     if not key[0] & self.not_compared.keys()}
+        self.fits = {key: found for key, found in self.fits.items() if not found.cut}
 
     def conditions(self, model: Model) -> Conditions:
         """Sizes that occur in the fitted runs."""
@@ -144,16 +145,19 @@ class Fits:
         found = self._weaker(hits, lambda weaker: self._from(start.model, names, start, weaker,
                                                              worth))
         expected = start.chi2 - PROMISED * sum(h.gain for h in hits[:1])
-        if start.system.springless:  # its base bends far to stand in for what is missing
-            expected = -math.inf
         given = {n: v for n, v in self.model.base.items() if n in self.free}
         anew = start.model.with_parameters(given)
-        for model, others_first in ((start.model, True), (anew, False)):
+        weaker = _gain(anew) / _gain(start.model)
+        bent = abs(math.log(weaker)) > math.log(BENT)
+        if bent or start.system.springless:
+            expected = -math.inf  # its base bends far to stand in for what is missing
+        small = [_rescaled(h, weaker) for h in hits] if bent else hits
+        for model, others_first, new in ((start.model, True, hits), (anew, False, small)):
             if not hits or found.chi2 < expected or self.steps >= STEPS_BEFORE_SLOW:
                 break
-            again = self._from(model, names, start, hits, worth, others_first, split=False)
+            again = self._from(model, names, start, new, worth, others_first, split=False)
             if again.chi2 < found.chi2:
-                found = self._split(again, hits)
+                found = self._split(again, new)
         if len(hits) == 1 and found.ok and found.chi2 > NEAR_NOISE * found.white.size:
             alone = self._in_place_of_base(names, start, hits[0])
             if alone is not None and alone.chi2 < found.chi2:
@@ -264,7 +268,7 @@ class Fits:
                                and any(is_nonlinear(use.name) for use in model.effects))
         if hits and slow and self.steps > limit:
             self.not_compared.update(dict.fromkeys(h.name for h in hits))
-            return replace(start, chi2=math.inf)
+            return replace(start, chi2=math.inf, cut=True)
         if others_first:
             new = {hit.name for hit in hits}
             around = tuple(n for n in free if n.partition(".")[0] not in new)
@@ -274,7 +278,8 @@ class Fits:
                           tolerance=1.0 if later else 0.03)
         if any(EFFECTS[h.name].rounds for h in hits) and "noise" not in self.model.base:
             found = self._with_noise(found, early)
-        if later and found.ok and found.chi2 < worth:
+        if later and found.ok and found.chi2 < worth and not is_dry(
+                found, [hit.name for hit in hits]):
             freed = found.model.with_parameters({
                 f"{hit.name}.{n}": v for hit in hits
                 for n, v in EFFECTS[hit.name].freed_last.items() if v is not None})
@@ -329,6 +334,7 @@ class Fits:
                     allowance=min(max(self.most_steps - self.steps, 0.0), STEPS_A_FIT))
         if self.steps > self.most_steps:
             self.not_compared.update(dict.fromkeys(found.system.nonlinear))
+            found = replace(found, cut=True)
         lost = {f"{use.name}.{n}": use.effect.defaults[n] for use in found.model.effects
                 if found.ok and self.model.effect(use.name) is None
                 for n in use.effect.without_meaning(use.parameters)}
@@ -417,6 +423,17 @@ def _halved(hit: Hit) -> Hit:
     """An effect to begin with at half its size."""
     return Hit.at(hit.name, {n: 0.5 * v if n in EFFECTS[hit.name].sizes else v
                              for n, v in hit.parameters.items()})
+
+
+def _gain(model: Model) -> float:
+    """Force a unit of input, without its sign."""
+    return max(abs(model.base.get("force_constant", 1.0)), 1e-300)
+
+
+def _rescaled(hit: Hit, by: float) -> Hit:
+    """An effect beside a base whose forces are larger by a factor, the motion being the same."""
+    return Hit.at(hit.name, {n: v * by if EFFECTS[hit.name].parameter(n).unit.startswith("N")
+                             else v for n, v in hit.parameters.items()})
 
 
 def inside(name: str, parameters: dict[str, float]) -> dict[str, float]:

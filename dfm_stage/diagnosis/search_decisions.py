@@ -88,6 +88,12 @@ SCREEN_RANK = _search("SCREEN_RANK", 1e-7, "1", "Singular value over the largest
                       "direction is taken out of screened responses.")
 AT_END = _search("AT_END", 0.999, "1", "Share of the upper end of its range from which a "
                  "parameter is at it.")
+BENT = _search("BENT", 2.0, "1", "Factor between the force constant as given and as re-estimated "
+               "from which the base stands in for what is missing: a fit begins at the base as "
+               "given, too.", "seed 1774353461: slow motion shows but the ratio of force constant "
+               "and stiffness, and friction moves both by a factor of 370 in one case")
+DRY = _search("DRY", 1.01, "1", "Distance over the lower end of its range up to which it is at "
+              "it.", "derivation: fits stop within a percent of an end they run to")
 MOST_TO_ONE = _search("MOST_TO_ONE", 0.9, "1", "Share of the whole lateness that one parameter "
                       "gets when it is distributed again.")
 STEPS_BEFORE_SLOW = _search("STEPS_BEFORE_SLOW", 48e6, "steps", "Integration steps after which no "

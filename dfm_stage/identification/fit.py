@@ -46,6 +46,8 @@ class Fit:
     slopes: Jacobian
     chi2: float
     converged: bool
+    cut: bool = False
+    """Whether the work allowed to a search, rather than to this fit, ended it."""
 
     @cached_property
     def jacobian(self) -> Array:

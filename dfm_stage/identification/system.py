@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dfm_stage.arrays import Array
 from dfm_stage.identification.convention import Drive, interpolated
 from dfm_stage.identification.coordinates import group, late_parameters
-from dfm_stage.identification.decisions import LINEAR_SHARE, SHARP
+from dfm_stage.identification.decisions import FITTED_STEPS, LINEAR_SHARE, SHARP
 from dfm_stage.identification.problem import Problem, Signals, Unknown, trend
 from dfm_stage.identification.run import Run
 from dfm_stage.identification.windows import Windows, at_window, slope_at
@@ -367,7 +367,7 @@ class System(Problem):
                 driven, own_names, rows, signal=signal, external_force=push, other=other,
                 steady_state=period is not None, partial=period is not None,
                 past_input=0.0 if run.start == "rest" or self.remembers else float(driven[0]),
-                dither=self.dither or None, steps=steps, parts=parts,
+                dither=self.dither or None, steps=steps, parts=parts, steps_allowed=FITTED_STEPS,
                 threads=1 if driven.size * len(table) < PARALLEL else None)[:, seen]
         except SimulationError:
             return np.full((len(table), run.input.size), np.nan)

@@ -20,6 +20,8 @@ from dfm_stage.model.kernel.setup import SMOOTH_LEVELS
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import BASE_BY_NAME, ModelError
 
+STEPS_ALLOWED = 512.0
+"""Integration steps a sample above which a force is too stiff to follow."""
 SHARP_LEVELS = 19
 """Levels of halving where reversals or kinks are to be located."""
 _LAGS = (("amplifier", slots.AMPLIFIER, slots.AMPLIFIER_STATE),
@@ -97,6 +99,7 @@ class Plan:
         """A fresh work array, not prepared yet."""
         work = np.zeros(int(self.layout[slots.WORK_SIZE]))
         work[self.layout[slots.AT_HEAD] + slots.PERIOD] = self.model.sample_period
+        work[self.layout[slots.AT_HEAD] + slots.ALLOWED] = STEPS_ALLOWED
         return work
 
     @cached_property

@@ -17,7 +17,7 @@ from dfm_stage.model.kernel.record import run
 from dfm_stage.model.kernel.setup import prepare, reset
 from dfm_stage.model.kernel.slots import Array, Layout
 from dfm_stage.model.parameter import Parameter, SimulationError
-from dfm_stage.model.plan import Plan, parameter_table
+from dfm_stage.model.plan import STEPS_ALLOWED, Plan, parameter_table
 from dfm_stage.model.scales import typical_size
 from dfm_stage.model.steady import DRIFTS, SETTLED, UNSETTLED, settle
 from dfm_stage.processors import usable_cores
@@ -174,7 +174,8 @@ class Simulator:
                  other: ArrayLike | None = None, dither: float | None = None,
                  steady_state: bool = False, partial: bool = False,
                  threads: int | None = None, steps: Layout | None = None,
-                 parts: Sequence[slice] | None = None) -> Array:
+                 parts: Sequence[slice] | None = None,
+                 steps_allowed: float = STEPS_ALLOWED) -> Array:
         """One signal for each row of `parameter_matrix` (P, n); returns (P, N).
 
         `signal` is one of those of a result, or the `acceleration` of the driven point, m/s^2.
@@ -186,7 +187,8 @@ class Simulator:
 
         `steps` (P,) is filled with the integration steps of each row, the same in every run. A
         linear model takes one a sample. For others every step that was tried counts, also those
-        that were then halved, and the events inside the shortest ones.
+        that were then halved, and the events inside the shortest ones. A force is too stiff where
+        it takes more than `steps_allowed` a sample over STIFF_SAMPLES samples, or as many at once.
 
         With `parts` (P of them) each row begins at the first of some samples and ends with them,
         in the first columns of its row; the step before is that of the input, of the very first
@@ -219,6 +221,7 @@ class Simulator:
 
         def part(places: range) -> None:
             work, ready = plan.work(), b""
+            work[plan.layout[slots.AT_HEAD] + slots.ALLOWED] = steps_allowed
             for row, what in order[places.start:places.stop]:
                 a, b = spans[row]
                 if what != ready:

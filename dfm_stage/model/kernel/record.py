@@ -22,6 +22,7 @@ from dfm_stage.model.kernel.setup import block
 from dfm_stage.model.kernel.slots import (
     ACCELERATION,
     ACTUATOR_FORCES,
+    ALLOWED,
     AT_A,
     AT_BRISTLE,
     AT_DISCRETE,
@@ -70,9 +71,9 @@ from dfm_stage.model.kernel.slots import (
 BLOCK = 256
 DIVERGED = 1e12
 """A position beyond this has escaped; the states are NaN from then on."""
-USUAL, HOPELESS = 512.0, 1e6
-"""So are they after this many steps beyond the usual ones of a sample: with a force this stiff a
-record would take minutes, and its motion would be in doubt."""
+STIFF_SAMPLES = 2000.0
+"""So are they once the steps beyond those allowed a sample are those allowed so many samples: with
+a force this stiff a record would take minutes, and its motion would be in doubt."""
 
 
 @entry
@@ -166,6 +167,7 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
     """As `linear.steps`, with nonlinear forces; `force` may be empty. The acceleration goes to
     `felt`, which may be empty."""
     n, state, tried = layout[ORDER], layout[AT_STATE], layout[AT_HEAD] + TRIED
+    allowed = work[layout[AT_HEAD] + ALLOWED]
     steps, now = layout[AT_HEAD] + STEPS, layout[AT_HEAD] + NOW
     period = work[layout[AT_HEAD] + PERIOD]
     fraction = work[layout[AT_HEAD] + FRACTION]
@@ -173,7 +175,7 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
     for k in range(count):
         for i in range(n):
             out[i, k] = work[state + i]
-        if not abs(work[state]) < DIVERGED or at(work, tried) > HOPELESS:
+        if not abs(work[state]) < DIVERGED or at(work, tried) > STIFF_SAMPLES * allowed:
             for i in range(n):
                 work[state + i] = np.nan
                 for later in range(k, count):
@@ -196,7 +198,7 @@ def _curved_steps(layout: Layout, theta: Array, work: Array, applied: Array,
                 advance_piece(layout, theta, work, which, applied[first + k + which], push,
                               begin, span, span * period)
         work[steps] += at(work, tried) - before
-        work[tried] = max(at(work, tried) - USUAL, 0.0)
+        work[tried] = max(at(work, tried) - allowed, 0.0)
 
 
 @lean

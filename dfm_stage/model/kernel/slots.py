@@ -40,7 +40,7 @@ CODE, OWN, FIRST, ENTRY = range(4)
 
 # head of `work`
 PERIOD, SAMPLE, WHOLE, FRACTION, MODE, LEVEL, SCALE, DEPTH, SLOPE, CURVATURE, \
-    CUBIC_PART, STEP, TRIED, STEPS, NOW, SPAN, AMPERES, OUT = range(18)
+    CUBIC_PART, STEP, TRIED, ALLOWED, STEPS, NOW, SPAN, AMPERES, OUT = range(19)
 HEAD_SIZE = OUT + 3         # what the hooks return beside their result
 
 # rows of the block AT_ROWS; the reading is the position as the sensor gives it, and what holds the

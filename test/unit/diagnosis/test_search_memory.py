@@ -15,6 +15,7 @@ from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.screen import Hit, Screen
 from dfm_stage.diagnosis.search import Search, _elsewhere
 from dfm_stage.identification.weights import Weight
+from dfm_stage.model import EFFECTS
 
 _spec = importlib.util.spec_from_file_location("memory_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -52,11 +53,19 @@ def test_fits_and_screens_by_the_same_weights_are_made_once(search):
 
 
 def test_a_wider_search_knows_fits_that_came_to_their_end(search):
+    """One that ended for want of work is made again; one of the same effect that did not is not,
+    whatever its effects ran out of elsewhere."""
     bare = search.begin()
     hits = search.screened(bare, ())[1]
     cubic, damping = (search.fitted((name,), bare, [h for h in hits if h.name == name][:1])
                       for name in search.library)
-    search.not_compared["quadratic_damping"] = None
+    assert not cubic.cut
+    search.not_compared.update(dict.fromkeys(search.library))
+    search.begin_work(0.0)
+    drag = bare.model.with_effect("quadratic_damping", {"coefficient": 1.0})
+    damping = search.keep(("quadratic_damping",), search._fit(drag, search.free, bare))
+    assert damping.cut
+    search.begin_work(1e9)
     wide = search.widened(("gravity",))
     assert wide.library == (*search.library, "gravity")
     assert not wide.not_compared
@@ -171,3 +180,47 @@ def test_a_fit_that_ends_above_one_with_fewer_effects_begins_again_there(search,
     best = search._no_worse(far, search.library, [Hit.at("quadratic_damping", drag)], begin)
     assert begun == sizes
     assert best.chi2 == min(400.0, *leaves.values())
+
+
+@pytest.mark.parametrize(("distance", "freed"), [(0.1, False), (1.0, True)])
+def test_nothing_more_is_freed_of_friction_that_the_noise_makes_dry(search, monkeypatch, distance,
+                                                                    freed):
+    """A loop that yields within a tenth of the noise is dry friction: its knee shows nowhere, and
+    took half a minute to fit."""
+    bare = search.begin()
+    shortest = 0.1 * search.noise
+    loop = bare.model.with_effect("hysteresis", {
+        "stiffness": 1.0, "yield_displacement": 10.0 * distance * shortest})
+    found = replace(search._fit(loop, (), bare, iterations=0), chi2=1.0)
+    begun = []
+
+    def fit(model, free, start, **_):
+        begun.append(free)
+        return found
+
+    monkeypatch.setattr(search, "_fit", fit)
+    monkeypatch.setattr(search, "refined", lambda found: found)
+    begin = Hit.at("hysteresis", EFFECTS["hysteresis"].defaults)
+    search._from(loop, ("hysteresis",), bare, [begin], math.inf)
+    assert any("hysteresis.exponent" in free for free in begun) is freed
+
+
+@pytest.mark.parametrize(("bent", "forces"), [(1.5, [8.0]), (400.0, [8.0, 8.0, 0.02])])
+def test_effects_begin_beside_the_base_as_given_too_where_its_gain_was_bent(search, monkeypatch,
+                                                                           bent, forces):
+    """Slow motion shows the ratio of force constant and stiffness alone, and friction moves both:
+    by a factor of 370 in one record. Beside the base as given, forces are so much smaller."""
+    search.free = (*search.free, "force_constant")
+    bare = search.begin()
+    far = search._fit(bare.model.with_parameters(
+        {n: bent * search.model.base[n] for n in search.free}), (), bare, iterations=0)
+    begun = []
+
+    def fit(model, names, start, hits, *_, **__):
+        begun.append((model.base["force_constant"], hits[0].parameters["force"]))
+        return replace(bare, chi2=1.0 + len(begun))
+
+    monkeypatch.setattr(search, "_from", fit)
+    search.fitted(("coulomb_friction",), far, [Hit.at("coulomb_friction", {"force": 8.0})])
+    assert [force for _, force in begun] == pytest.approx(forces)
+    assert begun[-1][0] == pytest.approx(truth.GAIN * (bent if len(forces) == 1 else 1.0))

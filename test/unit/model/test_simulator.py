@@ -307,6 +307,21 @@ def test_a_force_too_stiff_to_follow_ends_in_nan_and_not_in_minutes_of_tiny_step
         stiff.run(drive)
 
 
+def test_whoever_asks_may_allow_fewer_steps_than_a_stiff_force_takes():
+    """A fit does not follow a force that takes 30 steps a sample for long; without one it may."""
+    drive = np.sin(2.0 * np.pi * 2.0 * PERIOD * np.arange(24_000))
+    loop = {"stiffness": 1e8, "yield_displacement": 1e-9}
+    stage = Simulator(Model("stage", PERIOD, base=BASE).with_effect("hysteresis", loop))
+    taken = np.zeros(1, dtype=np.int64)
+    usual = stage.run_many(drive, ["mass"], [[0.9]], steps=taken)
+    assert np.all(np.isfinite(usual))
+    mean = int(taken[0]) / drive.size
+    fewer, more = (stage.run_many(drive, ["mass"], [[0.9]], steps_allowed=share * mean)
+                   for share in (0.5, 2.0))
+    assert np.isnan(fewer[0, -1])
+    assert np.array_equal(more, usual)
+
+
 @pytest.mark.parametrize("lag", [0.0, 1e-9, 1e-5])
 def test_a_step_whose_iteration_overflows_is_halved(lag: float) -> None:
     """Strong drag from a high speed, against m/c ln(1 + c v t/m): over a whole sample the force is
