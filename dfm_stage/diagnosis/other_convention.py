@@ -1,9 +1,10 @@
-"""Another convention of the input in the place of a linear effect.
+"""Another convention of the input than the estimated one.
 
 A held input cannot act before half a sample; one that is not held may act later, with a lag of the
 stage behind it. The kind of hold is then told by what the model leaves with each. What an error of
 the input's timing leaves looks like a mode far above the motion: where a linear effect is found,
-the records are judged by the other conventions, too.
+the records are judged by the other conventions, too. They are where a held input would act before
+half a sample.
 """
 
 from __future__ import annotations
