@@ -250,7 +250,10 @@ def _takes_the_gap(e: Evidence) -> bool:
 
 def other_form(e: Evidence) -> tuple[str, ...]:
     """Effects of the hypothesis that would explain much of what they leave in another form, or
-    with another size for every size of motion: the true force is another."""
+    with another size for every size of motion: the true force is another. All of several of which
+    each could be left out, because the others bend into its place, follow another law together."""
+    if len(e.effects) > 1 and e.heard is None and all(_takes_little(e, x) for x in e.effects):
+        return tuple(x.name for x in e.effects)
     shares = {} if e.surface is None else e.surface.form_shares
     sizes = {x.name: x.constancy.share for x in e.effects if x.constancy is not None}
     return tuple(x.name for x in e.effects
@@ -346,9 +349,13 @@ def _is_small(e: Evidence, x: EffectEvidence) -> bool:
     """Whether the effect takes little of the gap, the force domain does not put it beside the
     others, nor does it take all that these leave. On held-out records; where these do not exercise
     it, on the fitted ones."""
+    return _takes_little(e, x) and not x.confirmed and not _takes_all(e, x)
+
+
+def _takes_little(e: Evidence, x: EffectEvidence) -> bool:
+    """Whether the gap without the effect, all else fitted again, grows by little."""
     left, found, gap = (_shown(x, m) for m in (x.without, e.extended, e.retuned))
-    return left - found < SMALL_SHARE * (gap - e.judged.noise_power) \
-        and not x.confirmed and not _takes_all(e, x)
+    return left - found < SMALL_SHARE * (gap - e.judged.noise_power)
 
 
 def _shown(x: EffectEvidence, model: ModelEvidence) -> float:

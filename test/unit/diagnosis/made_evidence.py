@@ -74,20 +74,31 @@ def at(margin: float, **more: object) -> RivalEvidence:
     return replace(rival("eddy_current_damping", 1e6), margin=margin, related=False, **more)
 
 
+def leaving(share: float, gap: float = 100.0 * NOISE) -> ModelEvidence:
+    """A model that takes a share of the power of a gap (m), fitted and held out."""
+    power = NOISE**2 + (1.0 - share) * gap**2
+    e = Errors(math.sqrt(power), COUNT * power / NOISE**2, COUNT, power=power)
+    return ModelEvidence(e, e, findings=LEFT)
+
+
+def parts(share: float, **alone: float) -> Evidence:
+    """A gap of which effects take a `share` together, and without each of them so much less."""
+    steady = Constancy(0.0, 0.02)
+    return case(leaving(0.0), leaving(0.0), leaving(share), tuple(
+        EffectEvidence(name, {}, leaving(share - less), margin=20.0, constancy=steady)
+        for name, less in alone.items()), graded=True,
+        judged=Judged("position", None, NOISE**2, NOISE))
+
+
 def part(share: float, *rivals: RivalEvidence, predictable: float = 1.0, margin: float = 20.0,
          gain: float = 0.0, gap: float = 100.0 * NOISE, **more: object) -> Evidence:
     """A gap (m), of which friction takes a `share` of the power held out, where a black box would
     take `predictable`."""
-    def leaving(part: float) -> ModelEvidence:
-        power = NOISE**2 + (1.0 - part) * gap**2
-        e = Errors(math.sqrt(power), COUNT * power / NOISE**2, COUNT, power=power)
-        return ModelEvidence(e, e, findings=LEFT)
-
-    friction = EffectEvidence("coulomb_friction", {}, leaving(0.0), rivals, margin=margin,
+    bare, found, black_box = (leaving(each, gap) for each in (0.0, share, predictable))
+    friction = EffectEvidence("coulomb_friction", {}, bare, rivals, margin=margin,
                               constancy=Constancy(gain, 0.02))
-    black_box = leaving(predictable).held_out.rms
-    return case(leaving(0.0), leaving(0.0), leaving(share), (friction,), graded=True,
-                judged=Judged("position", None, NOISE**2, black_box), **more)
+    return case(bare, bare, found, (friction,), graded=True,
+                judged=Judged("position", None, NOISE**2, black_box.held_out.rms), **more)
 
 
 def found(*effects: EffectEvidence, after: ModelEvidence = NO_GAP, **more: object) -> Evidence:

@@ -41,7 +41,7 @@ made = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(made)
 NOISE, LEFT, QUIET, COLOURED = made.NOISE, made.LEFT, made.QUIET, made.COLOURED
 left, NO_GAP, CLEAR, case = made.left, made.NO_GAP, made.CLEAR, made.case
-effect, rival, at, part = made.effect, made.rival, made.at, made.part
+effect, rival, at, part, parts = made.effect, made.rival, made.at, made.part, made.parts
 found, FRICTION, NEAR_FLOOR, PUSH = made.found, made.FRICTION, made.NEAR_FLOOR, made.PUSH
 MOVING_AT_NOISE = made.MOVING_AT_NOISE
 
@@ -189,6 +189,12 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "explains all, with a larger rival that does as well by another motion": (
         found(effect("one_sided_cable", replace(rival("backlash", 2.0), larger=True))),
         "ambiguous", ("one_sided_cable",), Reason.AT_FLOOR),
+    "explain most together, and one could be left out": (
+        parts(0.99, coulomb_friction=0.11, force_constant_slope=0.02), "named",
+        ("coulomb_friction", "force_constant_slope"), Reason.GRADED),
+    "explain most together, and each could be left out": (
+        parts(0.99, coulomb_friction=0.09, force_constant_slope=0.02), "partial",
+        ("coulomb_friction", "force_constant_slope"), Reason.GRADED),
     "explains a part, with a rival level": (
         part(0.5, at(0.0)), "partial", ("coulomb_friction",), Reason.GRADED),
     "explains most, with the damping at nothing": (
