@@ -37,11 +37,13 @@ from dfm_stage.model import EFFECTS, Model
 def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     """The trial by the kind of hold that leaves clearly least before any effect is added, with
     that fit; only where the model has a lag or delay to fit, because an effect that is late would
-    stand for a kind otherwise. Nor where the input acts half a sample late, as a held one does:
-    another kind needs a lag of the stage for that, and fits the lag to what the model lacks."""
+    stand for a kind otherwise. Nor where the input acts half a sample late, as a held one does, or
+    so much later as the model given is: another kind needs another lag of the stage for that, and
+    fits it to what the model lacks."""
     search = trial.search
+    late = late_samples(search.model)
     if late_parameters(search.model, search.free) \
-            and not any(run.convention.acts_when_held for run in search.runs):
+            and not any(run.convention.acts_when_held(late) for run in search.runs):
         for other in by_other_conventions(trial):
             looked = search.fit_like(first, other.search.runs)
             if _is_clearer(looked, first) and _is_clearer(found := other.search.begin(), first):

@@ -80,11 +80,11 @@ class Convention:
         return self.hold == "zero" and self.late is not None and self.late_sigma is not None \
             and self.late < -HELD_SIGMAS * self.late_sigma
 
-    @property
-    def acts_when_held(self) -> bool:
-        """Whether the record shows an input that acts half a sample late, as a held one does."""
+    def acts_when_held(self, behind: float = 0.0) -> bool:
+        """Whether the record shows an input that acts half a sample late, as a held one does: by
+        itself, or `behind` a stage that is late by so many samples."""
         return self.hold == "zero" and self.source == "estimated" and self.late is not None \
-            and abs(self.late) <= EARLY_SHIFT
+            and min(abs(self.late), abs(self.late - behind)) <= EARLY_SHIFT
 
     def behind(self, late: float) -> Convention:
         """Return the same for a stage that is known to be `late` (samples) by itself: an input

@@ -142,11 +142,12 @@ def trial(source: str, driven: bool = True, late: float | None = None) -> Trial:
 
 @pytest.mark.parametrize(("source", "late", "tried"), [
     ("estimated", 0.08, False), ("estimated", -0.08, False), ("estimated", 0.3, True),
-    ("estimated", -0.3, True), ("assumed", None, True)])
+    ("estimated", -0.3, True), ("assumed", None, True),
+    ("estimated", 0.37, False), ("estimated", 0.53, False), ("estimated", 0.56, True)])
 def test_an_input_that_acts_as_a_held_one_is_not_taken_for_another_kind(monkeypatch, source,
                                                                         late, tried):
     """Behind another kind it is a lag of half a sample, which may be less or more: what is left
-    is less for that, as drag that the model lacked made it."""
+    is less for that, as drag that the model lacked made it. The model is late by 0.45 samples."""
     first, other = (SimpleNamespace(ok=True, rms=rms) for rms in (1.0, 0.5))
     monkeypatch.setattr(Search, "fit_like", lambda *_: other)
     monkeypatch.setattr(Search, "begin", lambda _: other)
