@@ -46,6 +46,7 @@ from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import describe
 from dfm_stage.diagnosis.search import Rival, Search
+from dfm_stage.diagnosis.search_decisions import NEAR_NOISE
 from dfm_stage.diagnosis.spectra import lattice
 from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.diagnosis.witness import Witness
@@ -60,7 +61,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     """Do all that every verdict needs.
 
     `warnings` are those of the records; `split` says that parts of these are held out, `graded`
-    that the effects leave a remainder: then blocks set the intervals.
+    that the effects leave a remainder: then blocks set the intervals, as they do where what is
+    left has a colour.
     """
     search = trial.search
     runs, weight = search.runs, search.weights[0][0]
@@ -71,7 +73,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     fitted_given = predict(search.model, runs, search.weights, search.noise)
     seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
     retuned = _of_model(trial, h.bare, seen[1], judged)
-    extended = _of_model(trial, h.fit, seen[2], judged, graded) if h.fit is not h.bare else \
+    by_blocks = graded or has_colour(h.fit, quiet)
+    extended = _of_model(trial, h.fit, seen[2], judged, by_blocks) if h.fit is not h.bare else \
         replace(retuned, held_out=_errors(seen[2], judged))
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
@@ -197,6 +200,12 @@ def _errors(seen: Prediction, judged: Judged) -> Errors:
 def _motion(runs: Sequence[Observation]) -> Motion:
     return Motion(max(float(np.std(r.output)) for r in runs),
                   not any(r.driven for r in runs))
+
+
+def has_colour(found: Fit, quiet: float) -> bool:
+    """Whether a fit leaves more than the white noise that high frequencies show, `quiet` (RMS):
+    colour may be a small remainder. Not asked of a position that drifts, which always has one."""
+    return not found.system.drifts and found.rms**2 > NEAR_NOISE * quiet**2
 
 
 def _of_model(trial: Trial, found: Fit, seen: Prediction, judged: Judged,

@@ -17,14 +17,16 @@ from dfm_stage.cli.diagnose_report import write_report
 from dfm_stage.diagnosis import fit as fitting
 from dfm_stage.diagnosis import gather as gathering
 from dfm_stage.diagnosis.evidence import Evidence
-from dfm_stage.diagnosis.gather import gather
+from dfm_stage.diagnosis.gather import gather, has_colour
 from dfm_stage.diagnosis.hypothesis import Trial
+from dfm_stage.diagnosis.margins import score_by_blocks
 from dfm_stage.diagnosis.observation import observe
 from dfm_stage.diagnosis.result import told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import verdict
 from dfm_stage.identification.system import System
+from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import Model, Simulator
 from dfm_stage.quantity import Quantity
 
@@ -128,6 +130,29 @@ def test_the_numbers_gathered_are_those_of_the_records(cubic):
     assert e.base_shares.keys() == {"damping", "stiffness", "force_constant"}
     assert all(0.9 < share < 1.1 for share in e.base_shares.values())
     assert e.warnings == ("a warning",)
+
+
+@pytest.mark.parametrize(("pole", "drifts", "colour"), [
+    (0.0, False, False), (0.2, False, True), (0.9, False, True), (0.9, True, False)])
+def test_colour_is_what_exceeds_the_noise_of_high_frequencies(pole, drifts, colour):
+    for seed in range(20):
+        noise = np.random.default_rng(seed).standard_normal(10_000)
+        left = [[lfilter([1.0], [1.0, -pole], noise)]]
+        found = SimpleNamespace(rms=fitting.rms([left[0][0]]),
+                                system=SimpleNamespace(drifts=drifts))
+        assert has_colour(found, white_weights(left)[0][0].rms) is colour
+
+
+def test_blocks_set_the_intervals_of_what_leaves_a_colour(cubic, monkeypatch):
+    trial, evidence, hypothesis = cubic
+    monkeypatch.setattr(gathering, "has_colour", lambda *_: True)
+    told_by_blocks = gather(trial, hypothesis, [], graded=False).extended.parameters
+    plain = evidence.extended.parameters
+    middle = score_by_blocks(hypothesis.fit)
+    for name, quantity in hypothesis.fit.quantities_over(*middle).items():
+        assert told_by_blocks[name].ci95 == quantity.ci95
+        assert np.ptp(quantity.ci95) >= np.ptp(plain[name].ci95)
+    assert any(np.ptp(told_by_blocks[n].ci95) > np.ptp(q.ci95) for n, q in plain.items())
 
 
 def test_a_force_constant_below_zero_is_not_at_zero():
