@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
@@ -34,7 +33,6 @@ from dfm_stage.diagnosis.decisions import (
     SMALL_SHARE,
 )
 from dfm_stage.diagnosis.evidence import (
-    Candidate,
     DropReason,
     EffectEvidence,
     Evidence,
@@ -43,6 +41,7 @@ from dfm_stage.diagnosis.evidence import (
     RivalEvidence,
     Which,
 )
+from dfm_stage.diagnosis.rejections import Rejection, rejections
 
 Kind = Literal["none", "retune", "named", "partial", "ambiguous", "unknown", "not_excited"]
 
@@ -77,31 +76,6 @@ class Doubt:
     reason: Reason
     names: tuple[str, ...]
     ratio: float = math.nan
-
-
-# Why an effect of the library is not named, where it was not dropped.
-Rejected = Enum("Rejected", [
-    "RIVAL",          # another one in its place fits better
-    "EXCLUDED",       # it is no candidate here
-    "NOT_HELD_OUT",   # it is in the hypothesis, which did not pass
-    "FORCE_SHARE",    # it explains but a share of the missing force
-    "NO_RESPONSE",    # the data show none of it
-    "SHARE",          # it could take but a share of the gap
-    "BELOW_LIMIT",    # chi-square falls by less than the limit
-    "COLOUR",         # what it would take is noise with a colour
-])
-
-
-@dataclass(frozen=True)
-class Rejection:
-    """An effect that is not named. `value` is the cost, the share or the fall in chi-square that
-    its reason speaks of, `about` the effect that it would replace, or what excludes it."""
-
-    name: str
-    reason: Rejected | DropReason
-    value: float = math.nan
-    about: str = ""
-    held_out_rms: float | None = None
 
 
 @dataclass(frozen=True)
@@ -154,7 +128,7 @@ def verdict(e: Evidence) -> Verdict:
         found = sorted((_found(e, x, classes[x.name]) for x in e.effects), key=lambda f: -f.loss)
         undecided = tuple(m for members in classes.values() for m in members if len(members) > 1)
         return Verdict("ambiguous" if undecided else "named", outcome.reason, tuple(found),
-                       undecided, outcome.doubts, tuple(_rejected(e, names)),
+                       undecided, outcome.doubts, tuple(rejections(e, names)),
                        e.extended.remainder, "extended", "extended")
     offset = _offset(e)
     rules: tuple[tuple[bool, Kind, Reason], ...] = (
@@ -166,7 +140,7 @@ def verdict(e: Evidence) -> Verdict:
     kind, reason = next((kind, reason) for holds, kind, reason in rules if holds)
     told = (offset,) if offset is not None and kind == "ambiguous" else ()
     return Verdict(kind, reason, told, told[0].members if told else (), outcome.doubts,
-                   tuple(_rejected(e, {f.name for f in told})), e.retuned.remainder, "retuned",
+                   tuple(rejections(e, {f.name for f in told})), e.retuned.remainder, "retuned",
                    "retuned" if kind == "retune" else "given")
 
 
@@ -222,8 +196,8 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
         in_part = not _takes_the_gap(e) or bool(other_form(e)) or _at_zero(e, "damping")
         kind = "partial" if in_part else "ambiguous" if undecided else "named"
     if kind == "unknown":
-        return Verdict(kind, Reason.GRADED, rejected=tuple(_rejected(e, set())), remainder=True)
-    return Verdict(kind, Reason.GRADED, tuple(found), undecided, (), tuple(_rejected(e, names)),
+        return Verdict(kind, Reason.GRADED, rejected=tuple(rejections(e, set())), remainder=True)
+    return Verdict(kind, Reason.GRADED, tuple(found), undecided, (), tuple(rejections(e, names)),
                    True, "extended", "extended")
 
 
@@ -236,7 +210,7 @@ def _by_force(e: Evidence, heard: Heard) -> Verdict:
     in_part = not _takes_the_gap(e) or bool(other_form(e))
     kind: Kind = "partial" if in_part else "ambiguous" if undecided else "named"
     return Verdict(kind, Reason.GRADED, found, undecided, (),
-                   tuple(_rejected(e, set(heard.added))), True, "extended", "extended")
+                   tuple(rejections(e, set(heard.added))), True, "extended", "extended")
 
 
 def _takes_the_gap(e: Evidence) -> bool:
@@ -468,40 +442,3 @@ def _at_rest(e: Evidence) -> bool:
 def _retuned(e: Evidence) -> bool:
     given, retuned = e.given.fitted, e.retuned.fitted
     return given.chi2 - retuned.chi2 > RETUNE_GAIN and given.rms > RETUNE_RATIO * retuned.rms
-
-
-def _rejected(e: Evidence, named: set[str]) -> Iterator[Rejection]:
-    """Every effect that is not named: rivals first, then the library in its order."""
-    told = set(named)
-    for effect in e.effects:
-        for rival in effect.rivals:
-            if rival.name not in named:
-                told.add(rival.name)
-                yield Rejection(rival.name, Rejected.RIVAL, rival.cost, effect.name,
-                                rival.held_out.rms)
-    gap = e.retuned.remainder or (
-        e.retuned.fitted.chi2 - e.retuned.fitted.count > FIRST)
-    fitted = {x.name for x in e.effects}
-    for candidate in e.library:
-        if candidate.name not in told:
-            yield _not_named(candidate, candidate.name in fitted, gap)
-
-
-def _not_named(c: Candidate, fitted: bool, gap: bool) -> Rejection:
-    """Why a candidate is not named; `gap` says whether there is one to take a share of. By the
-    weights of the end there may be none: they take coloured noise for what it is."""
-    if c.excluded is not None:
-        return Rejection(c.name, Rejected.EXCLUDED, about=c.excluded)
-    if c.dropped is not None:
-        return Rejection(c.name, c.dropped)
-    if fitted:
-        return Rejection(c.name, Rejected.NOT_HELD_OUT)
-    if c.share is not None and (c.gain is None or c.gain <= 0.0):
-        return Rejection(c.name, Rejected.FORCE_SHARE, max(c.share, 0.0))
-    if c.gain is None or c.gain <= 0.0:
-        return Rejection(c.name, Rejected.NO_RESPONSE)
-    if c.gain <= FIRST:
-        return Rejection(c.name, Rejected.BELOW_LIMIT, c.gain)
-    if not gap:
-        return Rejection(c.name, Rejected.COLOUR, c.gain)
-    return Rejection(c.name, Rejected.SHARE, min(c.gain / max(c.above, c.gain), 1.0))

@@ -7,12 +7,11 @@ from typing import Any
 
 from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, MARGIN, OTHER_FORM, PARTIAL_SHARE
 from dfm_stage.diagnosis.evidence import DropReason, Evidence, Offer, Proposal
+from dfm_stage.diagnosis.rejections import Rejected, Rejection
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
     Found,
     Reason,
-    Rejected,
-    Rejection,
     Verdict,
     above,
     explained_share,

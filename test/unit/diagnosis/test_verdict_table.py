@@ -22,10 +22,10 @@ from dfm_stage.diagnosis.evidence import (
     Noise,
     Offset,
 )
+from dfm_stage.diagnosis.rejections import Rejected
 from dfm_stage.diagnosis.remainder import Finding
 from dfm_stage.diagnosis.verdict import (
     Reason,
-    Rejected,
     is_clearly_more,
     is_coloured_noise,
     needs_grading,

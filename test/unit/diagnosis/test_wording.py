@@ -21,14 +21,13 @@ from dfm_stage.diagnosis.evidence import (
     Proposal,
     RivalEvidence,
 )
+from dfm_stage.diagnosis.rejections import Rejected, Rejection
 from dfm_stage.diagnosis.remainder import Finding
 from dfm_stage.diagnosis.result import told
 from dfm_stage.diagnosis.verdict import (
     Doubt,
     Found,
     Reason,
-    Rejected,
-    Rejection,
     Verdict,
     verdict,
 )
