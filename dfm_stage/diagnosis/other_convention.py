@@ -68,26 +68,16 @@ def clearer_kind(trial: Trial, h: Hypothesis) -> tuple[Trial, Fit] | None:
     leaves least. A short search, because a whole one takes as long as that of `h` did."""
     others = [(other, first) for other in by_other_conventions(trial)
               if (first := other.search.begin()).ok]
-    left = [_left(other, first, h) for other, first in others]
+    left = [_left(other.search, h) for other, _ in others]
     least = min(range(len(others)), key=lambda k: left[k].rms, default=None)
     return others[least] if least is not None and _is_clearer(left[least], h.fit) else None
 
 
-def _left(trial: Trial, first: Fit, h: Hypothesis) -> Fit:
+def _left(search: Search, h: Hypothesis) -> Fit:
     """The fit with the effects of a hypothesis, and one more if that helps."""
-    search = trial.search
-    found = search.fitted(h.names, replace(first, model=_with_effects(first.model, h))) \
-        if h.names else first
+    found = search.fitted(h.names, h.fit)
     search.begin_work(FIRST_SHARE * MOST_STEPS)
     return search.grown(h.names, found, rounds=1)[1]
-
-
-def _with_effects(model: Model, h: Hypothesis) -> Model:
-    """A model with the effects of a hypothesis as they were fitted."""
-    for use in h.fit.model.effects:
-        if use.name in h.names:
-            model = model.with_effect(use.name, use.parameters)
-    return model
 
 
 def is_clearer(other: tuple[Hypothesis, Evidence], found: tuple[Hypothesis, Evidence]) -> bool:

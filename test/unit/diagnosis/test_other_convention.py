@@ -274,6 +274,7 @@ def test_the_kind_of_hold_that_leaves_least_is_taken_where_that_is_clearly_less(
         return (), fitted(left[search.runs[0].convention.hold], 3)
 
     monkeypatch.setattr(Search, "begin", lambda _: fitted(1.0, 3))
+    monkeypatch.setattr(Search, "fitted", lambda *_: fitted(1.0, 3))
     monkeypatch.setattr(Search, "grown", by_kind)
     h = SimpleNamespace(names=(), fit=fitted(1.0, 3))
     found = clearer_kind(trial("estimated", late=-0.15), h)
