@@ -29,7 +29,7 @@ def at_upper_end(found: Fit, names: Sequence[str]) -> bool:
 
 def is_dry(found: Fit, names: Sequence[str]) -> bool:
     """Whether an effect among `names` yields at the end of the range of its distance that the
-    noise hides: it is dry friction there, and nothing else of it shows."""
+    noise hides: it is dry friction there, which has effects of its own."""
     return found.ok and any(
         use.effect.yields_within(use.parameters)
         <= DRY * use.effect.search_range(use.effect.distance, found.system.at)[0]

@@ -162,8 +162,8 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     first = search.begin()
     if not first.ok:
         raise DiagnosisError(f"model {search.model.name}: cannot be simulated on "
-                             f"{search.runs[0].name}: the motion escapes or the parameters leave "
-                             "their limits; correct the model")
+                             f"{search.runs[0].name}: the motion escapes, a force is too stiff, "
+                             "or the parameters leave their limits; correct the model")
     if not is_noise(first):
         trial, first = clearest(*timed(trial, first))
     found = judged_among_all(trial, first, warnings, split)

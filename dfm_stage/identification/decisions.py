@@ -39,8 +39,8 @@ NEAR = decision(
 FITTED_STEPS = decision(
     "FITTED_STEPS", 64, "steps/sample", meaning=
     "Integration steps a sample from which a model that is fitted counts as not simulable.",
-    set_on="three cases of seed 1774353461: steps of fits that led to no name were 49 to 651, of "
-    "all others up to 43")
+    set_on="three cases of seed 1774353461: of the fits above 2 s, those that led to no name took "
+    "49 to 651 steps, all others up to 43")
 LINEAR_SHARE = decision(
     "LINEAR_SHARE", 0.05, "1", meaning=
     "Share of the output up to which nonlinear effects are left out of the "
