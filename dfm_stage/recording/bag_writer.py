@@ -1,10 +1,11 @@
 """rosbag2-compatible MCAP bags, written from messages that are already serialised.
 
-Two threads share the work. The caller only puts messages into a queue. When they are enough for a
-chunk, and at least every `FLUSH_PERIOD_S` whether messages come or not, a thread of the writer
-lays them out (`chunk`), compresses them and hands them to the operating system in one call. All
-three leave the interpreter lock alone, so a control loop in the same process runs on. A process
-killed at any moment loses what came after the last such call.
+Two threads share the work. The caller makes arrays of the messages it brings, and queues these.
+When they are enough for a chunk, and at least every `FLUSH_PERIOD_S` whether messages come or not,
+a thread of the writer lays them out (`chunk`), compresses them and hands them to the operating
+system in one call. All three leave the interpreter lock alone, so a control loop in the same
+process runs on. To make arrays does not, and the more at once, the longer the loop waits. A
+process killed at any moment loses what came after the last such call.
 
 The `mcap` library's own `Writer` compresses and writes inside `add_message`, in the caller's
 thread, at several times the cost per message; its record classes serve everything else here.
@@ -27,7 +28,7 @@ from mcap.records import Attachment, Channel, Schema
 
 from dfm_stage.files import write_whole
 from dfm_stage.recording.bag import DROPPED_KEY
-from dfm_stage.recording.chunk import Arrival, Arrived, Chunk, Messages
+from dfm_stage.recording.chunk import Arrival, Chunk, Messages
 from dfm_stage.recording.chunk_kernels import number
 from dfm_stage.recording.errors import BagWriteError, writing
 from dfm_stage.recording.mcap_sink import McapSink
@@ -110,7 +111,7 @@ class BagWriter:
         self._chunk_size = 0
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
-        self._jobs: list[Callable[[], None] | Messages | Arrived] = []
+        self._jobs: list[Callable[[], None] | Messages] = []
         self._flush_now = self._closing = False
         self._process = os.getpid()
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
@@ -219,11 +220,11 @@ class BagWriter:
         """
         if not arrivals:
             return
-        topics = [each[0] for each in arrivals]
-        if min(topics) < 1 or max(topics) > len(self._topics):
+        messages = Messages.arrived(arrivals)
+        if messages.channels.min() < 1 or messages.channels.max() > len(self._topics):
             raise BagWriteError(f"{self.directory}: messages refused: one of their topics was not "
                                 "announced")
-        self._accept(Arrived(list(arrivals), sum([len(each[1]) for each in arrivals])))
+        self._accept(messages)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file into the bag; it stands before every message written after this call."""
@@ -289,7 +290,7 @@ class BagWriter:
     def _queue(self, job: Callable[[], None]) -> None:
         self._jobs.append(lambda: self._do(job))
 
-    def _accept(self, messages: Messages | Arrived) -> None:
+    def _accept(self, messages: Messages) -> None:
         """Queue messages, unless too many wait."""
         count, size = messages.message_count, messages.memory
         with self._lock:
@@ -308,13 +309,13 @@ class BagWriter:
 
     # In the writer's thread
 
-    def _work_off(self, jobs: Sequence[Callable[[], None] | Messages | Arrived]) -> None:
+    def _work_off(self, jobs: Sequence[Callable[[], None] | Messages]) -> None:
         parts: list[Messages] = []
         size = 0
         for job in jobs:
-            if isinstance(job, Messages | Arrived):
+            if isinstance(job, Messages):
                 self._chunk_size += job.memory
-                parts.append(job.columns())
+                parts.append(job)
                 size += job.content
                 if size >= self._chunk_bytes:
                     self._lay_out(parts)
@@ -373,7 +374,7 @@ class BagWriter:
                 if self._closing and not self._jobs:
                     return
 
-    def _fail(self, jobs: Sequence[Callable[[], None] | Messages | Arrived], written: int,
+    def _fail(self, jobs: Sequence[Callable[[], None] | Messages], written: int,
               error: Exception) -> None:
         """Write nothing more after an error that is not the disk's; what of `jobs` was not
         `written` counts as lost, and who waits for a flush goes on."""
@@ -381,10 +382,10 @@ class BagWriter:
         with self._lock:
             self.error = self.error or failed
             self.lost += sum(job.message_count for job in jobs
-                             if isinstance(job, Messages | Arrived)) - written
+                             if isinstance(job, Messages)) - written
         self._chunk, self._chunk_size = Chunk(), 0
         for job in jobs:
-            if not isinstance(job, Messages | Arrived):
+            if not isinstance(job, Messages):
                 job()
 
     def _finish(self) -> None:

@@ -13,15 +13,13 @@ import numpy as np
 from dfm_stage.recording.chunk_kernels import AS_IT_CAME, lay_out
 from dfm_stage.recording.numba_tools import MESSAGE_HEAD, Bytes, Ints
 
-__all__ = ["Arrival", "Arrived", "Chunk", "Messages"]
+__all__ = ["Arrival", "Chunk", "Messages"]
 
 Arrival: TypeAlias = tuple[int, bytes, int]
 """Channel, serialised message, and the system time at which it came (ns)."""
 
 _ARRAYS_BYTES = 700
 """What four arrays take beside what they hold."""
-_ARRIVAL_BYTES = 140
-"""What the objects of one arrival take beside what it says."""
 
 
 class Messages(NamedTuple):
@@ -49,10 +47,6 @@ class Messages(NamedTuple):
         """Bytes that they take, about."""
         return self.content + self.message_count * MESSAGE_HEAD + _ARRAYS_BYTES
 
-    def columns(self) -> Messages:
-        """Return them as they are laid out."""
-        return self
-
     @classmethod
     def of(cls, channels: Sequence[int], data: Sequence[bytes], times: Ints) -> Messages:
         """Make them of columns."""
@@ -60,35 +54,17 @@ class Messages(NamedTuple):
                    np.fromiter(map(len, data), np.int64, len(data)), times)
 
     @classmethod
+    def arrived(cls, arrivals: Sequence[Arrival]) -> Messages:
+        """Make them of some that came, to be numbered."""
+        channels, data, came_ns = zip(*arrivals, strict=True)
+        times = np.full((len(data), 3), AS_IT_CAME)
+        times[:, :2] = np.array(came_ns, np.int64)[:, None]
+        return cls.of(channels, data, times)
+
+    @classmethod
     def joined(cls, parts: Sequence[Messages]) -> Messages:
         """Return several as one."""
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
-
-
-class Arrived(NamedTuple):
-    """Messages as they came, one by one: to make columns of them takes longer than the thread
-    that brings them has."""
-
-    arrivals: Sequence[Arrival]
-    content: int
-    """Bytes of what they say."""
-
-    @property
-    def message_count(self) -> int:
-        """How many they are."""
-        return len(self.arrivals)
-
-    @property
-    def memory(self) -> int:
-        """Bytes that they take, about."""
-        return self.content + self.message_count * _ARRIVAL_BYTES
-
-    def columns(self) -> Messages:
-        """Return them as they are laid out."""
-        channels, data, came_ns = zip(*self.arrivals, strict=True)
-        times = np.full((len(data), 3), AS_IT_CAME)
-        times[:, :2] = np.array(came_ns, np.int64)[:, None]
-        return Messages.of(channels, data, times)
 
 
 class Chunk:
