@@ -132,7 +132,8 @@ LEAST_PREDICTABLE = decision(
     "at least, whatever a black box predicts of it.", set_on=CORPUS)
 PARTIAL_SHARE = decision(
     "PARTIAL_SHARE", 0.3, "1", meaning="Share of the predictable gap or force from which they are "
-    "told as a part; of the force, what each effect must add that the force domain names alone.",
+    "told as a part; of the force, what each effect must add that the force domain names alone; "
+    "of a held-out gap that stays more than noise, what effects must take to be named.",
     set_on=REAL)
 SMALL_SHARE = decision(
     "SMALL_SHARE", 0.1, "1", meaning="Share of the held-out gap below which a further effect is "

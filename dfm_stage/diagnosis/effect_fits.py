@@ -104,9 +104,9 @@ class Fits:
         return self.keep((), self._fit(split.model, self.free, split))
 
     def fit_like(self, first: Fit, runs: Sequence[Observation]) -> Fit:
-        """The model without effects fitted to other forms of the same runs, from its `first` fit
-        on: to where the power left is known."""
-        return fit(first.model, runs, self.free, self.weights, earlier=first.locals,
+        """The model of a `first` fit fitted to other forms of the same runs, from there on: to
+        where the power left is known."""
+        return fit(first.model, runs, first.system.free, self.weights, earlier=first.locals,
                    noise=self.noise, tolerance=1.0)
 
     def resplit(self, found: Fit) -> Fit:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from dfm_stage.diagnosis.decisions import FIRST
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
@@ -37,53 +38,65 @@ from dfm_stage.model import EFFECTS, Model
 def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     """The trial by the kind of hold that leaves clearly least before any effect is added, with
     that fit; only where the model has a lag or delay to fit, because an effect that is late would
-    stand for a kind otherwise. Nor where the input acts half a sample late, as a held one does, or
-    so much later as the model given is: another kind needs another lag of the stage for that, and
-    fits it to what the model lacks."""
-    search = trial.search
-    late = late_samples(search.model)
-    if late_parameters(search.model, search.free) \
-            and not any(run.convention.acts_when_held(late) for run in search.runs):
-        for other in by_other_conventions(trial):
-            looked = search.fit_like(first, other.search.runs)
-            if _is_clearer(looked, first) and _is_clearer(found := other.search.begin(), first):
-                trial, first = other, found
-    return trial, first
+    stand for a kind otherwise."""
+    search, best, least = trial.search, (trial, first), first
+    if not late_parameters(search.model, search.free) or not _may_be_another(trial):
+        return best
+    for other in by_other_conventions(trial):
+        looked = search.fit_like(first, other.search.runs)
+        if _is_clearer(looked, first) and looked.chi2 < least.chi2 \
+                and (found := other.search.begin()).rms < first.rms:
+            best, least = (other, found), looked
+    return best if least is first else timed(*best)
+
+
+def _may_be_another(trial: Trial) -> bool:
+    """Whether the input may be of another kind. Not where it acts half a sample late, as a held
+    one does, or so much later as the model given is: another kind needs another lag of the stage
+    for that, and fits it to what the model lacks."""
+    late = late_samples(trial.search.model)
+    return not any(run.convention.acts_when_held(late) for run in trial.search.runs)
 
 
 def _is_clearer(other: Fit, first: Fit) -> bool:
-    return other.ok and other.rms**2 < HOLD_CLEAR * first.rms**2
-
-
-def before_it_is_set(trial: Trial) -> bool:
-    """Whether an input that is taken as held would surely act before it is set, as none does.
-    Records in windows are not asked: how much they leave says nothing of the whole."""
-    return not trial.search.runs[0].window and any(
-        run.convention.before_it_is_set for run in (*trial.search.runs, *trial.held))
+    """Whether one fit leaves clearly less above the noise than another, by the same weights."""
+    noise = first.white.size
+    return other.ok and first.chi2 - other.chi2 > FIRST \
+        and other.chi2 - noise < HOLD_CLEAR * (first.chi2 - noise)
 
 
 def clearer_kind(trial: Trial, h: Hypothesis) -> tuple[Trial, Fit] | None:
-    """The trial by another kind of hold by which the effects of a hypothesis, and one more at
-    most, leave clearly less of the fitted records, and its fit without effects; by the kind that
-    leaves least. A short search, because a whole one takes as long as that of `h` did."""
-    others = [(other, first) for other in by_other_conventions(trial)
-              if (first := other.search.begin()).ok]
-    left = [_left(other.search, h) for other, _ in others]
-    least = min(range(len(others)), key=lambda k: left[k].rms, default=None)
-    return others[least] if least is not None and _is_clearer(left[least], h.fit) else None
+    """The trial by another kind of hold by which the effects of a hypothesis leave clearly less of
+    the fitted records, and its fit without effects; by the kind that leaves least. Records in
+    windows are not asked: how much they leave says nothing of the whole."""
+    search = trial.search
+    if search.runs[0].window or not _may_be_another(trial):
+        return None
+    best, own = None, search.fit_like(h.fit, search.runs)
+    least = own
+    for other in by_other_conventions(trial):
+        first = other.search.begin()
+        looked = search.fit_like(_left(other.search, trial, h), other.search.runs)
+        if first.ok and _is_clearer(looked, own) and looked.chi2 < least.chi2:
+            best, least = (other, first), looked
+    return best
 
 
-def _left(search: Search, h: Hypothesis) -> Fit:
-    """The fit with the effects of a hypothesis, and one more if that helps."""
+def _left(search: Search, trial: Trial, h: Hypothesis) -> Fit:
+    """The fit with the effects of a hypothesis; where a held input would surely act before it is
+    set, as none does, with one more if that helps. A short search, because a whole one takes as
+    long as that of `h` did."""
+    if not any(run.convention.before_it_is_set for run in (*trial.search.runs, *trial.held)):
+        return h.fit
     found = search.fitted(h.names, h.fit)
     search.begin_work(FIRST_SHARE * MOST_STEPS)
     return search.grown(h.names, found, rounds=1)[1]
 
 
-def is_clearer(other: tuple[Hypothesis, Evidence], found: tuple[Hypothesis, Evidence]) -> bool:
-    """Whether one leaves clearly less of the fitted and of the held-out records."""
-    return _is_clearer(other[0].fit, found[0].fit) \
-        and other[1].extended.held_out.rms**2 < HOLD_CLEAR * found[1].extended.held_out.rms**2
+def leaves_less(other: tuple[Hypothesis, Evidence], found: tuple[Hypothesis, Evidence]) -> bool:
+    """Whether one leaves less of the fitted and of the held-out records."""
+    new, old = other[1].extended, found[1].extended
+    return new.fitted.power < old.fitted.power and new.held_out.power < old.held_out.power
 
 
 def timed(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
@@ -132,6 +145,11 @@ def _is_fast(h: Hypothesis, name: str) -> bool:
     values = h.fit.model.parameters()
     return all(values[f"{name}.{p.name}"] * h.fit.model.sample_period > HOLDS_DIFFER
                for p in EFFECTS[name].parameters if p.unit == "Hz")
+
+
+def is_late(h: Hypothesis) -> bool:
+    """Whether an effect makes the force late: without it no kind of hold acts when it should."""
+    return any(EFFECTS[n].late is not None for n in h.names)
 
 
 def by_other_conventions(trial: Trial) -> Iterator[Trial]:

@@ -59,7 +59,8 @@ RESTART_ABOVE = _search("RESTART_ABOVE", 1.03, "1", "Chi-square a sample above w
                         "searched again beside the others.")
 NEAR_NOISE = _search("NEAR_NOISE", 1.15, "1", "Chi-square a sample up to which an uncommon effect "
                      "is tested by itself before several common ones are looked for; power left "
-                     "over that of its high frequencies, above which it has a colour.",
+                     "over that of its high frequencies, above which it has a colour; held-out "
+                     "power over the noise, above which there is more than noise in it.",
                      "simulation: the high frequencies of 4000 samples of white noise tell its "
                      "power within 7.5 %, one standard deviation; this is two")
 TWIN_ABOVE = _search("TWIN_ABOVE", 1.01, "1", "Chi-square a sample above which the twin of an "

@@ -42,6 +42,7 @@ from dfm_stage.diagnosis.evidence import (
     Which,
 )
 from dfm_stage.diagnosis.rejections import Rejection, rejections
+from dfm_stage.diagnosis.search_decisions import NEAR_NOISE
 
 Kind = Literal["none", "retune", "named", "partial", "ambiguous", "unknown", "not_excited"]
 
@@ -166,12 +167,13 @@ def judge_hypothesis(e: Evidence) -> Outcome:
     allowed = NOT_EXERCISED if idle else 0.0
     if idle and e.retuned.held_out == e.given.held_out:  # other values were fitted
         allowed += (RETUNE_RATIO**2 - 1.0) * e.retuned.held_out.chi2
-    worse = not e.extended.held_out.chi2 < e.retuned.held_out.chi2 + allowed or (
-        e.extended.held_out.power > RETUNE_RATIO**2 * e.retuned.held_out.power)
+    new, old = e.extended.held_out, e.retuned.held_out
+    worse = not new.chi2 < old.chi2 + allowed or new.power > RETUNE_RATIO**2 * old.power or (
+        new.rms > RETUNE_RATIO * old.rms)  # of what drifts, the power is that of its changes
     limit = HELD_OUT_FLOOR * e.noise.rms
     by_one_fit = e.joint is not None and e.joint[1] <= limit and (
         e.joint[0] <= JOINT_LOSS * e.extended.fitted.rms)
-    if worse and not (idle and by_one_fit):
+    if (worse and not (idle and by_one_fit)) or (not idle and _leaves_more(e)):
         return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
     if e.extended.remainder:
         return Outcome(False, Reason.NEAR, (Doubt(Reason.NEAR, names),))
@@ -183,6 +185,14 @@ def judge_hypothesis(e: Evidence) -> Outcome:
                        (*doubts, Doubt(Reason.JOINT_FIT, names, ratio)))
     return Outcome(False, Reason.ABOVE_FLOOR,
                    (*doubts, Doubt(Reason.ABOVE_FLOOR, names, ratio)))
+
+
+def _leaves_more(e: Evidence) -> bool:
+    """Whether the effects take but a small part of a held-out gap that is more than noise: what
+    leaves the rest may be all of it."""
+    noise = e.noise.rms**2
+    left, gap = (m.held_out.rms**2 - noise for m in (e.extended, e.retuned))
+    return left > (NEAR_NOISE - 1.0) * noise and gap - left < PARTIAL_SHARE * gap
 
 
 def _graded(e: Evidence, names: set[str]) -> Verdict:

@@ -21,14 +21,14 @@ from dfm_stage.diagnosis.gather import with_next_experiment, with_surface
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, alike, observe, split_by_time
 from dfm_stage.diagnosis.other_convention import (
-    before_it_is_set,
     by_other_conventions,
     clearer_kind,
     clearest,
     has_linear_effect,
-    is_clearer,
+    is_late,
     is_simpler,
     late_samples,
+    leaves_less,
     may_be_simpler,
     timed,
 )
@@ -169,7 +169,7 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     found = judged_among_all(trial, first, warnings, split)
     if has_linear_effect(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)
-    if before_it_is_set(found[0]) and not verdict(found[2]).complete:
+    if not verdict(found[2]).complete:
         found = _clearest(found, warnings, split)
     trial, hypothesis, evidence = found
     search = trial.search
@@ -193,11 +193,12 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
 
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
-    """What was found, or what another convention of the input makes of it if that is simpler;
-    of those that leave less before any effect is added."""
+    """What was found, or what another convention of the input makes of it if that is simpler; of
+    those that leave less before any effect is added, or of all where one of these is late."""
     for trial in by_other_conventions(found[0]):
         first = trial.search.begin()
-        if first.ok and first.rms < found[1].bare.rms and may_be_simpler(trial, first, found[1]):
+        less = first.rms < found[1].bare.rms or is_late(found[1])
+        if first.ok and less and may_be_simpler(trial, first, found[1]):
             other = judged_among_all(trial, first, warnings, split)
             if is_simpler(other[1:], found[1:]):
                 found = other
@@ -210,7 +211,7 @@ def _clearest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgeme
     if kind is None:
         return found
     other = judged_among_all(*kind, warnings, split)
-    return other if is_clearer(other[1:], found[1:]) else found
+    return other if leaves_less(other[1:], found[1:]) else found
 
 
 def _as_judged(trial: Trial, h: Hypothesis, evidence: Evidence) -> tuple[Trial, Hypothesis]:

@@ -88,10 +88,14 @@ class Convention:
 
     def behind(self, late: float) -> Convention:
         """Return the same for a stage that is known to be `late` (samples) by itself: an input
-        that acts early in spite of it was set so much earlier."""
-        if self.source != "estimated" or self.shift >= 0.0 or late <= 0.0:
+        that acts early in spite of it was set so much earlier. What the regression does not know
+        makes a held one look early, too."""
+        early = self.shift + (self.late or 0.0)
+        surely = self.hold != "zero" and self.late_sigma is not None \
+            and early < -HELD_SIGMAS * self.late_sigma
+        if self.source != "estimated" or late <= 0.0 or not (self.shift < 0.0 or surely):
             return self
-        return replace(self, shift=self.shift - late, late=late)
+        return replace(self, shift=early - late, late=late)
 
     def to_dict(self, record: str) -> dict[str, Any]:
         """As diagnosis.json and identify.json keep it."""
