@@ -54,8 +54,14 @@ def _may_be_another(trial: Trial) -> bool:
     """Whether the input may be of another kind. Not where it acts half a sample late, as a held
     one does, or so much later as the model given is: another kind needs another lag of the stage
     for that, and fits it to what the model lacks."""
+    return not acts_as_given(trial) and not any(
+        run.convention.acts_when_held() for run in trial.search.runs)
+
+
+def acts_as_given(trial: Trial) -> bool:
+    """Whether an input acts as a held one does behind the stage as given."""
     late = late_samples(trial.search.model)
-    return not any(run.convention.acts_when_held(late) for run in trial.search.runs)
+    return any(run.convention.acts_when_held(late) for run in trial.search.runs)
 
 
 def _is_clearer(other: Fit, first: Fit) -> bool:

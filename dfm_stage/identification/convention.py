@@ -81,10 +81,10 @@ class Convention:
             and self.late < -HELD_SIGMAS * self.late_sigma
 
     def acts_when_held(self, behind: float = 0.0) -> bool:
-        """Whether the record shows an input that acts half a sample late, as a held one does: by
-        itself, or `behind` a stage that is late by so many samples."""
+        """Whether the record shows an input that acts as a held one does, half a sample late,
+        `behind` a stage that is late by so many samples."""
         return self.hold == "zero" and self.source == "estimated" and self.late is not None \
-            and min(abs(self.late), abs(self.late - behind)) <= EARLY_SHIFT
+            and abs(self.late - behind) <= EARLY_SHIFT
 
     def behind(self, late: float) -> Convention:
         """Return the same for a stage that is known to be `late` (samples) by itself: an input

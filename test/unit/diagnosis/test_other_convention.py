@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis import diagnose, workflow
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
 from dfm_stage.diagnosis.other_convention import (
+    acts_as_given,
     by_other_conventions,
     clearer_kind,
     clearest,
@@ -171,6 +172,19 @@ def test_another_kind_must_leave_half_of_what_is_above_the_noise(monkeypatch, fi
     monkeypatch.setattr(Search, "begin", lambda _: looked)
     chosen, _ = clearest(trial("assumed"), by_chi2(first))
     assert chosen.search.runs[0].convention.hold == ("first" if taken else "zero")
+
+
+@pytest.mark.parametrize(("late", "as_given"), [(0.37, True), (0.53, True), (0.56, False),
+                                                (0.0, False), (None, False)])
+def test_a_held_input_behind_the_stage_as_given_stays_held(monkeypatch, late, as_given):
+    """A simpler kind is looked for elsewhere: noise stood for one behind cogging and drag. The
+    model is late by 0.45 samples."""
+    asked = []
+    monkeypatch.setattr(workflow, "by_other_conventions", lambda each: asked.append(each) or ())
+    judgement = trial("estimated", late=late), found(("second_mode",)), None
+    assert workflow._simplest(judgement, (), False) is judgement
+    assert bool(asked) is not as_given
+    assert acts_as_given(judgement[0]) is as_given
 
 
 def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
