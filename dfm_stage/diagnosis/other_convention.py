@@ -38,13 +38,15 @@ from dfm_stage.model import EFFECTS, Model
 def clearest(trial: Trial, first: Fit) -> tuple[Trial, Fit]:
     """The trial by the kind of hold that leaves clearly least before any effect is added, with
     that fit; only where the model has a lag or delay to fit, because an effect that is late would
-    stand for a kind otherwise."""
+    stand for a kind otherwise. An input that acts late may be held behind another stage than that
+    given: another kind must then leave half of all."""
     search, best, least = trial.search, (trial, first), first
     if not late_parameters(search.model, search.free) or not _may_be_another(trial):
         return best
+    noise = 0.0 if _acts_late(trial) else float(first.white.size)
     for other in by_other_conventions(trial):
         looked = search.fit_like(first, other.search.runs)
-        if _is_clearer(looked, first) and looked.chi2 < least.chi2 \
+        if _is_clearer(looked, first, noise) and looked.chi2 < least.chi2 \
                 and (found := other.search.begin()).rms < first.rms:
             best, least = (other, found), looked
     return best if least is first else timed(*best)
@@ -64,26 +66,35 @@ def acts_as_given(trial: Trial) -> bool:
     return any(run.convention.acts_when_held(late) for run in trial.search.runs)
 
 
-def _is_clearer(other: Fit, first: Fit) -> bool:
-    """Whether one fit leaves clearly less above the noise than another, by the same weights."""
-    noise = first.white.size
+def _acts_late(trial: Trial) -> bool:
+    """Whether an input that may be held acts later than behind the stage as given."""
+    late = late_samples(trial.search.model)
+    return any(c.hold == "zero" and c.source == "estimated" and c.late is not None
+               and c.late > late for c in (run.convention for run in trial.search.runs))
+
+
+def _is_clearer(other: Fit, first: Fit, noise: float) -> bool:
+    """Whether one fit leaves clearly less above the chi-square of noise than another, by the same
+    weights."""
     return other.ok and first.chi2 - other.chi2 > FIRST \
         and other.chi2 - noise < HOLD_CLEAR * (first.chi2 - noise)
 
 
 def clearer_kind(trial: Trial, h: Hypothesis) -> tuple[Trial, Fit] | None:
     """The trial by another kind of hold by which the effects of a hypothesis leave clearly less of
-    the fitted records, and its fit without effects; by the kind that leaves least. Records in
-    windows are not asked: how much they leave says nothing of the whole."""
+    the fitted records, and its fit without effects; by the kind that leaves least. Not of an input
+    that acts late: a remainder may pass for a kind. Records in windows are not asked: how much
+    they leave says nothing of the whole."""
     search = trial.search
-    if search.runs[0].window or not _may_be_another(trial):
+    if search.runs[0].window or not _may_be_another(trial) or _acts_late(trial):
         return None
     best, own = None, search.fit_like(h.fit, search.runs)
     least = own
     for other in by_other_conventions(trial):
         first = other.search.begin()
         looked = search.fit_like(_left(other.search, trial, h), other.search.runs)
-        if first.ok and _is_clearer(looked, own) and looked.chi2 < least.chi2:
+        if first.ok and _is_clearer(looked, own, float(own.white.size)) \
+                and looked.chi2 < least.chi2:
             best, least = (other, first), looked
     return best
 
@@ -151,11 +162,6 @@ def _is_fast(h: Hypothesis, name: str) -> bool:
     values = h.fit.model.parameters()
     return all(values[f"{name}.{p.name}"] * h.fit.model.sample_period > HOLDS_DIFFER
                for p in EFFECTS[name].parameters if p.unit == "Hz")
-
-
-def is_late(h: Hypothesis) -> bool:
-    """Whether an effect makes the force late: without it no kind of hold acts when it should."""
-    return any(EFFECTS[n].late is not None for n in h.names)
 
 
 def by_other_conventions(trial: Trial) -> Iterator[Trial]:

@@ -26,7 +26,6 @@ from dfm_stage.diagnosis.other_convention import (
     clearer_kind,
     clearest,
     has_linear_effect,
-    is_late,
     is_simpler,
     late_samples,
     leaves_less,
@@ -195,15 +194,13 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     """What was found, or what another convention of the input makes of it if that is simpler; of
-    those that leave less before any effect is added, or of all where an effect found is late. Not
-    where the input acts as a held one does behind the stage as given."""
+    those that leave less before any effect is added. Not where the input acts as a held one does
+    behind the stage as given."""
     if acts_as_given(found[0]):
         return found
-    late = is_late(found[1])
     for trial in by_other_conventions(found[0]):
         first = trial.search.begin()
-        less = late or first.rms < found[1].bare.rms
-        if first.ok and less and may_be_simpler(trial, first, found[1]):
+        if first.ok and first.rms < found[1].bare.rms and may_be_simpler(trial, first, found[1]):
             other = judged_among_all(trial, first, warnings, split)
             if is_simpler(other[1:], found[1:]):
                 found = other

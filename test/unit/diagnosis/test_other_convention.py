@@ -17,7 +17,6 @@ from dfm_stage.diagnosis.other_convention import (
     clearer_kind,
     clearest,
     has_linear_effect,
-    is_late,
     is_simpler,
     leaves_less,
     may_be_simpler,
@@ -162,15 +161,17 @@ def test_an_input_that_acts_as_a_held_one_is_not_taken_for_another_kind(monkeypa
     assert chosen.search.runs[0].convention.hold == ("first" if tried else "zero")
 
 
-@pytest.mark.parametrize(("first", "other", "taken"), [
-    (1.9, 1.4, True), (1.9, 1.5, False),      # half of what is above the noise
-    (1.113, 0.882, True),                     # an output that is early by a sample, as measured
-    (1.02, 0.99, False)])                     # 30 in chi-square: by chance
-def test_another_kind_must_leave_half_of_what_is_above_the_noise(monkeypatch, first, other, taken):
+@pytest.mark.parametrize(("late", "first", "other", "taken"), [
+    (0.3, 1.9, 1.4, True), (0.3, 1.9, 1.5, False),  # half of what is above the noise
+    (0.3, 1.113, 0.882, True),                # an output that is early by a sample, as measured
+    (0.3, 1.02, 0.99, False),                 # 30 in chi-square: by chance
+    (0.6, 1.9, 1.0, False), (0.6, 1.9, 0.9, True)])  # later than given: half of all
+def test_another_kind_must_leave_half_of_what_is_above_the_noise(monkeypatch, late, first, other,
+                                                                 taken):
     looked = by_chi2(other)
     monkeypatch.setattr(Search, "fit_like", lambda *_: looked)
     monkeypatch.setattr(Search, "begin", lambda _: looked)
-    chosen, _ = clearest(trial("assumed"), by_chi2(first))
+    chosen, _ = clearest(trial("estimated", late=late), by_chi2(first))
     assert chosen.search.runs[0].convention.hold == ("first" if taken else "zero")
 
 
@@ -299,6 +300,7 @@ def test_a_delay_is_not_taken_for_a_held_input_that_acts_before_it_is_set():
     ({"first": 0.5, "band_limited": 0.6}, -0.15, True, "first"),
     ({"first": 0.5, "band_limited": 0.4}, -0.15, True, "band_limited"),
     ({"first": 0.5, "band_limited": 0.4}, 0.3, False, "band_limited"),
+    ({"first": 0.5, "band_limited": 0.4}, 0.6, False, None),        # later than given: a delay
     ({"first": 0.5, "band_limited": 0.4}, 0.05, False, None)])      # as late as a held one
 def test_the_kind_of_hold_that_leaves_least_is_taken_where_that_is_clearly_less(
         monkeypatch, left, late, grown, kind):
@@ -330,10 +332,3 @@ def test_it_must_leave_less_of_fitted_and_of_held_out_records(fit, held_out, les
         return None, SimpleNamespace(extended=SimpleNamespace(fitted=fit, held_out=held))
 
     assert leaves_less(judged(fit, held_out), judged(1.0, 1.0)) is less
-
-
-@pytest.mark.parametrize(("names", "late"), [
-    (("second_mode", "transport_delay"), True), (("amplifier_bandwidth",), True),
-    (("second_mode",), False), ((), False)])
-def test_an_effect_may_make_the_force_late(names, late):
-    assert is_late(found(names)) is late
