@@ -183,7 +183,8 @@ TIMING_BLOCKS = decision(
 HOLD_CLEAR = decision(
     "HOLD_CLEAR", 0.5, "1", meaning="Chi-square above that of noise that another kind of hold "
     "leaves, over that of the estimated kind, below which it is the kind: before any effect is "
-    "added, and with the effects found where these leave more than noise.",
+    "added, and with the effects found where these leave more than noise. Of an input that acts "
+    "later than the stage as given, all that is left counts.",
     set_on="six cases of three seeds that are not held: below 0.25; 90 others of seed 424242, "
     "which lack an effect: above 0.8 where the model has a lag to fit; two outputs that are early "
     "by a sample: below 0; looked at while it was set")
