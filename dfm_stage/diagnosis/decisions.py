@@ -134,7 +134,7 @@ PARTIAL_SHARE = decision(
     "PARTIAL_SHARE", 0.3, "1", meaning="Share of the predictable gap or force from which they are "
     "told as a part; of the force, what each effect must add that the force domain names alone; "
     "of a held-out gap that stays more than noise, what effects must take to be named.",
-    set_on=REAL)
+    set_on=REAL + "; of what stays: a mode that took 0.1 where samples jitter, looked at")
 SMALL_SHARE = decision(
     "SMALL_SHARE", 0.1, "1", meaning="Share of the held-out gap below which a further effect is "
     "named only where the force domain has it in its best set: what is in no library looks like "

@@ -3,8 +3,8 @@
 A held input cannot act before half a sample; one that is not held may act later, with a lag of the
 stage behind it. The kind of hold is then told by what the model leaves with each. What an error of
 the input's timing leaves looks like a mode far above the motion: where a linear effect is found,
-the records are judged by the other conventions, too. They are where a held input would act before
-half a sample.
+the records are judged by the other conventions, too. So they are where the effects found leave
+more than noise, unless the input acts late: what is late is a delay.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ def judge_hypothesis(e: Evidence) -> Outcome:
     limit = HELD_OUT_FLOOR * e.noise.rms
     by_one_fit = e.joint is not None and e.joint[1] <= limit and (
         e.joint[0] <= JOINT_LOSS * e.extended.fitted.rms)
-    if (worse and not (idle and by_one_fit)) or (not idle and _leaves_more(e)):
+    if (worse and not (idle and by_one_fit)) or (not idle and _explains_little(e)):
         return Outcome(False, Reason.NOT_HELD_OUT, (Doubt(Reason.NOT_HELD_OUT, names),))
     if e.extended.remainder:
         return Outcome(False, Reason.NEAR, (Doubt(Reason.NEAR, names),))
@@ -187,9 +187,9 @@ def judge_hypothesis(e: Evidence) -> Outcome:
                    (*doubts, Doubt(Reason.ABOVE_FLOOR, names, ratio)))
 
 
-def _leaves_more(e: Evidence) -> bool:
-    """Whether the effects take but a small part of a held-out gap that is more than noise: what
-    leaves the rest may be all of it."""
+def _explains_little(e: Evidence) -> bool:
+    """Whether the effects take but a small part of a held-out gap that stays more than noise:
+    whatever makes the rest may make all of it."""
     noise = e.noise.rms**2
     left, gap = (m.held_out.rms**2 - noise for m in (e.extended, e.retuned))
     return left > (NEAR_NOISE - 1.0) * noise and gap - left < PARTIAL_SHARE * gap
