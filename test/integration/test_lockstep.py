@@ -106,6 +106,8 @@ def listening(graph, heard):
         rclpy.init(context=context, domain_id=graph.domain_id, args=[])
     node, executor = rclpy.create_node("outside", context=context), make_executor(context)
     executor.add_node(node)
+    writers = [(each, each.get_subscription_count()) for launched in graph.launched
+               for each in launched.node.publishers if each.topic_name.rpartition("/")[2] in heard]
     ears = [node.create_subscription(LINKS[topic].type, f"/stage/x/{topic}", data.append,
                                      LOCKSTEP_QOS, raw=True) for topic, data in heard.items()]
 
@@ -116,8 +118,8 @@ def listening(graph, heard):
     thread = threading.Thread(target=spin)
     thread.start()
     try:
-        graph.spin_until(lambda: all(each.get_publisher_count() for each in ears), 10.0, "all")
-        graph.wait_connected({}, time.monotonic() + 10.0)
+        graph.spin_until(lambda: all(each.get_publisher_count() for each in ears) and all(
+            each.get_subscription_count() > before for each, before in writers), 10.0, "all")
         yield
         time.sleep(0.5)
     finally:
