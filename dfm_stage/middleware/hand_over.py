@@ -8,7 +8,8 @@ callback that put them. So nobody is called from within a call, what a callback 
 whoever spins, and a thread of a driver may put messages, too. A message is put as bytes, and with
 the fields that it was made of: a receiver that wants fields need not decode it. What goes outside
 goes when all in the process have been called: the loop does not wait for the system calls. Jobs
-beside the loop come after that (`in_spare_time`): at 5 kHz a sample has 0.2 ms.
+beside the loop come after that (`in_spare_time`): at 5 kHz a sample has 0.2 ms. A clock that is as
+fast as that ticks in the thread of the loop itself (`keep_time`).
 
 A receiver that only keeps messages (the recorder) takes them when it likes: with `arrivals`, a
 list of its own, bytes are put there with the time, and nobody is called.
@@ -29,6 +30,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 from rclpy.duration import Duration
@@ -39,6 +41,11 @@ TURN_S = 4e-3
 """How long messages are handed over before timers and services get their turn: a loop in lockstep
 never runs out of messages. A turn of the executor costs 0.08 ms: 7 % of the time after 1 ms. Who
 hears what is looked up once in this time, and when somebody asks whether all is ready."""
+_STAY_S = 1e-3
+"""How long the ticks of a fast clock follow each other before the executor gets its turn."""
+FAST_S = _STAY_S / 2
+"""A clock up to this period is fast: between two of its ticks a turn of the executor, with what
+wakes it, takes too much of the time."""
 _SPARE = 0.25
 """Share of the time from turn to turn for jobs beside the loop; one is always done."""
 _ECHOES = 64
@@ -66,6 +73,8 @@ class HandOver:
         self._looked_s = self._begun_s = self._ended_s = 0.0
         self.spare: deque[Callable[[], object]] = deque()
         self.scheduled = False
+        self._ticks: dict[Callable[[], float], float] = {}
+        self._ticking = False
 
     def add(self, receiver: Receiver) -> None:
         """Have a receiver called from now on."""
@@ -102,6 +111,7 @@ class HandOver:
         self.due.clear()
         self.outside.clear()
         self.spare.clear()
+        self._ticks.clear()
         self._spun = None
 
     def _look(self) -> None:
@@ -126,9 +136,35 @@ class HandOver:
         self.scheduled = False
         self.run()
 
-    def run(self, first: Callable[[], None] | None = None) -> None:
+    def keep_time(self, tick: Callable[[], float]) -> None:
+        """Run `tick` now, and then always when it is due, which it returns (steady clock, s)."""
+        self._ticks[tick] = 0.0
+        if not self._ticking:
+            self._ticking = True
+            self._executor.create_task(self._tick)
+
+    def _tick(self) -> None:
+        """Sleep and run what is due, for `_STAY_S`; then go on after what the executor has to do.
+
+        A timer of the executor sleeps in a thread of its own, which then wakes this one: twice as
+        many chances to wake up late.
+        """
+        until_s = time.monotonic() + _STAY_S
+        while self._ticks:
+            tick, due_s = min(self._ticks.items(), key=itemgetter(1))
+            if (rest_s := due_s - time.monotonic()) > 0.0:
+                time.sleep(rest_s)
+            due_s = self.run(tick)
+            if tick in self._ticks:
+                self._ticks[tick] = due_s
+            if due_s > until_s:
+                self._executor.create_task(self._tick)
+                return
+        self._ticking = False
+
+    def run(self, first: Callable[[], Any] | None = None) -> Any:
         """Call `first`, then those that are due, for `TURN_S` at most; then send outside, and do
-        jobs for `_SPARE` of the time since the last turn."""
+        jobs for `_SPARE` of the time since the last turn. Return what `first` did."""
         due, now, ahead = self.due, time.monotonic, self.scheduled
         begun_s = now()
         since_s, self._begun_s = begun_s - self._begun_s, begun_s
@@ -138,8 +174,7 @@ class HandOver:
             self._look()
         self.scheduled, self.turn, self.thread = True, self._turns, threading.get_ident()
         try:
-            if first is not None:
-                first()
+            result = first() if first is not None else None
             while due:
                 receiver = due.popleft()
                 if receiver.waiting:  # else a newer message took the place of this one
@@ -159,6 +194,7 @@ class HandOver:
             self.spare.popleft()()
             if now() - self._ended_s >= _SPARE * since_s:
                 break
+        return result
 
     def when_spare(self, job: Callable[[], object]) -> None:
         """Do a job that is no part of the loop at the end of a turn: then there is most time until
@@ -167,6 +203,13 @@ class HandOver:
             self.spare.append(job)
         while self.spare and time.monotonic() - self._ended_s > TURN_S:
             self.spare.popleft()()
+
+    def forget(self, node: object) -> None:
+        """Drop the jobs and the clock of a node that ends."""
+        for job in [each for each in self.spare if getattr(each, "__self__", None) is node]:
+            self.spare.remove(job)
+        for tick in [each for each in self._ticks if getattr(each, "__self__", None) is node]:
+            del self._ticks[tick]
 
 
 _open: dict[Any, HandOver] = {}
@@ -207,11 +250,20 @@ def in_spare_time(node: Node, job: Callable[[], object]) -> Callable[[], object]
     return job if hand_over is None else partial(hand_over.when_spare, job)
 
 
-def no_more_jobs(node: object) -> None:
-    """Drop the jobs of a node that ends."""
+def keep_time(node: Node, tick: Callable[[], float], period_s: float) -> bool:
+    """Run `tick`, a method of `node` that returns when it is due again (steady clock, s), without
+    a timer from now on; False, and nothing is done, where its period is none that needs it."""
+    hand_over = _open.get(node.context)
+    if hand_over is None or period_s > FAST_S:
+        return False
+    hand_over.keep_time(tick)
+    return True
+
+
+def forget(node: object) -> None:
+    """Drop the jobs and the clock of a node that ends."""
     for hand_over in _open.values():
-        for job in [each for each in hand_over.spare if getattr(each, "__self__", None) is node]:
-            hand_over.spare.remove(job)
+        hand_over.forget(node)
 
 
 class Receiver:

@@ -28,9 +28,9 @@ from dfm_stage.errors import DfmError
 from dfm_stage.middleware.hand_over import (
     Receiver,
     Sender,
+    forget,
     in_spare_time,
     look_anew,
-    no_more_jobs,
 )
 from dfm_stage.middleware.scheduling import LOOK_S, LOOP_PRIORITY, RealTime
 from dfm_stage.middleware.shared_memory import killed_endpoints
@@ -333,7 +333,7 @@ class LoopNode(EachSecond):
                 publisher.delivered(deadline - time.monotonic())
         for receiver in self._receivers:
             receiver.leave()
-        no_more_jobs(self)
+        forget(self)
         super().destroy_node()
 
     def an_endpoint(self) -> Sequence[int]:

@@ -56,7 +56,7 @@ _CHUNK_BYTES = 1 << 18
 """Beside a loop in real time: a chunk is laid out in the same process, and samples are late
 meanwhile."""
 _LOOK_PERIODS_S = (0.1, 0.5)
-_SETTLED_S = 3.0
+_SETTLED_S = 1.0
 _DRAIN_S = 0.05
 _REPAIR_S = 0.25
 """A message that got lost on its way is missed at the next heartbeat (config/fastdds.xml)."""

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from dfm_stage.errors import DfmError
-from dfm_stage.middleware.hand_over import in_a_turn
+from dfm_stage.middleware.hand_over import in_a_turn, keep_time
 from dfm_stage.middleware.wire import encode_clock
 from dfm_stage.model import Model, load_model, model_text
 from dfm_stage.nodes.base import LoopNode, Publisher
@@ -111,14 +111,14 @@ class SimPlant(LoopNode):
         self._clock_out = self.side_sender("/clock")
         self._axes = self._wire(names)
         self._stages = list({id(axis.stage): axis.stage for axis in self._axes}.values())
-        self._due_ns: int | None = None  # when the sample that is out was due
+        self._due_ns = 0  # when the sample that is out was due; 0: none is
         self._watchdog = (0 if self.lockstep else
                           round(self.settings["drive_watchdog_s"] / self._model.sample_period))
         if self.lockstep:
             self._first = self.create_timer(0.02, self._publish_first, clock=self.steady)
         else:
             self._timer = self.create_timer(
-                self._model.sample_period, in_a_turn(self, self._tick), clock=self.steady)
+                self._model.sample_period, in_a_turn(self, self._on_timer), clock=self.steady)
         self.begin()
 
     def _wire(self, names: list[str]) -> list[_Axis]:
@@ -155,15 +155,19 @@ class SimPlant(LoopNode):
 
     # Real time
 
-    def _tick(self) -> None:
-        now = time.monotonic_ns()
-        period_ns = self._timer.timer_period_ns  # not always the nearest whole number
-        if self._due_ns is None:
-            if not self.links_open:
-                return
+    def _on_timer(self) -> None:
+        if self._due_ns:
+            self._tick()
+        elif self.links_open:
             self._due_ns = self._first_due_ns()
             self._publish_samples(self.now_ns())
-            return
+            if keep_time(self, self._tick, self._model.sample_period):
+                self._timer.cancel()
+
+    def _tick(self) -> float:
+        """Take the samples that are due; return when the next is (steady clock, s)."""
+        now = time.monotonic_ns()
+        period_ns = self._timer.timer_period_ns  # not always the nearest whole number
         due = (now - self._due_ns) // period_ns
         self._due_ns += due * period_ns
         left_out = due > _GIVE_UP_SAMPLES
@@ -179,6 +183,7 @@ class SimPlant(LoopNode):
             self._advance()
             if k == due or not left_out:
                 self._publish_samples(self.now_ns())
+        return 1e-9 * (self._due_ns + period_ns)
 
     def _first_due_ns(self) -> int:
         """Return when the timer was due, by its own time and not that of its call, which may be

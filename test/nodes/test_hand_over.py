@@ -20,6 +20,7 @@ from dfm_stage.middleware.hand_over import (
     handing_over,
     in_a_turn,
     in_spare_time,
+    keep_time,
 )
 from dfm_stage.middleware.wire import codec, encode_joint_state
 from dfm_stage.nodes.process import make_executor
@@ -411,7 +412,62 @@ def test_a_node_that_ends_has_no_more_jobs(process):
     turn()
     in_spare_time(process.one, jobs.one)()
     in_spare_time(process.one, others.two)()
-    hand_over.no_more_jobs(jobs)
+    hand_over.forget(jobs)
     turn()
     turn()
     assert done == ["two"]
+
+
+class Clocked:
+    """A node's clock that is due every period (s)."""
+
+    def __init__(self, period_s):
+        self.period_s = period_s
+        self.due_s = time.monotonic()
+        self.ticks = []
+
+    def tick(self):
+        now = time.monotonic()
+        self.ticks.append(now - self.due_s)
+        if now >= self.due_s:
+            self.due_s += self.period_s
+        return self.due_s
+
+
+def test_a_fast_clock_ticks_when_it_is_due_and_leaves_others_their_turn(process):
+    clock, other, timers = Clocked(2e-4), Clocked(3e-4), []
+    sender = process.sender()
+    process.receiver()
+    timer = process.two.create_timer(2e-3, lambda: timers.append(sender.put(DATA[0])),
+                                     clock=Clock(clock_type=ClockType.STEADY_TIME))
+    assert all(keep_time(process.one, each.tick, each.period_s) for each in (clock, other))
+    give_up = time.monotonic() + 20.0
+    while (min(len(clock.ticks), len(other.ticks), 25 * len(timers)) < 500
+           and time.monotonic() < give_up):
+        process.executor.spin_once(0.01)
+    timer.cancel()
+    for each in (clock, other):
+        assert len(each.ticks) >= 500
+        assert min(each.ticks) >= 0.0  # never before its time
+    assert len(timers) >= 20
+    assert len(process.heard) >= len(timers) - 1
+
+
+def test_the_clock_of_a_node_that_ends_stands_still_and_another_one_starts(process):
+    ended, other = Clocked(2e-4), Clocked(2e-4)
+    keep_time(process.one, ended.tick, ended.period_s)
+    process.spin(5)
+    hand_over.forget(ended)
+    ticks = len(ended.ticks)
+    process.spin(5)
+    assert ticks == len(ended.ticks)
+    keep_time(process.one, other.tick, other.period_s)
+    process.spin(20)
+    assert len(other.ticks) > 20
+
+
+def test_a_clock_that_is_not_fast_is_left_to_its_timer(process):
+    clock = Clocked(1e-3)
+    assert not keep_time(process.one, clock.tick, clock.period_s)
+    process.spin(5)
+    assert clock.ticks == []
