@@ -43,7 +43,7 @@ never runs out of messages. A turn of the executor costs 0.08 ms: 7 % of the tim
 hears what is looked up once in this time, and when somebody asks whether all is ready."""
 _STAY_S = 1e-3
 """How long the ticks of a fast clock follow each other before the executor gets its turn."""
-FAST_S = _STAY_S / 2
+_FAST_S = _STAY_S / 2
 """A clock up to this period is fast: between two of its ticks a turn of the executor, with what
 wakes it, takes too much of the time."""
 _SPARE = 0.25
@@ -254,7 +254,7 @@ def keep_time(node: Node, tick: Callable[[], float], period_s: float) -> bool:
     """Run `tick`, a method of `node` that returns when it is due again (steady clock, s), without
     a timer from now on; False, and nothing is done, where its period is none that needs it."""
     hand_over = _open.get(node.context)
-    if hand_over is None or period_s > FAST_S:
+    if hand_over is None or period_s > _FAST_S:
         return False
     hand_over.keep_time(tick)
     return True

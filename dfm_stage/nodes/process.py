@@ -41,7 +41,7 @@ BEGUN_ANEW = "DFM_STAGE_BEGUN_ANEW"
 """How often this process began anew, in its environment."""
 _EVENTS_PER_LOOK = 64
 _LEAVING_S = 0.3
-"""A reader learns what it lacks within 0.2 s (config/fastdds.xml)."""
+"""A reader learns what it lacks within 0.1 s (config/fastdds.xml)."""
 _PLACE = re.compile(r", at \.?/")
 _SWITCH_S = 1e-4
 _ROS_ARGUMENTS = "--ros-args"
