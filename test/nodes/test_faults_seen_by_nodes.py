@@ -219,7 +219,7 @@ def test_samples_before_the_recorder_listens_cost_no_look_into_the_graph(make, m
         name for name in names if name not in listeners])
     monkeypatch.setattr(base.Publisher, "put", lambda self, data, named: out.append(data))
     for _ in range(50):
-        node._tick()
+        node._on_timer()
         node._publish_samples(node.now_ns())
     assert (looks, out) == ([], [])
     node._open_links()
@@ -227,7 +227,7 @@ def test_samples_before_the_recorder_listens_cost_no_look_into_the_graph(make, m
     assert len(looks) == len(node.publishers_of_links)  # none waits for another
     listeners += looks[0]
     node._open_links()
-    node._tick()
+    node._on_timer()
     assert node.links_open
     assert out
 
