@@ -156,6 +156,8 @@ class SimPlant(LoopNode):
     # Real time
 
     def _on_timer(self) -> None:
+        """Take what is due. After its first sample a fast plant in one process with others keeps
+        the time without the timer."""
         if self._due_ns:
             self._tick()
         elif self.links_open:

@@ -89,6 +89,16 @@ def test_a_listener_outside_hears_all_in_order_and_changes_nothing(tmp_path):
         assert len(data) >= 1000, topic
 
 
+@pytest.mark.parametrize(("period_s", "fast"), [(5e-4, True), (1e-3, False)])
+def test_a_fast_plant_in_one_process_takes_its_samples_without_a_timer(period_s, fast):
+    with StageGraph(composed=True, sample_period_s=period_s) as graph:
+        plant, = (each.node for each in graph.launched if each.kind == "sim_plant")
+        graph.spin_until(lambda: plant.seq > 0, 20.0, "the first sample")
+        begin = plant.seq
+        graph.spin_until(lambda: plant.seq > begin + 300, 20.0, "300 samples")
+        assert plant._timer.is_canceled() is fast
+
+
 def test_nothing_of_a_composed_graph_outlives_it():
     threads = []
     for _ in range(3):  # the first leaves what numba and DDS keep for the process

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from dfm_stage.nodes import sim_plant
 from dfm_stage.nodes.sim_plant import SimPlant
@@ -42,8 +43,9 @@ def test_a_period_that_is_no_whole_number_of_nanoseconds_misses_nothing(make, mo
     node._due_ns = BEGIN_NS
     for k, each in enumerate(late, 1):
         now[0] = BEGIN_NS + k * period_ns + each
-        node._tick()
+        next_s = node._tick()
     assert node.counters.get("deadlines_missed", 0) == 0
+    assert next_s == pytest.approx(1e-9 * (BEGIN_NS + (len(late) + 1) * period_ns), abs=1e-9)
 
 
 def test_what_passes_between_two_clocks_makes_no_sample_late(make, monkeypatch):
