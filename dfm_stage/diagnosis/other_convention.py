@@ -2,9 +2,9 @@
 
 A held input cannot act before half a sample; one that is not held may act later, with a lag of the
 stage behind it. The kind of hold is then told by what the model leaves with each. What an error of
-the input's timing leaves looks like a mode far above the motion: where a linear effect is found,
-the records are judged by the other conventions, too. So they are where the effects found leave
-more than noise, unless the input acts late: what is late is a delay.
+the input's timing leaves looks like a mode far above the motion: where such a mode is found and
+another kind explains as much without it, the records are judged by that kind, too. So they are
+where the effects found leave more than noise, unless the input acts late: what is late is a delay.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from dfm_stage.diagnosis.decisions import FIRST
+from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.evidence import Evidence
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
@@ -26,11 +27,12 @@ from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
     HOLDS_DIFFER,
     MOST_STEPS,
+    PER_PARAMETER,
 )
 from dfm_stage.diagnosis.verdict import Verdict
 from dfm_stage.identification.convention import LATENESS, Convention, Hold, reinterpreted
 from dfm_stage.identification.coordinates import late_parameters, lateness
-from dfm_stage.identification.decisions import HOLD_CLEAR
+from dfm_stage.identification.decisions import EARLY_SHIFT, HOLD_CLEAR
 from dfm_stage.identification.system import is_nonlinear
 from dfm_stage.model import EFFECTS, Model
 
@@ -150,18 +152,24 @@ def _tried(trial: Trial) -> tuple[Trial, Fit]:
     return trial, trial.search.begin()
 
 
-def has_linear_effect(h: Hypothesis, told: Verdict) -> bool:
-    """Whether an effect is told that is a linear part of several parameters; a mode, at a
-    frequency at which kinds of hold differ."""
-    return any(EFFECTS[n].stamp is not None and EFFECTS[n].wave is None and not is_nonlinear(n)
-               and len(EFFECTS[n].parameters) > CONVENTION_PRICE and _is_fast(h, n)
-               for n in (found.name for found in told.effects))
+def has_fast_mode(h: Hypothesis, told: Verdict) -> bool:
+    """Whether an effect is told that may stand for another kind of hold."""
+    return any(_stands_for_timing(h, found.name) for found in told.effects)
+
+
+def _stands_for_timing(h: Hypothesis, name: str) -> bool:
+    """Whether an effect is a linear part of several parameters, so fast that kinds of hold differ
+    there."""
+    effect = EFFECTS[name]
+    return effect.stamp is not None and effect.wave is None and not is_nonlinear(name) \
+        and len(effect.parameters) > CONVENTION_PRICE and _is_fast(h, name)
 
 
 def _is_fast(h: Hypothesis, name: str) -> bool:
     values = h.fit.model.parameters()
-    return all(values[f"{name}.{p.name}"] * h.fit.model.sample_period > HOLDS_DIFFER
-               for p in EFFECTS[name].parameters if p.unit == "Hz")
+    rates = {"Hz": lambda value: value, "s": lambda value: 0.5 / (math.pi * value)}
+    return all(rates[p.unit](values[f"{name}.{p.name}"]) * h.fit.model.sample_period > HOLDS_DIFFER
+               for p in EFFECTS[name].parameters if p.unit in rates)
 
 
 def by_other_conventions(trial: Trial) -> Iterator[Trial]:
@@ -194,26 +202,42 @@ def late_samples(model: Model) -> float:
 
 
 def may_be_simpler(trial: Trial, first: Fit, h: Hypothesis) -> bool:
-    """Whether a fit by a convention explains the fitted records as well as `h` does, with fewer
-    parameters: the `first`, or one of a short search, because a whole one takes as long as that
-    of `h` did."""
-    search = trial.search
-    if not _as_well(first, h):
-        search.begin_work(FIRST_SHARE * MOST_STEPS)
-        if len(h.names) > 1:
-            search.grown((), first, len(h.names) - 1)
-        else:
-            search.alone(first)
-    return any(_as_well(found, h) for found in (first, *search.fits.values()))
+    """Whether the effects of a hypothesis without its fast modes explain the fitted records as
+    well by another kind of hold, whose fit without effects is `first`: with a delay where the
+    input acts late."""
+    names, model = _without_modes(trial, h)
+    return _as_well(trial.search.fitted(names, replace(first, model=model)), h)
+
+
+def _without_modes(trial: Trial, h: Hypothesis) -> tuple[Names, Model]:
+    """The effects of a hypothesis without its fast modes, and a model with these that is as late
+    as the records of the trial say."""
+    names, model = tuple(n for n in h.names if not _stands_for_timing(h, n)), h.fit.model
+    for name in set(h.names) - set(names):
+        model = model.without_effect(name)
+    shown = [run.convention.late for run in trial.search.runs if run.convention.late is not None]
+    missing = (sum(shown) / max(len(shown), 1) - late_samples(model)) * model.sample_period
+    free = late_parameters(model, h.fit.system.free)
+    delay = next((n for n, kind in free.items() if kind == "delay"), None)
+    if delay is not None:
+        longer = max(model.parameters()[delay] + missing, 0.0)
+        return names, model.with_parameters({delay: longer})
+    added = next((n for n in trial.search.library if EFFECTS[n].late == "delay"), None)
+    if added is None or missing < EARLY_SHIFT * model.sample_period:
+        return names, model
+    return (*names, added), model.with_effect(added, {EFFECTS[added].parameters[0].name: missing})
 
 
 def _as_well(other: Fit, h: Hypothesis) -> bool:
+    """Whether a fit with fewer parameters leaves as much as that of a hypothesis: no more
+    chi-square than these parameters are worth."""
     spared = len(h.fit.system.free) - len(other.system.free)
-    return other.ok and spared > CONVENTION_PRICE and other.rms <= CONVENTION_WORSE * h.fit.rms
+    worse = h.fit.white.size * ((other.rms / h.fit.rms) ** 2 - 1.0)
+    return other.ok and spared > CONVENTION_PRICE and worse < PER_PARAMETER * spared
 
 
 def is_simpler(other: tuple[Hypothesis, Evidence], found: tuple[Hypothesis, Evidence]) -> bool:
-    """Whether one explains the fitted and the held-out records as well, with fewer parameters: by
-    more than a convention counts for."""
+    """Whether one explains the fitted records as well with fewer parameters, by more than a
+    convention counts for, and predicts those held out as well."""
     return _as_well(other[0].fit, found[0]) \
         and other[1].extended.held_out.rms <= CONVENTION_WORSE * found[1].extended.held_out.rms

@@ -21,11 +21,10 @@ from dfm_stage.diagnosis.gather import with_next_experiment, with_surface
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, alike, observe, split_by_time
 from dfm_stage.diagnosis.other_convention import (
-    acts_as_given,
     by_other_conventions,
     clearer_kind,
     clearest,
-    has_linear_effect,
+    has_fast_mode,
     is_simpler,
     late_samples,
     leaves_less,
@@ -167,7 +166,7 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     if not is_noise(first):
         trial, first = clearest(*timed(trial, first))
     found = judged_among_all(trial, first, warnings, split)
-    if has_linear_effect(found[1], verdict(found[2])):
+    if has_fast_mode(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)
     if not verdict(found[2]).complete:
         found = _clearest(found, warnings, split)
@@ -193,14 +192,10 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
 
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
-    """What was found, or what another convention of the input makes of it if that is simpler; of
-    those that leave less before any effect is added. Not where the input acts as a held one does
-    behind the stage as given."""
-    if acts_as_given(found[0]):
-        return found
+    """What was found, or what another convention of the input makes of it if that is simpler."""
     for trial in by_other_conventions(found[0]):
         first = trial.search.begin()
-        if first.ok and first.rms < found[1].bare.rms and may_be_simpler(trial, first, found[1]):
+        if first.ok and may_be_simpler(trial, first, found[1]):
             other = judged_among_all(trial, first, warnings, split)
             if is_simpler(other[1:], found[1:]):
                 found = other

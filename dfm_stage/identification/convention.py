@@ -40,7 +40,7 @@ from dfm_stage.identification.input_timing import (
 )
 
 Hold = Literal["zero", "first", "band_limited"]
-Source = Literal["estimated", "others", "assumed", "given"]
+Source = Literal["estimated", "others", "contradicted", "assumed", "given"]
 
 LATENESS: Mapping[Hold, float] = {"zero": HELD_LATE, "first": 0.0, "band_limited": 0.0}
 """Samples by which an input of each kind acts late on average."""
@@ -58,7 +58,8 @@ class Convention:
     it is found, because what is late is a delay. `sigma` is its standard error. `late` is how much
     later than the hold says the input acts, with `late_sigma`: lag and delay of the stage, or of
     the column; None where the record does not show it. `source` is "others" where the other
-    records of the set show it. `left` is the RMS that each kind of hold leaves of the input.
+    records of the set show it, and "contradicted" where these show that it is held and this one
+    does not. `left` is the RMS that each kind of hold leaves of the input.
     """
 
     hold: Hold = "zero"
@@ -129,6 +130,8 @@ class Convention:
             return " (assumed: the record does not show it)"
         if self.source == "others":
             return " (assumed: the other records show it, this one does not)"
+        if self.source == "contradicted":
+            return " (assumed: the other records show it, this one contradicts them)"
         if self.late is not None and self.late_sigma is not None \
                 and self.late > HELD_SIGMAS * self.late_sigma:
             return f" (it acts {self.late:.2g} samples later; a lag or a delay does the same)"
@@ -144,23 +147,28 @@ def reinterpreted(known: Convention, kind: Hold) -> Convention:
     acts = LATENESS[known.hold] + known.shift + (known.late or 0.0)
     late = acts - LATENESS[kind]
     early = late if late < -EARLY_SHIFT else 0.0
-    return replace(known, hold=kind, shift=early, late=late - early)
+    return replace(known, hold=kind, shift=early, late=late - early,
+                   sigma=known.late_sigma if known.sigma is None else known.sigma)
 
 
 def agreed(found: Sequence[Convention]) -> list[Convention]:
     """What the records of one set say together of their inputs, in their order.
 
-    Where every record that shows its convention says that the input is not simply held, all take
-    the kind of hold that leaves least over these records, and those that show none act when the
-    others do. What was given by hand stays, and records that contradict each other do.
+    Where none shows an input that is held for sure, and one an input that is not, all take the
+    kind of hold that leaves least over these records, and those that show none act when the
+    others do. Where the records contradict each other, the regression misses something in some of
+    them: none is corrected. What was given by hand stays.
     """
     shown = [each for each in found if each.source == "estimated"]
-    if not shown or any(each.held for each in shown):
+    early = [each for each in shown if not each.held]
+    if not early:
         return list(found)
-    kinds = set.intersection(*(set(each.left) for each in shown))
-    kind = min(kinds, key=lambda k: sum(math.log(max(each.left[k], 1e-300)) for each in shown))
-    told = [each if each.source != "estimated" or each.hold == kind
-            else reinterpreted(each, kind) for each in found]
+    if any(each.held and not each.before_it_is_set for each in shown):
+        return [Convention(source="contradicted") if each in early else each for each in found]
+    kinds = set.intersection(*(set(each.left) for each in early))
+    kind = min(kinds, key=lambda k: sum(math.log(max(each.left[k], 1e-300)) for each in early))
+    told = [reinterpreted(each, kind) if each.source == "estimated" and (
+        each.held or each.hold != kind) else each for each in found]
     surest = min((each for each in told if each.source == "estimated"),
                  key=lambda each: each.sigma or math.inf)
     return [replace(surest, source="others") if each.source == "assumed" else each

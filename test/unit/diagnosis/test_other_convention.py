@@ -1,22 +1,21 @@
-"""Another convention of the input in the place of a linear effect."""
+"""Another convention of the input in the place of a fast mode."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dfm_stage.diagnosis import diagnose, workflow
+from dfm_stage.diagnosis import diagnose
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
 from dfm_stage.diagnosis.other_convention import (
-    acts_as_given,
     by_other_conventions,
     clearer_kind,
     clearest,
-    has_linear_effect,
+    has_fast_mode,
     is_simpler,
     leaves_less,
     may_be_simpler,
@@ -175,19 +174,6 @@ def test_another_kind_must_leave_half_of_what_is_above_the_noise(monkeypatch, la
     assert chosen.search.runs[0].convention.hold == ("first" if taken else "zero")
 
 
-@pytest.mark.parametrize(("late", "as_given"), [(0.37, True), (0.53, True), (0.56, False),
-                                                (0.0, False), (None, False)])
-def test_a_held_input_behind_the_stage_as_given_stays_held(monkeypatch, late, as_given):
-    """A simpler kind is looked for elsewhere: noise stood for one behind cogging and drag. The
-    model is late by 0.45 samples."""
-    asked = []
-    monkeypatch.setattr(workflow, "by_other_conventions", lambda each: asked.append(each) or ())
-    judgement = trial("estimated", late=late), found(("second_mode",)), None
-    assert workflow._simplest(judgement, (), False) is judgement
-    assert bool(asked) is not as_given
-    assert acts_as_given(judgement[0]) is as_given
-
-
 def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
     assert not list(by_other_conventions(trial("given")))
     assert not list(by_other_conventions(trial("estimated", driven=False)))
@@ -196,19 +182,19 @@ def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
 
 
 @pytest.mark.parametrize(("names", "linear"), [
-    (("second_mode",), True), (("cubic_stiffness", "second_mode"), True), (("creep",), True),
+    (("second_mode",), True), (("cubic_stiffness", "second_mode"), True), (("creep",), False),
     (("cubic_stiffness",), False), (("transport_delay",), False),
     (("amplifier_bandwidth",), False),
     (("periodic_disturbance",), False), ((), False)])
-def test_only_a_linear_part_of_several_parameters_stands_for_timing(names, linear):
-    assert has_linear_effect(found(names), told(*names)) is linear
-    assert not has_linear_effect(found(names), told())   # unknown: nothing to replace
+def test_only_a_fast_linear_part_of_several_parameters_stands_for_timing(names, linear):
+    assert has_fast_mode(found(names), told(*names)) is linear
+    assert not has_fast_mode(found(names), told())   # unknown: nothing to replace
 
 
 @pytest.mark.parametrize(("frequency", "fast"), [(49.0, False), (51.0, True)])
 def test_a_mode_below_a_twentieth_of_the_sampling_rate_does_not(frequency, fast):
     mode = found(("second_mode",), frequency)
-    assert has_linear_effect(mode, told("second_mode")) is fast
+    assert has_fast_mode(mode, told("second_mode")) is fast
 
 
 def told(*names: str) -> Verdict:
@@ -231,40 +217,63 @@ class Fitted:
     def __init__(self, free: int, rms: float, held_out: float) -> None:
         part = type("Part", (), {})
         self.fit, self.extended = part(), part()
-        self.fit.ok, self.fit.rms = True, rms
+        self.fit.ok, self.fit.rms, self.fit.white = True, rms, np.zeros(10_000)
         self.fit.system, self.extended.held_out = part(), part()
         self.fit.system.free = tuple(range(free))
         self.extended.held_out.rms = held_out
 
 
 @pytest.mark.parametrize(("free", "rms", "held_out", "simpler"), [
-    (3, 1.0, 1.0, True), (5, 1.0, 1.0, True), (3, 1.009, 1.009, True), (3, 1.02, 1.0, False),
-    (3, 1.0, 1.02, False), (6, 1.0, 1.0, False), (7, 0.5, 0.5, False)])
+    (3, 1.0, 1.0, True), (5, 1.0, 1.0, True), (3, 1.0, 1.009, True), (3, 1.0, 1.02, False),
+    (3, 1.002, 1.0, True), (3, 1.003, 1.0, False),   # 40 and 60 in chi-square, for 4 parameters
+    (5, 1.002, 1.0, False), (6, 1.0, 1.0, False), (7, 0.5, 0.5, False)])
 def test_it_must_explain_as_much_with_fewer_parameters(free, rms, held_out, simpler):
     other, found = Fitted(free, rms, held_out), Fitted(7, 1.0, 1.0)
     assert is_simpler((other, other), (found, found)) is simpler
 
 
-@pytest.mark.parametrize(("bare", "short", "free", "names", "asked", "may"), [
-    (1.0, 9.0, 5, ("creep",), None, True),                      # without any effect
-    (3.0, 1.0, 5, ("creep",), "alone", True), (3.0, 1.1, 5, ("creep",), "alone", False),
-    (3.0, 1.0, 6, ("creep",), "alone", False),                  # with as many parameters
-    (3.0, 1.0, 5, ("creep", "second_mode"), 1, True),
-    (3.0, 1.1, 5, ("creep", "second_mode", "saturation"), 2, False)])
-def test_a_convention_is_judged_where_a_short_search_explains_as_much(
-        bare, short, free, names, asked, may):
+LATE = {"delay": 1.5 * PERIOD}
+
+
+@pytest.mark.parametrize(("base", "names", "late", "beside", "delay"), [
+    ({}, ("second_mode",), None, (), {}),
+    ({}, ("second_mode",), 0.05, (), {}),                         # no shift that counts
+    ({}, ("second_mode", "cubic_stiffness"), 0.5, ("cubic_stiffness", "transport_delay"),
+     {"transport_delay.delay": 0.5 * PERIOD}),
+    ({}, ("transport_delay", "second_mode"), 2.0, ("transport_delay",),
+     {"transport_delay.delay": 2.0 * PERIOD}),
+    (LATE, ("second_mode",), 2.0, (), {"delay": 2.0 * PERIOD})])
+def test_another_kind_is_fitted_without_the_mode_and_as_late_as_the_input_acts(
+        monkeypatch, base, names, late, beside, delay):
     """Judged in full, each of two other kinds took as long as the search that found a mode."""
-    done, fits = [], {}
+    asked = []
 
-    def found(by):
-        done.append(by)
-        fits["short"] = fitted(short, free)
+    def fit(_, chosen, start):
+        asked.append((chosen, start.model))
+        return fitted(1.0, 5)
 
-    search = SimpleNamespace(begin_work=lambda _: None, alone=lambda _: found("alone"), fits=fits,
-                             grown=lambda _names, _first, rounds: found(rounds))
-    h = SimpleNamespace(names=names, fit=fitted(1.0, 7))
-    assert may_be_simpler(SimpleNamespace(search=search), fitted(bare, 3), h) is may
-    assert done == ([] if asked is None else [asked])
+    monkeypatch.setattr(Search, "fitted", fit)
+    model = Model("stage", PERIOD, {**{n: v for n, v in MODEL.base.items() if n != "delay"},
+                                    **base})
+    for name in names:
+        model = model.with_effect(name, MODE if name == "second_mode" else (
+            LATE if name == "transport_delay" else EFFECTS[name].defaults))
+    found = fitted(1.0, 9)
+    found.model, found.system.free = model, tuple(model.parameters())
+    tried = trial("estimated", late=late)
+    assert may_be_simpler(tried, Start(), Hypothesis(names, found, None, {})) is True
+    (chosen, begun), = asked
+    assert chosen == beside
+    assert tuple(use.name for use in begun.effects) == beside
+    assert {n: v for n, v in begun.parameters().items() if n.endswith("delay")} == \
+        pytest.approx(delay)
+
+
+@dataclass(frozen=True)
+class Start:
+    """As much of a first fit as is given on."""
+
+    model: Model = MODEL
 
 
 def fitted(rms, free):

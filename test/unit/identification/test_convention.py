@@ -313,12 +313,30 @@ def test_an_early_held_input_beside_a_band_limited_one_is_told_as_that() -> None
     assert (told.hold, told.shift, told.late) == ("band_limited", 0.0, 0.0)
 
 
-@pytest.mark.parametrize("other", [
-    shown("zero", 0.2, zero=0.1, first=0.2, band_limited=0.3),
-    Convention("band_limited", -0.2, source="given")])
-def test_records_that_contradict_each_other_or_were_given_stay(other: Convention) -> None:
+def test_what_was_given_stays_and_speaks_for_no_other() -> None:
+    given = Convention("band_limited", -0.2, source="given")
     mine = shown("first", 0.0, zero=0.3, first=0.1, band_limited=0.2)
-    assert agreed([mine, other]) == [mine, other]
+    assert agreed([mine, given]) == [mine, given]
+    assert agreed([HELD, given]) == [HELD, given]
+
+
+def test_records_that_contradict_each_other_are_not_corrected() -> None:
+    """Friction made two of four held records of one case look as if they acted at once."""
+    held, early = shown("zero", 0.2), shown("first", 0.0, zero=0.3, first=0.1, band_limited=0.2)
+    first, second = agreed([held, early])
+    assert first == held
+    assert second.held
+    assert second.source == "contradicted"
+    assert "contradicts" in second.words
+
+
+def test_an_input_that_acts_before_a_held_one_could_contradicts_none() -> None:
+    """It acts at 0.3 samples behind a lag; another record shows its kind of hold, too."""
+    told, _ = agreed([shown("zero", -0.2), shown("band_limited", 0.3, **BY_KIND)])
+    assert (told.hold, told.shift, told.source) == ("band_limited", 0.0, "estimated")
+    assert told.late == pytest.approx(0.3)
+    early, _ = agreed([shown("zero", -0.2), shown("zero", 0.0, shift=-0.3, zero=0.1, first=0.2)])
+    assert (early.hold, early.shift, early.sigma) == ("zero", pytest.approx(-0.2), 0.01)
 
 
 def test_identify_and_diagnose_take_what_the_records_say_together() -> None:
