@@ -19,6 +19,9 @@ FIRST = decision(
     "FIRST", 40.0, "chi-square", meaning="Fall that names a first effect.",
     set_on="derivation: with up to five parameters a tail of 1.5e-7; over about a thousand "
     "looks a family-wise level of 2e-4 for Gaussian noise")
+FITTED_ALONE = decision(
+    "FITTED_ALONE", 80.0, "chi-square", meaning="Fall of the fitted records from which an effect "
+    "is named that held-out records do not exercise.", set_on="derivation: twice `FIRST`")
 FURTHER = decision(
     "FURTHER", 60.0, "chi-square", meaning="Fall that names any further effect.",
     set_on=FIRST_FORM)

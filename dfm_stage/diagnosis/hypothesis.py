@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from dfm_stage.diagnosis.candidates import cycles
-from dfm_stage.diagnosis.decisions import FEWEST_CYCLES, MARGIN, RETUNE_RATIO
+from dfm_stage.diagnosis.decisions import FEWEST_CYCLES, FITTED_ALONE, MARGIN, RETUNE_RATIO
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason
@@ -173,16 +173,18 @@ class Trial:
         """Drop effects that do no better on held-out runs than their surrogates.
 
         Those that held-out runs do not exercise stay, noted as such, but not where they were
-        found in place of dropped ones: fitted records alone were wrong before.
+        found in place of dropped ones, as fitted records alone were wrong before, nor beside
+        others where the fitted ones show little.
         """
         not_exercised = []
         for name in h.names:
             without = h.bare if len(h.names) == 1 else h.without(name, self.search).fit
+            fall = without.chi2 - h.fit.chi2 if without.ok else 0.0
             passed = surrogate_test(
                 h.fit.model, name, self.held, self.held_weights, self.search.noise, self.seed
-            ).passed(bool(EFFECTS[name].per_run),
-                     without.chi2 - h.fit.chi2 if without.ok else 0.0)
-            if passed is None and not self.search.barred:
+            ).passed(bool(EFFECTS[name].per_run), fall)
+            shown = len(h.names) == 1 or fall >= FITTED_ALONE or not without.ok
+            if passed is None and shown and not self.search.barred:
                 not_exercised.append(name)
             elif not passed:
                 self.dropped[name] = (

@@ -115,7 +115,7 @@ HOLDS_DIFFER = decision(
     "by less than 0.4 %, and its delay is fitted; modes that stood for such errors in 7 cases of "
     "two seeds lie at 0.09 to 0.55")
 CONVENTION_WORSE = decision(
-    "CONVENTION_WORSE", 1.01, "1", meaning="RMS of held-out records that another convention leaves "
+    "CONVENTION_WORSE", 1.01, "1", meaning="RMS of held-out records that another kind leaves "
     "over that left by the estimated one and a fast mode, up to which it predicts as well.",
     set_on="four cases of seed 1498568968, in which an error of timing was named second_mode")
 MOST_STEPS = _search("MOST_STEPS", 100e6, "steps", "Integration steps of one search after which "

@@ -13,7 +13,7 @@ from dfm_stage.diagnosis.decisions import (
     BASE_AT_ZERO,
     BLOCK_MARGIN,
     EXCESS,
-    FIRST,
+    FITTED_ALONE,
     FURTHER_PART,
     HELD_OUT_FLOOR,
     JOINT_LOSS,
@@ -162,7 +162,7 @@ def judge_hypothesis(e: Evidence) -> Outcome:
         return Outcome(False, Reason.NOISE)
     idle = tuple(x.name for x in e.effects if not x.exercised)
     doubts = (Doubt(Reason.NOT_EXERCISED, idle),) if idle else ()
-    if idle and e.retuned.fitted.chi2 - e.extended.fitted.chi2 < 2.0 * FIRST:
+    if idle and e.retuned.fitted.chi2 - e.extended.fitted.chi2 < FITTED_ALONE:
         return Outcome(False, Reason.BARELY_FITTED, doubts)
     allowed = NOT_EXERCISED if idle else 0.0
     if idle and e.retuned.held_out == e.given.held_out:  # other values were fitted

@@ -267,7 +267,7 @@ def test_the_verdict_on(met):
 
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 @pytest.mark.parametrize("name", [
-    "AT_REST", "AT_REST_INPUT", "BASE_AT_ZERO", "BLOCK_MARGIN", "FIRST", "HELD_OUT_FLOOR",
+    "AT_REST", "AT_REST_INPUT", "BASE_AT_ZERO", "BLOCK_MARGIN", "FITTED_ALONE", "HELD_OUT_FLOOR",
     "JOINT_LOSS", "MARGIN", "MARGIN_OVER_LARGER", "NAMED_SHARE", "NOT_EXERCISED",
     "OFFSET_NOISE", "OFFSET_SIGMAS", "PARTIAL_SHARE", "PRESLIDING_DISTANCE", "RETUNE_GAIN",
     "RETUNE_RATIO"])
