@@ -82,6 +82,20 @@ def test_an_effect_not_exercised_stays_in_the_first_look_only(monkeypatch, barre
     assert trial.dropped == ({} if kept else {"creep": DropReason.NOT_EXERCISED})
 
 
+@pytest.mark.parametrize(("fall", "kept"), [
+    (79.0, ("cogging",)), (81.0, ("cogging", "creep"))])
+def test_beside_others_the_fitted_records_must_show_an_effect_not_exercised(monkeypatch, fall,
+                                                                           kept):
+    """74 in chi-square were an undamped mode of five millionths beside a mains disturbance."""
+    with_tests(monkeypatch, {"cogging": PASSED, "creep": IDLE})
+    monkeypatch.setattr(OneFit, "fitted", lambda *_: SimpleNamespace(
+        model=None, ok=True, chi2=fall, quantities={}))
+    trial = Trial(OneFit(), [])
+    first = SimpleNamespace(model=None, ok=True, chi2=0.0)
+    bare = SimpleNamespace(model=None, ok=True, chi2=BARE)
+    assert trial.surrogate_tests(Hypothesis(("cogging", "creep"), first, bare)).names == kept
+
+
 def test_an_effect_at_its_bound_is_dropped():
     trial = Trial(OneFit(), [])
     assert trial.at_bound(start("creep", "second_mode")).names == ("creep",)
