@@ -123,9 +123,10 @@ def least_squares(columns: Array, target: Array) -> Array:
     return np.asarray(np.linalg.lstsq(columns / norms, target, rcond=1e-12)[0] / norms)
 
 
-def settled(runs: Sequence[RunForces], model: Model,
-            fitted: int) -> tuple[Setting, float, tuple[float, float]]:
-    """Find the filter and the timing that suit the records, of which so many are fitted.
+def settled(runs: Sequence[RunForces], model: Model, fitted: int,
+            above: float = 0.0) -> tuple[Setting, float, tuple[float, float]]:
+    """Find the filter, `above` some width, and the timing that suit the records, of which so many
+    are fitted.
 
     Also returns the share of the missing force's power that is noise, and the timing in samples
     with its standard error.
@@ -139,7 +140,7 @@ def settled(runs: Sequence[RunForces], model: Model,
     timing = Timing(model.effective_base().get("delay", 0.0) + 0.5 * period,
                     linear_part(model).lag_s, True)
     mass = model.base["mass"]
-    found, clear = _filtered(runs, model, timing, fitted)
+    found, clear = _filtered(runs, model, timing, fitted, above)
     if "late" not in found.names:
         return found, _noise_share(found, mass) if clear else 1.0, (timing.late / period, 0.0)
     inertia = mass * float(np.std(found.columns[:, 0]))
@@ -151,11 +152,11 @@ def settled(runs: Sequence[RunForces], model: Model,
     return found, share, (timing.late / period, error / period)
 
 
-def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing,
-              fitted: int) -> tuple[Setting, bool]:
+def _filtered(runs: Sequence[RunForces], model: Model, timing: Timing, fitted: int,
+              above: float) -> tuple[Setting, bool]:
     """The narrowest filter behind which noise is a small share of what is missing, and whether
     the acceleration stands out of the noise there."""
-    widths = [w for w in WIDTHS if all(_blocks(run, w) for run in runs)
+    widths = [w for w in WIDTHS if w > above and all(_blocks(run, w) for run in runs)
               and sum(_blocks(run, w) for run in runs[:fitted]) >= FEWEST]
     if not widths:
         raise DiagnosisError("the records are too short for a look at forces")

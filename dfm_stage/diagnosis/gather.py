@@ -44,6 +44,7 @@ from dfm_stage.diagnosis.margins import (
 from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
 from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.other_form import has_forms
 from dfm_stage.diagnosis.remainder import describe
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.search_decisions import NEAR_NOISE
@@ -154,7 +155,9 @@ def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
         left = max(evidence.extended.held_out.power - judged.noise_power, 0.0)
         best = judged.noise_power + (1.0 - max(surface.predictable_share, 0.0)) * left
         judged = replace(judged, predictable=min(judged.predictable, math.sqrt(best)))
-    return replace(evidence, surface=surface, judged=judged)
+    swamped = tuple(x.name for x in evidence.effects if surface is None
+                    and has_forms(EFFECTS[x.name]))
+    return replace(evidence, surface=surface, judged=judged, swamped=swamped)
 
 
 def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:

@@ -37,14 +37,17 @@ def missing_force(runs: Sequence[Observation], model: Model,
     Records in `held` are predicted and never fitted; they count in the shares alone. None where
     the records are too short, the input does nothing, or noise swamps what is missing.
     """
-    try:
-        found, noise, _ = settled([RunForces(r, WIDTHS[0]) for r in (*runs, *held)], model,
-                                  len(runs))
-        candidates = Candidates(found, model, len(runs), ())
-    except DiagnosisError:
-        return None
-    noise *= _linear_left(found) / max(float(np.mean(candidates.missing**2)), 1e-300)
-    return _described(candidates, noise) if noise < SWAMPED else None
+    width, noise = 0.0, 1.0
+    while noise >= SWAMPED:  # behind the filter that suited the whole gap
+        try:
+            found, noise, _ = settled([RunForces(r, WIDTHS[0]) for r in (*runs, *held)], model,
+                                      len(runs), width)
+            candidates = Candidates(found, model, len(runs), ())
+        except DiagnosisError:
+            return None
+        noise *= _linear_left(found) / max(float(np.mean(candidates.missing**2)), 1e-300)
+        width = found.runs[0].width
+    return _described(candidates, noise)
 
 
 def _linear_left(found: Setting) -> float:

@@ -15,8 +15,9 @@ import numpy as np
 
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.force_candidates import Candidates
-from dfm_stage.diagnosis.force_domain import RunForces
+from dfm_stage.diagnosis.force_domain import RunForces, not_judged
 from dfm_stage.model.description import EffectUse
+from dfm_stage.model.effect import Effect
 
 POWERS = 5
 """Up to this power of position a size may vary."""
@@ -44,6 +45,13 @@ def other_forms(candidates: Candidates, use: EffectUse) -> Array | None:
                          *(part(run) for part in others)])
 
     return found.stacked(forms)
+
+
+def has_forms(effect: Effect) -> bool:
+    """Whether an effect is a force that may stand in for another form of it: no lag, no mode, no
+    vibration, no error of the reading."""
+    return effect.late is None and effect.stamp is None and effect.sense is None \
+        and not effect.frequency and not_judged(effect) is None
 
 
 def _functions(z: Array) -> Iterator[Array]:

@@ -203,7 +203,7 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
     explained = explained_share(e)
     kind: Kind = "unknown"
     if explained >= PARTIAL_SHARE and not _base_at_zero(e):
-        in_part = not _takes_the_gap(e) or bool(other_form(e)) or _at_zero(e, "damping")
+        in_part = not _is_its_form(e) or _at_zero(e, "damping")
         kind = "partial" if in_part else "ambiguous" if undecided else "named"
     if kind == "unknown":
         return Verdict(kind, Reason.GRADED, rejected=tuple(rejections(e, set())), remainder=True)
@@ -217,7 +217,7 @@ def _by_force(e: Evidence, heard: Heard) -> Verdict:
                         min(share / heard.predictable, 1.0))
                   for name, share in sorted(heard.added.items(), key=lambda each: -each[1]))
     undecided = tuple(m for f in found for m in f.members if len(f.members) > 1)
-    in_part = not _takes_the_gap(e) or bool(other_form(e))
+    in_part = not _is_its_form(e)
     kind: Kind = "partial" if in_part else "ambiguous" if undecided else "named"
     return Verdict(kind, Reason.GRADED, found, undecided, (),
                    tuple(rejections(e, set(heard.added))), True, "extended", "extended")
@@ -230,6 +230,12 @@ def _takes_the_gap(e: Evidence) -> bool:
     left = e.extended.held_out.power
     share = above(e, left) if e.heard is None else e.heard.share
     return share >= NAMED_SHARE or left <= HELD_OUT_FLOOR**2 * e.judged.noise_power
+
+
+def _is_its_form(e: Evidence) -> bool:
+    """Whether the effects take the gap, and what they leave was asked and is no error of their
+    form."""
+    return _takes_the_gap(e) and not other_form(e) and not e.swamped
 
 
 def other_form(e: Evidence) -> tuple[str, ...]:

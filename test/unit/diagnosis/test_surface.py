@@ -15,9 +15,10 @@ from dfm_stage import files
 from dfm_stage.cli import diagnose
 from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.other_form import has_forms
 from dfm_stage.diagnosis.surface import FILE, Surface, binned
 from dfm_stage.diagnosis.wording import missing_force as sentence
-from dfm_stage.model import save_model
+from dfm_stage.model import EFFECTS, save_model
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -45,12 +46,12 @@ def observed(motions, noise=truth.NOISE):
             for k, (feed, x) in enumerate(zip(FEEDS, motions, strict=True))]
 
 
-def compared(force, model=GIVEN, beside=None):
+def compared(force, model=GIVEN, beside=None, noise=truth.NOISE):
     """A surface, and the true force (m,) at its m bins off all that is linear, from the motion
     without noise; `beside` is another force that is there and in the model."""
     motions = [truth.move(u, lambda x, v: force(x, v) + (beside(x, v) if beside else 0.0))
                for u in FEEDS]
-    surface = missing_force(observed(motions), model)
+    surface = missing_force(observed(motions, noise), model)
     assert surface is not None
     told = np.isfinite(surface.force)
 
@@ -108,6 +109,16 @@ def brake(x, v):
 BRAKE = {"damping": 20.0, "critical_velocity": 0.02}
 
 
+@pytest.mark.parametrize(("part", "noise"), [(0.1, 1e-6), (0.03, 3e-7), (0.03, 1e-7)])
+def test_a_small_force_beside_an_effect_is_told_behind_a_wider_filter(part, noise):
+    """Behind the filter that suits the spring's force, noise would swamp it."""
+    model = GIVEN.with_effect("cubic_stiffness", {"k3": 4e9})
+    surface, told, true = compared(lambda x, v: part * damped_outside(x, v), model, spring, noise)
+    wrong = surface.force[told] - true
+    assert np.std(wrong) < 0.4 * np.std(true)
+    assert np.sqrt(np.mean((wrong / surface.standard_error[told]) ** 2)) < 2.0
+
+
 @pytest.mark.parametrize(("force", "beside", "effect", "parameters", "low", "high"), [
     (spring, damped_outside, "cubic_stiffness", {"k3": 4e9}, 0.0, 0.2),
     (brake, contact, "eddy_current_damping", BRAKE, 0.0, 0.2),
@@ -120,6 +131,14 @@ def test_what_a_stand_in_leaves_is_an_error_of_its_own_form(force, beside, effec
     surface = missing_force(observed(moved), GIVEN.with_effect(effect, parameters))
     assert surface is not None
     assert low <= surface.form_shares[effect] <= high
+
+
+@pytest.mark.parametrize(("name", "asked"), [
+    ("coulomb_friction", True), ("cubic_stiffness", True), ("saturation", True),
+    ("cogging", True), ("transport_delay", False), ("second_mode", False),
+    ("periodic_disturbance", False), ("encoder_quantization", False)])
+def test_a_force_may_stand_in_for_another_form_and_a_lag_or_a_wave_may_not(name, asked):
+    assert has_forms(EFFECTS[name]) is asked
 
 
 def test_a_vibration_at_another_frequency_is_no_other_form():
