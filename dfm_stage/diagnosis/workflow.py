@@ -41,7 +41,7 @@ from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.formula import Formula
 from dfm_stage.model.registry import ALL, UNCOMMON, library_of
-from dfm_stage.recording import Record
+from dfm_stage.recording import Record, at_period
 
 Wanted = tuple[Record, Model, "str | None", "str | None"]
 """A record, the model of its axis, the axis, and the record's name."""
@@ -59,6 +59,7 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     ----------
     records
         Records to fit. Of one with more than LONG_RECORD samples, selected stretches are fitted.
+        One that is sampled nearly as often as the model steps is brought to its period.
     model
         A model of one axis; or of several, with `axis` to choose one.
     holdout
@@ -96,6 +97,8 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     one = accepted_in(unextended, accept)
     known, uncommon = _libraries(library, without)
     tell("reading")
+    records, holdout = ([at_period(record, one.sample_period) for record in each]
+                        for each in (records, holdout))
     labels = [*names, *[""] * (len(records) + len(holdout) - len(names))]
     wanted = [(r, one, chosen if chosen in r.axes else axis, n or None)
               for r, n in zip((*records, *holdout), labels, strict=True)]
@@ -193,12 +196,12 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
 
 def _simplest(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     """What was found, or what another convention of the input makes of it if that is simpler."""
-    for trial in by_other_conventions(found[0]):
-        first = trial.search.begin()
+    for other in by_other_conventions(found[0]):
+        trial, first = timed(other, other.search.begin())
         if first.ok and may_be_simpler(trial, first, found[1]):
-            other = judged_among_all(trial, first, warnings, split)
-            if is_simpler(other[1:], found[1:]):
-                found = other
+            simpler = judged_among_all(trial, first, warnings, split)
+            if is_simpler(simpler[1:], found[1:]):
+                found = simpler
     return found
 
 

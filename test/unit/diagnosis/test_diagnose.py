@@ -15,7 +15,7 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.verification import SurrogateTest
 from dfm_stage.identification.periods import Periodicity
 from dfm_stage.model import EFFECTS, save_model
-from dfm_stage.recording import AxisRecord, Record
+from dfm_stage.recording import AxisRecord, Record, RecordError
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
                                                Path(__file__).with_name("truth.py"))
@@ -223,11 +223,19 @@ def test_what_cannot_be_used_is_said_in_one_line(change, said):
 
 
 def test_a_model_at_another_rate_is_refused():
-    from dataclasses import replace
-
     still = np.zeros(truth.SAMPLES)
-    with pytest.raises(DiagnosisError, match="sampled every"):
+    with pytest.raises(RecordError, match="sampled every"):
         diagnose([truth.record(still, still, 5)], replace(truth.believed(), sample_period=5e-4))
+
+
+def test_a_clock_that_is_off_by_a_few_ppm_is_taken_for_the_model_s():
+    """Jittered stamps told a period 1.1 ppm longer, and the record was refused."""
+    feed = truth.multisine(1)
+    whole = truth.record(feed, truth.move(feed), 5)
+    off = replace(whole, time=1.00001 * whole.time, sample_period=1.00001 * whole.sample_period)
+    found = diagnose([off], truth.believed(), holdout=[whole], library=("coulomb_friction",))
+    assert found.verdict == "none"
+    assert any("10 ppm" in warning for warning in found.warnings)
 
 
 def test_the_command_writes_all_files(tmp_path, capsys):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis import diagnose, workflow
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
 from dfm_stage.diagnosis.other_convention import (
@@ -172,6 +172,18 @@ def test_another_kind_must_leave_half_of_what_is_above_the_noise(monkeypatch, la
     monkeypatch.setattr(Search, "begin", lambda _: looked)
     chosen, _ = clearest(trial("estimated", late=late), by_chi2(first))
     assert chosen.search.runs[0].convention.hold == ("first" if taken else "zero")
+
+
+def test_another_kind_is_judged_with_its_shift_moved_to_where_it_leaves_least(monkeypatch):
+    """An output that was early by a sample stayed held, and was named a second mode: by the right
+    kind, too, a shift wrong by 0.02 samples left 0.2 % more."""
+    asked = []
+    monkeypatch.setattr(Search, "begin", lambda _: fitted(1.0, 3))
+    monkeypatch.setattr(workflow, "timed", lambda each, _: (each, fitted(0.5, 3)))
+    monkeypatch.setattr(workflow, "may_be_simpler", lambda _, first, __: asked.append(first.rms))
+    judgement = trial("estimated"), found(("second_mode",)), None
+    assert workflow._simplest(judgement, (), False) is judgement
+    assert asked == [0.5, 0.5]
 
 
 def test_what_is_given_by_hand_or_not_driven_has_no_other_convention():
