@@ -290,8 +290,8 @@ class Evidence:
     where that is clear of the noise. `graded` says that the effects were found by
     how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
     held-out powers are compared. `heard` says that the force domain alone bears the effects out.
-    `formulas` are offered for what no effect explains. `swamped` are effects that leave more than
-    noise, but too little of a force to tell whether they stand in for another form of it.
+    `formulas` are offered for what no effect explains. `form_hidden` are forces among the
+    effects of which the records do not show whether they stand in for another form.
     """
 
     records: tuple[str, ...]
@@ -318,7 +318,7 @@ class Evidence:
     witness: Mapping[str, Any] | None = None
     heard: Heard | None = None
     surface: Surface | None = None
-    swamped: tuple[str, ...] = ()
+    form_hidden: tuple[str, ...] = ()
     formulas: tuple[Offer, ...] = ()
     accepted: Accepted | None = None
     conventions: tuple[Mapping[str, Any], ...] = ()

@@ -155,9 +155,9 @@ def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
         left = max(evidence.extended.held_out.power - judged.noise_power, 0.0)
         best = judged.noise_power + (1.0 - max(surface.predictable_share, 0.0)) * left
         judged = replace(judged, predictable=min(judged.predictable, math.sqrt(best)))
-    swamped = tuple(x.name for x in evidence.effects if surface is None
-                    and has_forms(EFFECTS[x.name]))
-    return replace(evidence, surface=surface, judged=judged, swamped=swamped)
+    hidden = tuple(x.name for x in evidence.effects if surface is None
+                   and has_forms(EFFECTS[x.name]))
+    return replace(evidence, surface=surface, judged=judged, form_hidden=hidden)
 
 
 def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:

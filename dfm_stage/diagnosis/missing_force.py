@@ -37,11 +37,11 @@ def missing_force(runs: Sequence[Observation], model: Model,
     Records in `held` are predicted and never fitted; they count in the shares alone. None where
     the records are too short, the input does nothing, or noise swamps what is missing.
     """
+    forces = [RunForces(run, WIDTHS[0]) for run in (*runs, *held)]
     width, noise = 0.0, 1.0
-    while noise >= SWAMPED:  # behind the filter that suited the whole gap
+    while noise >= SWAMPED:  # what is left may need a wider filter than the whole gap does
         try:
-            found, noise, _ = settled([RunForces(r, WIDTHS[0]) for r in (*runs, *held)], model,
-                                      len(runs), width)
+            found, noise, _ = settled(forces, model, len(runs), width)
             candidates = Candidates(found, model, len(runs), ())
         except DiagnosisError:
             return None

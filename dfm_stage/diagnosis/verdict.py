@@ -233,9 +233,9 @@ def _takes_the_gap(e: Evidence) -> bool:
 
 
 def _is_its_form(e: Evidence) -> bool:
-    """Whether the effects take the gap, and what they leave was asked and is no error of their
-    form."""
-    return _takes_the_gap(e) and not other_form(e) and not e.swamped
+    """Whether the effects take the gap, and the records show that what they leave is no error of
+    their form."""
+    return _takes_the_gap(e) and not other_form(e) and not e.form_hidden
 
 
 def other_form(e: Evidence) -> tuple[str, ...]:

@@ -129,7 +129,7 @@ def _part(e: Evidence, v: Verdict) -> str:
         return (f"The model lacks {what}: {they} {how}; a remainder of "
                 f"{100.0 * max(1.0 - share, 0.0):.2g} % stays.")
     rest = "the true force has another form" if other_form(e) else \
-        "noise hides whether the true force has another form" if e.swamped else \
+        "the records do not show whether the true force has another form" if e.form_hidden else \
         "the rest is in no effect of the library"
     return f"A part of what is missing behaves like {what}: {how}; {rest}."
 

@@ -87,11 +87,11 @@ def test_an_effect_that_leaves_an_error_of_its_own_form_is_a_part(share, kind):
     assert ("another form" in sentence(e, verdict(e))) is (kind == "partial")
 
 
-def test_an_effect_whose_form_noise_hides_is_a_part():
+def test_an_effect_whose_form_the_records_do_not_show_is_a_part():
     """98.8 and 97.7 % of two gaps were explained by relatives of what was there."""
-    e = part(0.988, swamped=("coulomb_friction",))
+    e = part(0.988, form_hidden=("coulomb_friction",))
     assert verdict(e).kind == "partial"
-    assert "noise hides" in sentence(e, verdict(e))
+    assert "do not show whether" in sentence(e, verdict(e))
 
 
 @pytest.mark.parametrize(("gain", "kind"), [(0.25, "named"), (0.26, "partial")])
