@@ -25,6 +25,7 @@ from dfm_stage.diagnosis.search_decisions import (
 )
 from dfm_stage.diagnosis.verdict import (
     explained_share,
+    is_far,
     needs_grading,
     needs_joint_fit,
     small_parts,
@@ -57,14 +58,16 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
     names, found = search.alone(first)
     if not is_noise(found):
         names, found = search.grown((), first, rounds=1)
-    if part is None and leaves_gross(found):
-        part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
-        if stays_open(part[2]) and leaves_gross(part[1].fit):
-            return part
-        if part[0] is trial and part[1].names:
-            names, found = part[1].names, part[1].fit
-        elif not part[1].names and leaves_gross(found := _begun_anew(search, names, found)):
-            return _by_force(trial, Hypothesis((), first, first), warnings, split) or part
+    if (part is None or not part[1].names) and leaves_gross(found):
+        whole = _explaining(trial, Hypothesis(names, found, first), warnings, split)
+        if whole[0] is trial and whole[1].names:
+            names, found = whole[1].names, whole[1].fit
+        elif not whole[1].names:
+            found = _begun_anew(search, names, found)
+        part = whole if part is None or whole[1].names else part
+    if part is not None and leaves_gross(found) and is_far(part[2]):
+        return part if part[1].names else _by_force(
+            trial, Hypothesis((), first, first), warnings, split) or part
     h, evidence = to_noise(trial, names, found, MOST_STEPS - (steps_taken() - begun), warnings,
                            split)
     if not needs_grading(evidence):

@@ -85,7 +85,7 @@ def with_formulas(trial: Trial, h: Hypothesis, evidence: Evidence, v: Verdict) -
     proposals = [each[k] for k in range(MOST_OFFERED) for each in lists if k < len(each)]
     fits = [f for k, p in enumerate(proposals[:MOST_OFFERED])
             if (k == 0 or own.steps < own.most_steps)
-            and (f := _fitted(trial, p, k)) is not None and _pays(f, evidence)]
+            and (f := _fitted(trial, p, k, change)) is not None and _pays(f, evidence)]
     offers = _ranked(fits, change)
     taken = {*EFFECTS.keys(), *(use.name for use in own.model.effects)}
     free = [n for k in range(1, len(taken) + MOST_OFFERED + 1)
@@ -109,9 +109,9 @@ def _proposals(trial: Trial, names: Names, start: Fit) -> list[_Proposal]:
         _Proposal(f, names, start, without, regression.scales) for f in found]
 
 
-def _fitted(trial: Trial, proposal: _Proposal, number: int) -> _Fitted | None:
+def _fitted(trial: Trial, proposal: _Proposal, number: int, change: bool) -> _Fitted | None:
     """The model with the formula, fitted from what the force domain says; None where it cannot be
-    simulated."""
+    simulated, or where the fit ends in a minimum that leaves more than the model without it."""
     own = trial.search
     formula = formula_from(f"proposed_{number}", proposal.found.parts, proposal.scales)
     effect = formula.effect()
@@ -120,7 +120,7 @@ def _fitted(trial: Trial, proposal: _Proposal, number: int) -> _Fitted | None:
     names = (*proposal.names, formula.name)
     found = own.once(names, proposal.start, [Hit.at(formula.name, effect.defaults)],
                      dict(proposal.found.base))
-    if not found.ok:
+    if not found.ok or power(found.residuals, change) > power(proposal.start.residuals, change):
         return None
     found = own.settled(names, found)
     left = trial.predicted(found.model)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.measured import make_case, measured_plan
-from dfm_stage.diagnosis import DiagnosisError, diagnose, explaining, uncommon
+from dfm_stage.diagnosis import DiagnosisError, diagnose, uncommon
 from dfm_stage.diagnosis.uncommon import may_stand_alone
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import Model, Simulator, model_from_dict
@@ -283,26 +283,6 @@ def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch, names,
     assert other[1].names == taken
 
 
-class Gap:
-    """A search whose first effects leave `left` times the noise, and `minimum` in a fit begun
-    anew; one by itself leaves `alone` times the noise."""
-
-    def __init__(self, left: float, minimum: float, alone: float = 99.0) -> None:
-        self.left, self.minimum, self.by_itself = left, minimum, alone
-
-    def begin_work(self, _: float) -> None:
-        pass
-
-    def alone(self, *_: object) -> tuple[tuple[str, ...], SimpleNamespace]:
-        return ("cogging",), leaving(self.by_itself)
-
-    def grown(self, *_: object, **__: object) -> tuple[tuple[str, ...], SimpleNamespace]:
-        return ("creep",), leaving(self.left)
-
-    def restarted(self, *_: object) -> SimpleNamespace:
-        return leaving(self.minimum)
-
-
 def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
     """A filter of the noise of another length left three samples more: the screen ended in an
     error."""
@@ -315,33 +295,3 @@ def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
     for h in (earlier, same):
         uncommon._seen_in_what_is_left(SimpleNamespace(search=search), h, ["backlash"])
     assert screened == [("anew", ("hysteresis",), earlier.fit), same.fit]
-
-
-def leaving(rms: float) -> SimpleNamespace:
-    return SimpleNamespace(ok=True, chi2=100.0 * rms**2, white=np.zeros(100),
-                           system=SimpleNamespace(springless=False, runs=[
-                               SimpleNamespace(driven=True)]))
-
-
-@pytest.mark.parametrize(("left", "minimum", "on"), [
-    (10.0, 10.0, False),    # nothing explains a part, and the noise is far
-    (10.0, 1.0, True),      # the fit had ended in a far minimum
-    (1.2, 1.2, True)])      # no gross remainder
-def test_the_search_to_the_noise_ends_where_nothing_explains_a_part(
-        left, minimum, on, monkeypatch):
-    nothing = SimpleNamespace(names=(), fit=leaving(left))
-    trial = SimpleNamespace(search=Gap(left, minimum), witness=None)
-    monkeypatch.setattr(explaining, "_explaining", lambda *_: (trial, nothing, "graded"))
-    monkeypatch.setattr(explaining, "stays_open", lambda _: False)
-    monkeypatch.setattr(explaining, "to_noise", lambda *_: (nothing, "tested"))
-    monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
-    found = explaining.explained(trial, leaving(50.0), (), split=False)
-    assert found[2] == ("tested" if on else "graded")
-
-
-@pytest.mark.parametrize(("alone", "begun"), [(1.0, ("cogging",)), (1.2, ("creep",))])
-def test_one_effect_that_leaves_only_noise_is_gone_on_from(alone, begun, monkeypatch):
-    trial = SimpleNamespace(search=Gap(1.2, 1.2, alone), witness=None)
-    monkeypatch.setattr(explaining, "to_noise", lambda _, names, *__: (names, "tested"))
-    monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
-    assert explaining.explained(trial, leaving(50.0), (), split=False)[1] == begun
