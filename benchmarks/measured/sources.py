@@ -205,10 +205,86 @@ def one_mass(folder: Path) -> dict[str, Columns]:
     return _ecp(folder, "DOF1_en1_input1")
 
 
+def relay_cart(folder: Path) -> dict[str, Columns]:
+    """Columns: time, motor current, position, velocity (a difference of the position). The first
+    row comes a fraction of a period before the second, and is left out."""
+    parts = {}
+    for place in (30, 40, 35):
+        data = np.loadtxt(folder / f"0m{place}.csv", delimiter=",", skiprows=1)
+        parts[f"at_{place}_cm"] = {"time_s": data[:, 0], "input_a": data[:, 1],
+                                   "position_m": data[:, 2]}
+    return parts
+
+
+def dry_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle from upright, velocity. From a turning point at 2.4 rad on, near where
+    the source starts, as the angle from hanging."""
+    data = np.loadtxt(folder / "test1pend1.csv", delimiter=",")[779:]
+    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
+                   "position_rad": data[cut, 1] - np.pi}
+            for part, cut in (("first", slice(0, 6700)), ("rest", slice(6700, None)))}
+
+
+def flexible_link(folder: Path) -> dict[str, Columns]:
+    """Columns: time, sample, reference, drive, angle of the motor, acceleration of the beam. The
+    encoder has 1024 counts a turn; the reference is in its counts. Counts of the drive stand as
+    volts."""
+    parts = {}
+    for part, run in (("wide_1", "75_stopn=10000_test_1"), ("wide_2", "75_stopn=10000_test_2"),
+                      ("narrow_1", "50_stopn=10000_test_1")):
+        name = f"swept_sine_no_sat_amp={run}_SLFR_RTP_P_control_kp=1.0.txt"
+        data = np.loadtxt(folder / name)
+        parts[part] = {"time_s": data[:, 0], "input_v": data[:, 3],
+                       "position_rad": 2.0 * np.pi / 1024.0 * data[:, 4],
+                       "reference_rad": 2.0 * np.pi / 1024.0 * data[:, 2]}
+    return parts
+
+
+def _captured(path: Path) -> tuple[Array, list[Array]]:
+    """Times and columns of a dSPACE capture, which is named like its file."""
+    data = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)[path.stem]
+    return np.asarray(data.X.Data, float), [np.asarray(each.Data, float) for each in data.Y]
+
+
+def linear_guide(folder: Path) -> dict[str, Columns]:
+    """Columns: encoders of both carriages (mm), motor command. The driven one, from 10 to 50 s,
+    every fourth sample; the input ends at 20 Hz."""
+    parts = {}
+    for number in (1, 4):
+        time, (driven, _, volts) = _captured(folder / f"exp{number}.mat")
+        cut = slice(10_000, 50_000, 4)
+        parts[f"run_{number}"] = {"time_s": time[cut], "input_v": volts[cut],
+                                  "position_m": 1e-3 * driven[cut]}
+    return parts
+
+
+def struck_beam(folder: Path) -> dict[str, Columns]:
+    """Time and value, seven lines of head: hammer force and beam velocity, the first second."""
+    parts = {}
+    for part, name in (("hard", "mec-t2"), ("soft", "mec-t3")):
+        force, velocity = (np.loadtxt(folder / f"{name}-{what}.txt", skiprows=7,
+                                      max_rows=10_000)[:, 1] for what in ("force", "velocity"))
+        parts[part] = _timed(1e-4, input_N=force, velocity_m_s=velocity)
+    return parts
+
+
+def crane_cart(folder: Path) -> dict[str, Columns]:
+    """Columns: cable angle, cart (counts), its speed, command twice. The second period of the
+    input; scale of the cart and sign of the command as the source has them."""
+    parts = {}
+    for number in (1, 2):
+        time, columns = _captured(folder / f"meas{number}.mat")
+        cut = slice(8192, 16_384)
+        parts[f"run_{number}"] = {"time_s": time[cut], "input_v": -columns[3][cut],
+                                  "position_m": 0.035 * np.pi / 9000.0 * columns[1][cut]}
+    return parts
+
+
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
     silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
     aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
-    swing_up, two_masses, one_mass)}
+    swing_up, two_masses, one_mass, relay_cart, dry_pendulum, flexible_link, linear_guide,
+    struck_beam, crane_cart)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:
