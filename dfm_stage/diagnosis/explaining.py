@@ -58,6 +58,9 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
     names, found = search.alone(first)
     if not is_noise(found):
         names, found = search.grown((), first, rounds=1)
+    if part is not None and not part[1].names and leaves_gross(found) and (
+            forced := _by_force(trial, Hypothesis((), first, first), warnings, split)):
+        return forced
     if (part is None or not part[1].names) and leaves_gross(found):
         whole = _explaining(trial, Hypothesis(names, found, first), warnings, split)
         if whole[0] is trial and whole[1].names:

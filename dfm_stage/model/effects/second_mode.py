@@ -88,9 +88,10 @@ class SecondMode(Effect):
         return abs(values["share"]) < LARGEST_SHARE
 
     def search_range(self, parameter: str, at: Conditions) -> tuple[float, float]:
-        """Beyond MOST_DAMPED there is no resonance, but creep or a lag."""
+        """Beyond MOST_DAMPED there is no resonance, but creep or a lag; with MOST_SHARE there is
+        no first mode."""
         return (LEAST_RATIO if parameter == "residue_ratio" else -math.inf,
-                MOST_DAMPED if parameter == "damping_ratio" else math.inf)
+                {"damping_ratio": MOST_DAMPED, "share": MOST_SHARE}.get(parameter, math.inf))
 
 
 LEAST_SHARE = -1e6
@@ -98,6 +99,8 @@ LEAST_SHARE = -1e6
 LEAST_RATIO = LEAST_SHARE / (1.0 - LEAST_SHARE)
 SMALL_SHARE, LARGEST_SHARE = 1e-4, 0.5
 """Share that is small, and the largest in which the response is nearly linear."""
+MOST_SHARE = 0.999
+"""Share up to which the other mode, the base's own, takes part."""
 MOST_DAMPED = 0.5
 """Damping ratio up to which a mode is a resonance."""
 
@@ -115,7 +118,7 @@ EFFECT = SecondMode(
     source="Gawronski, Advanced Structural Dynamics (2004), sec. 2.2; "
     "Ewins, Modal Testing (2000), ch. 2",
     parameters=(
-        Parameter("share", 0.05, "", "part of the sum of modal residues", LEAST_SHARE, 0.999),
+        Parameter("share", 0.05, "", "part of the sum of modal residues", LEAST_SHARE, MOST_SHARE),
         Parameter("frequency", 20.0, "Hz", "undamped frequency of the mode", 1e-3, 1e6),
         Parameter("damping_ratio", 0.01, "", "damping ratio of the mode", 0.0, 10.0),
         Parameter("phase", 0.0, "rad", "by which the mode is out of step at the sensor; "

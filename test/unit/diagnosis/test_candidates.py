@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dfm_stage.diagnosis.alike import at_upper_end
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.model import EFFECTS, Model
@@ -45,3 +46,22 @@ def test_only_a_stiffness_can_creep(stiffness, hidden):
     """Beside none, a part that never relaxes would be the spring that is missing."""
     base = {"mass": 1.0, **({} if stiffness is None else {"stiffness": stiffness})}
     assert (EFFECTS["creep"].hidden_because(SimpleNamespace(base=base)) is not None) is hidden
+
+
+@pytest.mark.parametrize(("commands", "seen"), [
+    (np.sign(np.sin(np.arange(600) / 9.0)), False),          # a relay: one size
+    (np.sin(np.arange(600) / 9.0), True),
+    (np.repeat([1.0, -2.0, 2.0, -1.0], 150), True)])         # steps of two sizes
+def test_a_dead_zone_is_told_from_a_gain_where_commands_differ_in_size(commands, seen):
+    at = SimpleNamespace(runs=[SimpleNamespace(input=commands)])
+    assert (EFFECTS["dead_zone"].hidden_because(at) is None) is seen
+
+
+@pytest.mark.parametrize(("share", "ended"), [(0.9, False), (0.999, True)])
+def test_a_second_mode_that_is_all_of_the_motion_is_none(share, ended):
+    """On a cart in dry friction it took the place of the base, at 0.7 Hz."""
+    model = Model("cart", 0.01, {"mass": 6.0, "damping": 10.0}).with_effect(
+        "second_mode", {**EFFECTS["second_mode"].defaults, "share": share})
+    found = SimpleNamespace(ok=True, model=model, system=SimpleNamespace(at=None))
+    assert at_upper_end(found, ["second_mode"]) is ended
+

@@ -91,3 +91,20 @@ def test_what_windows_do_not_tell_is_looked_for_in_whole_records(whole, told, mo
         trial, SimpleNamespace(names=whole, fit=leaving(10.0)), "in whole"))
     monkeypatch.setattr(explaining, "_by_force", lambda *_: None)
     assert explaining.explained(trial, first, (), split=False)[2] == told
+
+
+def test_the_force_balance_is_asked_before_whole_records_where_windows_tell_nothing(monkeypatch):
+    """A pendulum's free swing was told as gravity and a brake by where its phase drifts; its
+    force balance shows gravity at once."""
+    trial = SimpleNamespace(search=Gap(10.0, 10.0), witness=SimpleNamespace(cannot_tell=False))
+    first = leaving(50.0)
+    first.system.springless = True
+    monkeypatch.setattr(explaining, "is_gross", lambda _: True)
+    monkeypatch.setattr(explaining, "stays_open", lambda _: False)
+    monkeypatch.setattr(explaining, "_in_windows", lambda _: SimpleNamespace(
+        search=SimpleNamespace(begin=lambda: first)))
+    monkeypatch.setattr(explaining, "graded", lambda *_: (
+        SimpleNamespace(names=(), fit=first), "in windows"))
+    monkeypatch.setattr(explaining, "_by_force", lambda *_: (trial, first, "by force"))
+    monkeypatch.setattr(explaining, "_explaining", lambda *_: pytest.fail("judged by its drift"))
+    assert explaining.explained(trial, first, (), split=False)[2] == "by force"

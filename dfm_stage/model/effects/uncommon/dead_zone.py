@@ -9,6 +9,8 @@ Source: Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor 
 
 from __future__ import annotations
 
+import numpy as np
+
 from dfm_stage.model.effect import (
     SMALL,
     Conditions,
@@ -20,6 +22,10 @@ from dfm_stage.model.effect import (
     Values,
 )
 
+ONE_SIZE = 0.25
+"""Spread of the commands' sizes over their mean below which they have one size. It is 0.48 of a
+sine, 0.76 of noise, and 0.1 of a relay of which one sample in 30 lies between its two values."""
+
 
 def added(u: float, t: float, p: Values) -> float:
     """V or A"""
@@ -28,6 +34,12 @@ def added(u: float, t: float, p: Values) -> float:
 
 class DeadZone(Effect):
     """Begins at a small part of the command."""
+
+    def hidden_because(self, at: Conditions) -> str | None:
+        """A relay knows one size of command, and a dead zone is another gain there."""
+        sizes = np.concatenate([np.abs(run.input) for run in at.runs]) if at.runs else np.ones(0)
+        one = sizes.size > 0 and float(np.std(sizes)) < ONE_SIZE * float(np.mean(sizes))
+        return "every command has one size: a force constant does the same" if one else None
 
     def starts(self, at: Conditions) -> list[Parameters]:
         """Narrow zones take the same from every command."""
