@@ -150,6 +150,11 @@ GROSS_REMAINDER = decision(
     "GROSS_REMAINDER", 1.5, "1", meaning="RMS over the noise that the first effects found leave, "
     "above which those that explain most are looked for before all that reach the noise.",
     set_on=CORPUS)
+OUT_OF_REACH = decision(
+    "OUT_OF_REACH", 10.0, "1", meaning="RMS over the noise that the first effects leave of a body "
+    "that drifts or swings freely, above which all that reach the noise are not looked for where "
+    "windows tell nothing.", set_on="the motor bench (67) and the measured `dry_pendulum` "
+    "(700), where such a search ends in vain, and the beam (2), where it finds a cubic spring")
 FAR_BEHIND = decision(
     "FAR_BEHIND", 0.7, "1", meaning="Share of what the force domain explains, below which the fit "
     "of a grossly missed motion is taken for a local minimum and made again in windows.",

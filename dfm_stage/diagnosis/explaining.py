@@ -8,7 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from dfm_stage.diagnosis.clear_force import by_force, clear_force
-from dfm_stage.diagnosis.decisions import FAR_BEHIND, GROSS_GAP, GROSS_REMAINDER, PARTIAL_SHARE
+from dfm_stage.diagnosis.decisions import (
+    FAR_BEHIND,
+    GROSS_GAP,
+    GROSS_REMAINDER,
+    OUT_OF_REACH,
+    PARTIAL_SHARE,
+)
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
@@ -25,7 +31,6 @@ from dfm_stage.diagnosis.search_decisions import (
 )
 from dfm_stage.diagnosis.verdict import (
     explained_share,
-    is_far,
     needs_grading,
     needs_joint_fit,
     small_parts,
@@ -58,19 +63,17 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
     names, found = search.alone(first)
     if not is_noise(found):
         names, found = search.grown((), first, rounds=1)
-    if part is not None and not part[1].names and leaves_gross(found) and (
-            forced := _by_force(trial, Hypothesis((), first, first), warnings, split)):
-        return forced
-    if (part is None or not part[1].names) and leaves_gross(found):
-        whole = _explaining(trial, Hypothesis(names, found, first), warnings, split)
-        if whole[0] is trial and whole[1].names:
-            names, found = whole[1].names, whole[1].fit
-        elif not whole[1].names:
-            found = _begun_anew(search, names, found)
-        part = whole if part is None or whole[1].names else part
-    if part is not None and leaves_gross(found) and is_far(part[2]):
-        return part if part[1].names else _by_force(
-            trial, Hypothesis((), first, first), warnings, split) or part
+    if part is None and leaves_gross(found):
+        part = _explaining(trial, Hypothesis(names, found, first), warnings, split)
+        if stays_open(part[2]) and leaves_gross(part[1].fit):
+            return part
+        if part[0] is trial and part[1].names:
+            names, found = part[1].names, part[1].fit
+        elif not part[1].names and leaves_gross(found := _begun_anew(search, names, found)):
+            return _by_force(trial, Hypothesis((), first, first), warnings, split) or part
+    elif part is not None and not part[1].names and is_out_of_reach(found) and (
+            seen := _where_windows_tell_nothing(trial, names, found, first, warnings, split)):
+        return seen
     h, evidence = to_noise(trial, names, found, MOST_STEPS - (steps_taken() - begun), warnings,
                            split)
     if not needs_grading(evidence):
@@ -83,6 +86,16 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
     if part[1].names or forced is not None:
         return forced or part
     return trial, h, replace(evidence, witness=part[2].witness, judged=part[2].judged)
+
+
+def _where_windows_tell_nothing(trial: Trial, names: Names, found: Fit, first: Fit,
+                                warnings: Sequence[str], split: bool) -> Judgement | None:
+    """What explains a part of whole records, or of the force balance, by which of the two leaves
+    less of what is held out; None where neither does."""
+    whole = _explaining(trial, Hypothesis(names, found, first), warnings, split)
+    forced = _by_force(trial, Hypothesis((), first, first), warnings, split)
+    told = [each for each in (whole, forced) if each is not None and each[1].names]
+    return min(told, key=lambda each: each[2].extended.held_out.power, default=None)
 
 
 def _begun_anew(search: Search, names: Names, found: Fit) -> Fit:
@@ -153,6 +166,11 @@ def is_noise(found: Fit) -> bool:
 def leaves_gross(found: Fit) -> bool:
     """Whether a fit leaves much more than the noise by which it is weighed."""
     return found.ok and found.chi2 > GROSS_REMAINDER**2 * found.white.size
+
+
+def is_out_of_reach(found: Fit) -> bool:
+    """Whether a fit leaves so much more that no further effects are looked for to explain all."""
+    return found.ok and found.chi2 > OUT_OF_REACH**2 * found.white.size
 
 
 def is_gross(bare: Fit) -> bool:

@@ -390,14 +390,10 @@ def needs_grading(e: Evidence) -> bool:
     return not judge_hypothesis(e).stands and real and (large or taken)
 
 
-def is_far(e: Evidence) -> bool:
-    """Whether what is left is far from noise, in its form and by its power."""
-    return e.extended.remainder and e.extended.held_out.power > EXCESS**2 * e.judged.noise_power
-
-
 def stays_open(e: Evidence) -> bool:
     """Whether effects that explain a part are found, and what they leave is no noise."""
-    return bool(e.effects) and verdict(e).kind != "unknown" and is_far(e)
+    return bool(e.effects) and verdict(e).kind != "unknown" and e.extended.remainder and (
+        e.extended.held_out.power > EXCESS**2 * e.judged.noise_power)
 
 
 def needs_joint_fit(e: Evidence) -> bool:

@@ -45,7 +45,7 @@ def test_the_search_to_the_noise_ends_where_nothing_explains_a_part(
     nothing = SimpleNamespace(names=(), fit=leaving(left))
     trial = SimpleNamespace(search=Gap(left, minimum), witness=None)
     monkeypatch.setattr(explaining, "_explaining", lambda *_: (trial, nothing, "graded"))
-    monkeypatch.setattr(explaining, "is_far", lambda _: True)
+    monkeypatch.setattr(explaining, "stays_open", lambda _: False)
     monkeypatch.setattr(explaining, "to_noise", lambda *_: (nothing, "tested"))
     monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
     found = explaining.explained(trial, leaving(50.0), (), split=False)
@@ -60,51 +60,33 @@ def test_one_effect_that_leaves_only_noise_is_gone_on_from(alone, begun, monkeyp
     assert explaining.explained(trial, leaving(50.0), (), split=False)[1] == begun
 
 
-@pytest.mark.parametrize(("far", "on"), [(True, False), (False, True)])
-def test_no_search_to_the_noise_goes_on_from_a_part_that_leaves_far_more(far, on, monkeypatch):
-    """A bench whose second mode left 67 times the noise took 100 s of its 180 s like that."""
-    a_part = SimpleNamespace(names=("creep",), fit=leaving(10.0))
-    trial = SimpleNamespace(search=Gap(10.0, 10.0), witness=None)
-    monkeypatch.setattr(explaining, "_explaining", lambda *_: (trial, a_part, "graded"))
-    monkeypatch.setattr(explaining, "is_far", lambda _: far)
-    monkeypatch.setattr(explaining, "to_noise", lambda *_: (a_part, "tested"))
+def told(name: str, power: float) -> tuple[None, SimpleNamespace, SimpleNamespace]:
+    h = SimpleNamespace(names=(name,) if name else (), fit=leaving(20.0))
+    left = SimpleNamespace(held_out=SimpleNamespace(power=power))
+    return None, h, SimpleNamespace(by=name, extended=left)
+
+
+@pytest.mark.parametrize(("left", "whole", "forced", "by"), [
+    (20.0, told("creep", 2.0), None, "creep"),                        # windows hide a slow motion
+    (20.0, told("creep", 2.0), told("gravity", 1.0), "gravity"),      # told by where it drifts
+    (20.0, told("creep", 2.0), told("gravity", 3.0), "creep"),
+    (20.0, told("", 9.0), told("gravity", 3.0), "gravity"),
+    (20.0, told("", 9.0), None, "noise"),
+    (5.0, told("creep", 2.0), told("gravity", 1.0), "noise")])        # all may be explained
+def test_what_windows_do_not_tell_is_looked_for_in_whole_records_and_in_forces(
+        left, whole, forced, by, monkeypatch):
+    """A bench searched for all that reaches the noise for 100 s, with 67 times as much left."""
+    trial = SimpleNamespace(search=Gap(left, left), witness=SimpleNamespace(cannot_tell=False))
+    first = leaving(50.0)
+    first.system.springless = True
+    monkeypatch.setattr(explaining, "is_gross", lambda _: True)
+    monkeypatch.setattr(explaining, "stays_open", lambda _: False)
+    monkeypatch.setattr(explaining, "_in_windows", lambda _: SimpleNamespace(
+        search=SimpleNamespace(begin=lambda: first)))
+    monkeypatch.setattr(explaining, "graded", lambda *_: (
+        SimpleNamespace(names=(), fit=first), "in windows"))
+    monkeypatch.setattr(explaining, "_explaining", lambda *_: whole)
+    monkeypatch.setattr(explaining, "_by_force", lambda *_: forced)
+    monkeypatch.setattr(explaining, "to_noise", lambda *_: told("noise", 0.0)[1:])
     monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
-    found = explaining.explained(trial, leaving(50.0), (), split=False)
-    assert found[2] == ("tested" if on else "graded")
-
-
-@pytest.mark.parametrize(("whole", "told"), [
-    (("creep",), "in whole"),     # windows hide a slow motion
-    ((), "in windows")])          # nothing either way: judged where it can be judged
-def test_what_windows_do_not_tell_is_looked_for_in_whole_records(whole, told, monkeypatch):
-    trial = SimpleNamespace(search=Gap(10.0, 10.0), witness=SimpleNamespace(cannot_tell=False))
-    first = leaving(50.0)
-    first.system.springless = True
-    monkeypatch.setattr(explaining, "is_gross", lambda _: True)
-    monkeypatch.setattr(explaining, "is_far", lambda _: True)
-    monkeypatch.setattr(explaining, "stays_open", lambda _: False)
-    monkeypatch.setattr(explaining, "_in_windows", lambda _: SimpleNamespace(
-        search=SimpleNamespace(begin=lambda: first)))
-    monkeypatch.setattr(explaining, "graded", lambda *_: (
-        SimpleNamespace(names=(), fit=first), "in windows"))
-    monkeypatch.setattr(explaining, "_explaining", lambda *_: (
-        trial, SimpleNamespace(names=whole, fit=leaving(10.0)), "in whole"))
-    monkeypatch.setattr(explaining, "_by_force", lambda *_: None)
-    assert explaining.explained(trial, first, (), split=False)[2] == told
-
-
-def test_the_force_balance_is_asked_before_whole_records_where_windows_tell_nothing(monkeypatch):
-    """A pendulum's free swing was told as gravity and a brake by where its phase drifts; its
-    force balance shows gravity at once."""
-    trial = SimpleNamespace(search=Gap(10.0, 10.0), witness=SimpleNamespace(cannot_tell=False))
-    first = leaving(50.0)
-    first.system.springless = True
-    monkeypatch.setattr(explaining, "is_gross", lambda _: True)
-    monkeypatch.setattr(explaining, "stays_open", lambda _: False)
-    monkeypatch.setattr(explaining, "_in_windows", lambda _: SimpleNamespace(
-        search=SimpleNamespace(begin=lambda: first)))
-    monkeypatch.setattr(explaining, "graded", lambda *_: (
-        SimpleNamespace(names=(), fit=first), "in windows"))
-    monkeypatch.setattr(explaining, "_by_force", lambda *_: (trial, first, "by force"))
-    monkeypatch.setattr(explaining, "_explaining", lambda *_: pytest.fail("judged by its drift"))
-    assert explaining.explained(trial, first, (), split=False)[2] == "by force"
+    assert explaining.explained(trial, first, (), split=False)[2].by == by
