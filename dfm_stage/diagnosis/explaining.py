@@ -71,9 +71,9 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
             names, found = part[1].names, part[1].fit
         elif not part[1].names and leaves_gross(found := _begun_anew(search, names, found)):
             return _by_force(trial, Hypothesis((), first, first), warnings, split) or part
-    elif part is not None and not part[1].names and is_out_of_reach(found) and (
-            seen := _where_windows_tell_nothing(trial, names, found, first, warnings, split)):
-        return seen
+    elif part is not None and not part[1].names and is_out_of_reach(found):
+        return _where_windows_tell_nothing(trial, Hypothesis(names, found, first), warnings,
+                                           split) or part
     h, evidence = to_noise(trial, names, found, MOST_STEPS - (steps_taken() - begun), warnings,
                            split)
     if not needs_grading(evidence):
@@ -88,13 +88,13 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
     return trial, h, replace(evidence, witness=part[2].witness, judged=part[2].judged)
 
 
-def _where_windows_tell_nothing(trial: Trial, names: Names, found: Fit, first: Fit,
-                                warnings: Sequence[str], split: bool) -> Judgement | None:
+def _where_windows_tell_nothing(trial: Trial, h: Hypothesis, warnings: Sequence[str],
+                                split: bool) -> Judgement | None:
     """What explains a part of whole records, or of the force balance, by which of the two leaves
     less of what is held out; None where neither does."""
-    whole = _explaining(trial, Hypothesis(names, found, first), warnings, split)
-    forced = _by_force(trial, Hypothesis((), first, first), warnings, split)
-    told = [each for each in (whole, forced) if each is not None and each[1].names]
+    forced = _by_force(trial, Hypothesis((), h.bare, h.bare), warnings, split)
+    told = [each for each in (_explaining(trial, h, warnings, split), forced)
+            if each is not None and each[1].names]
     return min(told, key=lambda each: each[2].extended.held_out.power, default=None)
 
 

@@ -71,7 +71,7 @@ def told(name: str, power: float) -> tuple[None, SimpleNamespace, SimpleNamespac
     (20.0, told("creep", 2.0), told("gravity", 1.0), "gravity"),      # told by where it drifts
     (20.0, told("creep", 2.0), told("gravity", 3.0), "creep"),
     (20.0, told("", 9.0), told("gravity", 3.0), "gravity"),
-    (20.0, told("", 9.0), None, "noise"),
+    (20.0, told("", 9.0), None, "windows"),
     (5.0, told("creep", 2.0), told("gravity", 1.0), "noise")])        # all may be explained
 def test_what_windows_do_not_tell_is_looked_for_in_whole_records_and_in_forces(
         left, whole, forced, by, monkeypatch):
@@ -84,7 +84,7 @@ def test_what_windows_do_not_tell_is_looked_for_in_whole_records_and_in_forces(
     monkeypatch.setattr(explaining, "_in_windows", lambda _: SimpleNamespace(
         search=SimpleNamespace(begin=lambda: first)))
     monkeypatch.setattr(explaining, "graded", lambda *_: (
-        SimpleNamespace(names=(), fit=first), "in windows"))
+        SimpleNamespace(names=(), fit=first), SimpleNamespace(by="windows")))
     monkeypatch.setattr(explaining, "_explaining", lambda *_: whole)
     monkeypatch.setattr(explaining, "_by_force", lambda *_: forced)
     monkeypatch.setattr(explaining, "to_noise", lambda *_: told("noise", 0.0)[1:])
