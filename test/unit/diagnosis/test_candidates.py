@@ -64,4 +64,3 @@ def test_a_second_mode_that_is_all_of_the_motion_is_none(share, ended):
         "second_mode", {**EFFECTS["second_mode"].defaults, "share": share})
     found = SimpleNamespace(ok=True, model=model, system=SimpleNamespace(at=None))
     assert at_upper_end(found, ["second_mode"]) is ended
-
