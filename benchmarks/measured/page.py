@@ -26,8 +26,6 @@ ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "benchmarks" / "kept" / "measured_stages.json"
 PAGE = ROOT / "docs" / "measured_stages.md"
 NOT_RUN = "not run"
-MOST_NAMES = 3
-"""Names that a cell of the table of answers spells out."""
 
 
 @dataclass(frozen=True)
@@ -61,21 +59,19 @@ def read_results(path: Path = KEPT) -> dict[str, Result]:
 def answers(results: Mapping[str, Result],
             table: Mapping[str, MeasuredRecord] | None = None) -> str:
     """What was expected of each record, and what was answered."""
-    rows = ["| record | expected | answered | judged | held-out RMS left | processor time |",
-            "|---|---|---|---|---|---|"]
+    rows = ["| record | blind | expected | answered | judged | RMS left | time |",
+            "|---|---|---|---|---|---|---|"]
     listed = table or load_records()
     for name, record in listed.items():
-        mark = " (set rules)" if record.set_rules else ""
-        row = [f"[`{name}`](#{name}){mark}", _expected(record, MOST_NAMES)]
+        row = [f"[`{name}`](#{name})", "no" if record.set_rules else "yes", _wanted(record)]
         result = results.get(name)
         if result is None:
             row += [NOT_RUN, "", "", ""]
         else:
             told = ", ".join(f"`{each.replace('|', '` or `')}`" for each in result.names)
             judged = result.judged if result.judged == "right" else f"**{result.judged}**"
-            reason = "" if result.judged == "right" else f": {result.reason}"
             left = result.figures.get("held_out_left_percent", {}).get("value")
-            row += [f"{result.verdict}{': ' + told if told else ''}", judged + reason,
+            row += [f"{result.verdict}{': ' + told if told else ''}", judged,
                     "" if left is None else f"{left:.3g} %", f"{result.seconds:.0f} s"]
         rows.append("| " + " | ".join(row) + " |")
     return "\n".join([*_totals(results, listed), *rows])
@@ -93,11 +89,24 @@ def _totals(results: Mapping[str, Result], table: Mapping[str, MeasuredRecord]) 
     if not run:
         return []
     words = f"All {len(run)} records: {of(run)}."
-    return [f"{words} The {len(blind)} that did not set rules: {of(blind)}.", ""]
+    return [f"{words} The {len(blind)} blind ones: {of(blind)}.", ""]
 
 
-def _expected(record: MeasuredRecord, most: int | None = None) -> str:
-    """In words; of more than `most` names that may come first, only that they are relatives."""
+def _wanted(record: MeasuredRecord) -> str:
+    """The names that were expected, in few words; without verdicts, and without those of many
+    relatives."""
+    expected = record.expected
+    if expected.required:
+        return " and ".join(" or ".join(f"`{n}`" for n in group) for group in expected.required)
+    if expected.complete is False:
+        return "no effect of the library"
+    if not {"none", "retune"} & set(expected.verdicts):
+        return " or ".join(f"`{n}`" for n in expected.first)
+    return "nothing" + (f", or one of {len(expected.first)} effects" if expected.first else "")
+
+
+def _expected(record: MeasuredRecord) -> str:
+    """In words."""
     expected = record.expected
     verdicts = ", ".join(f"`{each}`" for each in expected.verdicts)
     groups = [" or ".join(f"`{each}`" for each in group) for group in expected.required]
@@ -106,8 +115,6 @@ def _expected(record: MeasuredRecord, most: int | None = None) -> str:
         return f"{' and '.join(groups)}: {verdicts}{open_end}"
     if not expected.first:
         return verdicts
-    if most is not None and len(expected.first) > most:
-        return f"{verdicts}; first name: a relative{open_end}"
     return (f"{verdicts}; first name: {' or '.join(f'`{each}`' for each in expected.first)}"
             f"{open_end}")
 
