@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measured.records import MeasuredRecord, load_records
+from benchmarks.measured.records import Expected, MeasuredRecord, load_records
 from benchmarks.page import put
 from dfm_stage.files import write_whole
 
@@ -97,7 +97,7 @@ def _wanted(record: MeasuredRecord) -> str:
     relatives."""
     expected = record.expected
     if expected.required:
-        return " and ".join(" or ".join(f"`{n}`" for n in group) for group in expected.required)
+        return _groups(expected)
     if expected.complete is False:
         return "no effect of the library"
     if not {"none", "retune"} & set(expected.verdicts):
@@ -109,14 +109,20 @@ def _expected(record: MeasuredRecord) -> str:
     """In words."""
     expected = record.expected
     verdicts = ", ".join(f"`{each}`" for each in expected.verdicts)
-    groups = [" or ".join(f"`{each}`" for each in group) for group in expected.required]
     open_end = ", not complete" if expected.complete is False else ""
-    if groups:
-        return f"{' and '.join(groups)}: {verdicts}{open_end}"
+    if expected.required:
+        return f"{_groups(expected)}: {verdicts}{open_end}"
     if not expected.first:
         return verdicts
     return (f"{verdicts}; first name: {' or '.join(f'`{each}`' for each in expected.first)}"
             f"{open_end}")
+
+
+def _groups(expected: Expected) -> str:
+    """One of each group must be named."""
+    groups = [" or ".join(f"`{name}`" for name in group) for group in expected.required]
+    return groups[0] if len(groups) == 1 else " and ".join(
+        f"({group})" if " or " in group else group for group in groups)
 
 
 def figures_beside_published(results: Mapping[str, Result],

@@ -280,11 +280,75 @@ def crane_cart(folder: Path) -> dict[str, Columns]:
     return parts
 
 
+def walker_leg(folder: Path) -> dict[str, Columns]:
+    """Voltage and angle (degrees). The free swing and three steps, then the sweep until the leg
+    hardly moves any more."""
+    path = folder / "realVSmodel_fwAnd5vstepsx3AndChirp_innerSW.mat"
+    names = ("datatimeall", "datainall", "dataoutall")
+    data = scipy.io.loadmat(path, squeeze_me=True, variable_names=names)
+    time, volts, angle = (np.asarray(data[name], float) for name in names)
+    return {part: {"time_s": time[cut], "input_v": volts[cut],
+                   "position_rad": np.radians(angle[cut])}
+            for part, cut in (("swing_and_steps", slice(0, 7560)),
+                              ("sweep", slice(7560, 11_600)))}
+
+
+def rod_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle (degrees), in thirds of 30 s."""
+    data = np.loadtxt(folder / "galileo_2024-07-19_15-25-54.csv", delimiter=",", skiprows=1)
+    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(1500),
+                   "position_rad": np.radians(data[cut, 1])}
+            for part, cut in (("large", slice(0, 1500)), ("small", slice(3000, 4500)),
+                              ("middle", slice(1500, 3000)))}
+
+
+def sprung_carts(folder: Path) -> dict[str, Columns]:
+    """Voltage and speeds of both carts (mm/s). The driven one, every second sample."""
+    parts = {}
+    for part, name in (("square_low", "1_5"), ("sine_2_hz", "sine_2"), ("square_high", "2"),
+                       ("sine_3_hz", "sine_3")):
+        path = folder / f"velocity_response_{name}.mat"
+        time, volts, speed = (np.asarray(_matlab(path, column), float)[::2]
+                              for column in ("t", "u", "v1"))
+        parts[part] = {"time_s": time, "input_v": volts, "velocity_m_s": 1e-3 * speed}
+    return parts
+
+
+def ruler_arm(folder: Path) -> dict[str, Columns]:
+    """Columns: time (ms), angle of the hub, deflection of the tip, their speeds, wanted angle,
+    voltage, gains. Every second sample; the reference is that of the hub alone."""
+    parts = {}
+    for number in (2, 3, 4):
+        data = np.loadtxt(folder / f"flexibleArm_test_{number}", comments="%")[::2]
+        parts[f"run_{number}"] = {"time_s": 1e-3 * (data[:, 0] - data[0, 0]),
+                                  "input_v": data[:, 6], "position_rad": data[:, 1],
+                                  "reference_rad": data[:, 5]}
+    return parts
+
+
+def piezo_actuator(folder: Path) -> dict[str, Columns]:
+    """Columns: none, time, displacement (um), voltage. Six periods, every tenth sample."""
+    data = np.genfromtxt(folder / "hysteresis_v_150_1hz.csv", delimiter=",")[20_000:50_000:10]
+    return {part: {"time_s": data[cut, 1], "input_v": data[cut, 3],
+                   "position_m": 1e-6 * data[cut, 2]}
+            for part, cut in (("four_periods", slice(0, 2000)),
+                              ("two_periods", slice(2000, None)))}
+
+
+def ball_on_beam(folder: Path) -> dict[str, Columns]:
+    """Columns: angle of the beam, position of the ball; halves as others split it. The angle
+    stands as volts."""
+    data = np.loadtxt(folder / "ball-and-beam.csv", delimiter=",", skiprows=1)
+    return {part: _timed(0.1, input_v=data[cut, 0], position_m=data[cut, 1])
+            for part, cut in (("first_half", slice(0, 500)), ("second_half", slice(500, 1000)))}
+
+
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
     silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
     aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
     swing_up, two_masses, one_mass, relay_cart, dry_pendulum, flexible_link, linear_guide,
-    struck_beam, crane_cart)}
+    struck_beam, crane_cart, walker_leg, rod_pendulum, sprung_carts, ruler_arm, piezo_actuator,
+    ball_on_beam)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:
