@@ -50,17 +50,20 @@ def clear_force(seen: Witness) -> Heard | None:
                   if added[n] >= PARTIAL_SHARE * predictable and alone[n] > 0.0)
     if not names:
         return None
+    margins = seen.margins
     if len(names) < len(best.names):
         share = added[names[0]] = alone[names[0]]
+        margins = seen.alone
+    level = {n: [m for m, behind in margins[n].items() if _level(behind, n, m)] for n in names}
     if share < FURTHER_PART * predictable or any(
-            _level(seen, names, n) and not _related(n, names) for n in seen.margins):
+            not _related(m, names) for each in level.values() for m in each):
         return None
     told = seen.of(*names)
     assert told is not None  # noqa: S101 (it is the best set, or one of its members alone)
-    members = {n: (n, *(m for m in seen.margins if m not in names
-                        and _level(seen, names, m) and shares_class(m, n))) for n in names}
+    members = {n: (n, *(m for m in level[n] if m not in names and shares_class(m, n)))
+               for n in names}
     return Heard({n: added[n] for n in names}, share, predictable, members,
-                 _sizes(told, seen.blocks), told.parameters)
+                 _sizes(told, seen.blocks), told.parameters, {n: margins[n] for n in names})
 
 
 def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:
@@ -115,10 +118,10 @@ def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Seq
     return h, replace(evidence, heard=heard, effects=effects, judged=judged)
 
 
-def _level(seen: Witness, names: Sequence[str], rival: str) -> bool:
-    """Whether held-out blocks do not part a rival from the effects named."""
-    larger = len(EFFECTS[rival].parameters) > max(len(EFFECTS[n].parameters) for n in names)
-    return seen.margins[rival] < (MARGIN_OVER_LARGER if larger else BLOCK_MARGIN)
+def _level(behind: float, name: str, rival: str) -> bool:
+    """Whether held-out blocks do not part a rival from the effect in whose place it is."""
+    larger = len(EFFECTS[rival].parameters) > len(EFFECTS[name].parameters)
+    return behind < (MARGIN_OVER_LARGER if larger else BLOCK_MARGIN)
 
 
 def _related(rival: str, names: Sequence[str]) -> bool:

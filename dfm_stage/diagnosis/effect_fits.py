@@ -63,8 +63,9 @@ class Fits:
     """RMS of the output's noise, over which a quantised reading is averaged."""
     begun: float = field(default_factory=steps_taken)
     most_steps: float = MOST_STEPS
-    not_compared: dict[str, None] = field(default_factory=dict)
-    """Effects whose fits were not begun, or not finished, for want of work, in that order."""
+    unfinished: dict[frozenset[str], Names] = field(default_factory=dict)
+    """By the effects of a fit that was not begun, or not finished, for want of work: those for
+    which it was made."""
 
     @property
     def steps(self) -> float:
@@ -131,8 +132,16 @@ class Fits:
 
     def keep(self, names: Iterable[str], found: Fit) -> Fit:
         """Remember a fit under the present weights."""
-        self.fits[frozenset(names), self.weighing] = found
+        key = frozenset(names)
+        self.fits[key, self.weighing] = found
+        if found.ok and not found.cut:
+            self.unfinished.pop(key, None)
         return found
+
+    @property
+    def not_compared(self) -> Names:
+        """Effects whose fits were not begun, or not finished, in that order."""
+        return tuple(dict.fromkeys(n for names in self.unfinished.values() for n in names))
 
     def fitted(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),
                worth: float = math.inf) -> Fit:
@@ -267,7 +276,7 @@ class Fits:
         slow = bool(later) or (self.steps > STEPS_BEFORE_LINEAR
                                and any(is_nonlinear(use.name) for use in model.effects))
         if hits and slow and self.steps > limit:
-            self.not_compared.update(dict.fromkeys(h.name for h in hits))
+            self.unfinished[frozenset(names)] = tuple(h.name for h in hits)
             return replace(start, chi2=math.inf, cut=True)
         if others_first:
             new = {hit.name for hit in hits}
@@ -333,7 +342,8 @@ class Fits:
                     noise=self.noise, iterations=iterations, tolerance=tolerance, exact=exact,
                     allowance=min(max(self.most_steps - self.steps, 0.0), STEPS_A_FIT))
         if self.steps > self.most_steps:
-            self.not_compared.update(dict.fromkeys(found.system.nonlinear))
+            added = self._added(found.model)
+            self.unfinished[added] = tuple(n for n in found.system.nonlinear if n in added)
             found = replace(found, cut=True)
         lost = {f"{use.name}.{n}": use.effect.defaults[n] for use in found.model.effects
                 if found.ok and self.model.effect(use.name) is None
@@ -341,7 +351,11 @@ class Fits:
         kept = tuple(n for n in free if n not in lost)
         return found if kept == free else self._fit(
             found.model.with_parameters(lost), kept, found, iterations=iterations,
-            tolerance=tolerance, exact=exact)
+            tolerance=tolerance, exact=exact, runs=runs)
+
+    def _added(self, model: Model) -> frozenset[str]:
+        """The effects that a model has beside those given."""
+        return frozenset(use.name for use in model.effects if self.model.effect(use.name) is None)
 
     def _with_noise(self, found: Fit, free: Names) -> Fit:
         """The noise before rounding that explains a counted reading best."""

@@ -124,7 +124,8 @@ class Heard:
     """What the force domain names by itself: by name the share of the missing force's power that
     is lost without the effect, the share of all together and of what is predictable, and for each
     name those that it does not part from it, itself first. `sizes` by address are what is known
-    of them there, `start` are all parameters by address, SI."""
+    of them there, `start` are all parameters by address, SI. `margins` are, by name, how far each
+    rival stays behind in its place, in block standard errors, smallest first."""
 
     added: Mapping[str, float]
     share: float
@@ -132,6 +133,7 @@ class Heard:
     members: Mapping[str, tuple[str, ...]]
     sizes: Mapping[str, Quantity] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
+    margins: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def explained(self) -> float:

@@ -111,16 +111,21 @@ def to_noise(trial: Trial, names: Names, found: Fit, steps: float, warnings: Seq
     search = trial.search
     search.begin_work(max(steps, LEAST_STEPS))
     h = trial.no_worse(trial.run(*search.grown(names, found)))
-    evidence = gather(trial, h, warnings, split)
-    if needs_joint_fit(evidence):
-        evidence = with_joint_fit(trial, h, evidence)
+    evidence = _judged(trial, h, warnings, split)
     small = small_parts(evidence) and small_parts(with_confirmation(evidence, trial.witness))
     if small:
         for name in small:
             trial.dropped[name] = DropReason.SMALL_PART
             h = h.without(name, search)
-        evidence = gather(trial, h, warnings, split)
+        h = trial.compared(h)
+        evidence = _judged(trial, h, warnings, split)
     return h, evidence
+
+
+def _judged(trial: Trial, h: Hypothesis, warnings: Sequence[str], split: bool) -> Evidence:
+    """The evidence for what a search to the noise found, with a joint fit where that decides."""
+    evidence = gather(trial, h, warnings, split)
+    return with_joint_fit(trial, h, evidence) if needs_joint_fit(evidence) else evidence
 
 
 def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dfm_stage.arrays import Array, Lines
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.black_box import features
 from dfm_stage.diagnosis.blocks import Blocks, Solution, block_edges
 from dfm_stage.diagnosis.candidates import excluded, starts
@@ -86,13 +86,6 @@ class Candidates:
     def off_base(self, columns: Array) -> Array:
         """`columns` (n,) or (n, c) without what the base parameters can do."""
         return np.asarray(columns - self.space @ (self.space.T @ columns))
-
-    @property
-    def amplitude(self) -> Array:
-        """RMS motion (B,) of each block, m."""
-        position = self.setting.stacked(lambda run: run.trajectory.x - np.mean(run.trajectory.x))
-        return np.asarray(np.sqrt(np.add.reduceat(position**2, self.edges[:-1])
-                                  / np.diff(self.edges)))
 
     def _term(self, name: str, parameters: Mapping[str, float]) -> Array:
         """The force (n,) of an effect; empty where it has none."""
@@ -246,12 +239,6 @@ class Fits:
         columns, target = self.place(members)
         found = self.blocks.ridge_fit([*self.base, *columns], self.extra, target, RIDGES)
         return found.errors * _factor(members)
-
-    def by_group(self, found: Fitted, groups: Lines) -> Array:
-        """Held-out errors (B,) of a set whose sizes differ between groups (B,) of blocks."""
-        columns, target = self.place(found.members)
-        return self.blocks.fit_by_group(self.base, columns, target,
-                                        groups).errors * _factor(found.members)
 
 
 def _factor(members: Sequence[Candidate]) -> float:

@@ -96,7 +96,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
         offset=_offset(h.bare, search.library),
         library=tuple(_library(trial)), limits=_limits(search),
         comparisons=tuple(_comparisons(trial, h, fitted_given, seen)), warnings=tuple(warnings),
-        split=split, not_compared=tuple(search.not_compared), judged=judged,
+        split=split, not_compared=search.not_compared, judged=judged,
         graded=graded, conventions=tuple(
             r.convention.to_dict(r.record)
             for r in _whole([*runs, *(() if split else trial.held)])))
@@ -133,7 +133,7 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
     return replace(evidence, effects=effects, library=library, witness={
         "effects": list(seen.best.names), "share": seen.best.share, "alone": told,
-        "predictable": seen.predictable_share, "margins": dict(seen.margins)},
+        "predictable": seen.predictable_share, "margins": seen.nearest},
         judged=replace(evidence.judged, predictable=predictable))
 
 
@@ -167,11 +167,13 @@ def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> Effe
     if x.name not in alone or effect.late is not None or predictable < LEAST_HEARD \
             or not effect.is_linear({n: q.value for n, q in x.parameters.items()}):
         return x
-    lead = min((m for n, m in seen.margins.items() if not shares_class(n, x.name)),
-               default=math.inf)
-    behind = len(seen.best.names) == 1 and seen.margins.get(x.name, 0.0) > BLOCK_MARGIN
+    own = next((n for n in (x.name, *seen.best.names) if n in seen.best.names
+                and (n == x.name or shares_class(n, x.name))), None)
+    margins = seen.nearest if own is None else seen.margins[own]
+    lead = min((m for n, m in margins.items() if not shares_class(n, x.name)), default=math.inf)
+    behind = len(seen.best.names) == 1 and margins.get(x.name, 0.0) > BLOCK_MARGIN
     return replace(x, force_share=alone[x.name] / predictable, force_margin=lead,
-                   in_best=any(n == x.name or shares_class(n, x.name) for n in seen.best.names),
+                   in_best=own is not None,
                    rivals=tuple(replace(r, ahead=behind and r.name in seen.best.names)
                                 for r in x.rivals))
 

@@ -29,7 +29,7 @@ from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.gather import gather, with_witness
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.screen import Hit
+from dfm_stage.diagnosis.screen import Hit, best_of_each
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.search_decisions import FULL_SHARE, GRADING_STEPS, LEAST_STEPS, SHORT_LIST
 from dfm_stage.diagnosis.verdict import fallen
@@ -147,14 +147,15 @@ def _parameters(told: Explained, name: str) -> Parameters:
 
 
 def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
-    """The sets that the search fitted: its answer, and the best single effects."""
+    """The sets that the search fitted: its answer, and the best single effects that can be told
+    from what they become at an end of their range."""
     search, seen = trial.search, trial.witness
     if h.names:
         yield h.fit, {}, {}
     singles: dict[str, Fit] = {}
     for (names, _), found in search.fits.items():
         name = next(iter(names), "")
-        if len(names) == 1 and name in search.library and found.ok and (
+        if len(names) == 1 and name in search.library and _usable(found, (name,)) and (
                 name not in singles or found.rms < singles[name].rms):
             singles[name] = found
     for found in sorted(singles.values(), key=lambda f: f.rms)[:2]:
@@ -162,7 +163,7 @@ def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
     if not search.hits and (seen is None or seen.cannot_tell):
         search.step("screening every effect")
         _, hits = search.screened(bare, ())
-        search.hits.update({x.name: x for x in reversed(hits)})
+        search.hits.update({x.name: x for x in best_of_each(hits)})
     for hit in sorted(search.hits.values(), key=lambda x: -x.gain)[:SHORT_LIST]:
         if hit.name not in singles:
             yield bare, {hit.name: hit.parameters}, {}
@@ -221,7 +222,7 @@ def _further(search: Search, names: Names, found: Fit) -> tuple[Names, Fit]:
         search.step("screening what is left")
         _, hits = search.screened(found, names)
         trials = []
-        for hit in list({h.name: h for h in reversed(hits)}.values())[-SHORT_LIST // 2:]:
+        for hit in best_of_each(hits)[:SHORT_LIST // 2]:
             search.step(f"fitting {hit.name} beside {' and '.join(names)}")
             trial = search.once((*names, hit.name), found, [hit])
             if _usable(trial, (hit.name,)):
@@ -259,7 +260,8 @@ def _near(seen: Witness, name: str, names: Names) -> list[Hit]:
     """The rivals that the force domain puts within NEAR_RIVAL standard errors, or first."""
     alone = {e.names[0]: e for e in seen.singles}
     own = alone[name].share if name in alone else 0.0
-    listed = [*seen.best.names, *(n for n, m in seen.margins.items() if m < NEAR_RIVAL)]
+    margins = seen.margins.get(name, seen.nearest)
+    listed = [*seen.best.names, *(n for n, m in margins.items() if m < NEAR_RIVAL)]
     near = [n for n in listed if n in alone and n not in names
             and alone[n].share > RIVAL_GAIN * own]
     return [Hit.at(n, _parameters(alone[n], n)) for n in near[:GRADED_RIVALS]]
@@ -268,10 +270,9 @@ def _near(seen: Witness, name: str, names: Names) -> list[Hit]:
 def _screened(search: Search, name: str, rest: Names, without: Fit, among: Names) -> list[Hit]:
     """The rivals that the screen ranks highest."""
     _, hits = search.screened(without, rest)
-    best = {h.name: h for h in reversed(hits) if h.name in among}
+    best = {h.name: h for h in best_of_each(hits) if h.name in among}
     own = best[name].gain if name in best else max((h.gain for h in best.values()), default=0.0)
-    listed = sorted((h for h in best.values() if h.name != name
-                     and h.gain > RIVAL_GAIN * own), key=lambda h: -h.gain)
+    listed = [h for h in best.values() if h.name != name and h.gain > RIVAL_GAIN * own]
     return listed[:GRADED_RIVALS]
 
 

@@ -80,7 +80,8 @@ class Trial:
         self.search.step("judging in the force domain")
         try:
             return witness([replace(r, window=0) for r in self.search.runs], self.search.model,
-                           self.search.library, held=[replace(r, window=0) for r in self.held])
+                           self.search.library, held=[replace(r, window=0) for r in self.held],
+                           free=self.search.free)
         except DiagnosisError:
             return None
 
@@ -101,8 +102,13 @@ class Trial:
                 h = test(h)
             second = self.second_look(h)
             if second is None:
-                return h
+                return h if len(h.names) == len(names) else self.compared(h)
             names, found = second
+
+    def compared(self, h: Hypothesis) -> Hypothesis:
+        """The same with rivals fitted beside the effects that are left after others were
+        dropped."""
+        return replace(h, rivals=self.search.all_rivals(h.names, h.fit))
 
     def second_look(self, h: Hypothesis) -> tuple[Names, Fit] | None:
         """Search on without what was dropped in this round; None if nothing was, or nothing

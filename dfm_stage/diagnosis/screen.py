@@ -316,6 +316,14 @@ def _best(columns: Array, residual: Array) -> tuple[Array, float]:
     return np.asarray(solved / norms), float(score @ solved)
 
 
+def best_of_each(hits: Sequence[Hit]) -> list[Hit]:
+    """The best hit of each effect, best first."""
+    best: dict[str, Hit] = {}
+    for hit in sorted(hits, key=lambda h: -h.gain):
+        best.setdefault(hit.name, hit)
+    return list(best.values())
+
+
 def pair_gains(hits: Sequence[Hit], residual: Array,
                keep: int = 6) -> list[tuple[float, tuple[Hit, Hit]]]:
     """The best pairs of different effects by what both together could take, best first."""

@@ -12,7 +12,7 @@ from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import FIRST, FURTHER
 from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
-from dfm_stage.diagnosis.screen import Hit, Screen, pair_gains
+from dfm_stage.diagnosis.screen import Hit, Screen, best_of_each, pair_gains
 from dfm_stage.diagnosis.search_decisions import (
     AKAIKE,
     EXCHANGES,
@@ -179,7 +179,7 @@ class Search(Fits):
     def _looked(self, names: Names, current: Fit) -> tuple[Screen, list[Hit]]:
         """A screen, and the best hit of each effect, best first."""
         screen, hits = self.screened(current, names)
-        best_hits = sorted({h.name: h for h in reversed(hits)}.values(), key=lambda h: -h.gain)
+        best_hits = best_of_each(hits)
         if not names:
             self.smallest = screen.smallest(FIRST)
             for hit in best_hits:
@@ -316,7 +316,7 @@ class Search(Fits):
         cost in chi-square, smallest first.
         """
         for _ in range(EXCHANGES):
-            rivals = self._all_rivals(names, current)
+            rivals = self.all_rivals(names, current)
             better: tuple[Names, Fit] | None = None
             for name, found in rivals.items():
                 for rival in found:
@@ -328,9 +328,10 @@ class Search(Fits):
             names, current = better
             self.reweigh(weights_of(current.residuals))
             current = self.fitted(names, current)
-        return names, current, self._all_rivals(names, current)
+        return names, current, self.all_rivals(names, current)
 
-    def _all_rivals(self, names: Names, current: Fit) -> dict[str, list[Rival]]:
+    def all_rivals(self, names: Names, current: Fit) -> dict[str, list[Rival]]:
+        """For each effect the others fitted in its place, cheapest first."""
         return {name: self._rivals(name, tuple(n for n in names if n != name), current)
                 for name in names}
 
@@ -339,7 +340,7 @@ class Search(Fits):
         loss = without.chi2 - current.chi2
         if frozenset(rest) not in self.screens and without.ok:
             _, hits = self.screened(without, rest)
-            self.screens[frozenset(rest)] = list({h.name: h for h in reversed(hits)}.values())
+            self.screens[frozenset(rest)] = best_of_each(hits)
         best = self.screens.get(frozenset(rest), [])
         own = max((h.gain for h in best if h.name == name), default=loss)
         found: list[Rival] = []

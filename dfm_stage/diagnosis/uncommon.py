@@ -17,6 +17,7 @@ from dfm_stage.diagnosis.explaining import Judgement, explained, is_noise, to_no
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.grading import beside_main
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.screen import best_of_each
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
@@ -142,7 +143,7 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
     alone = {n for n in relatives if any(shares_class(n, own) for own in h.names)}
     begun: dict[Names, Fit] = {}
     if alone:
-        hits = {hit.name: hit for hit in reversed(search.screened(first, ())[1])}
+        hits = {hit.name: hit for hit in best_of_each(search.screened(first, ())[1])}
         begun = {(n,): search.fitted((n,), first, [hits[n]])
                  for n in sorted(alone & hits.keys())}
     for own in h.names:
@@ -169,7 +170,7 @@ def _in_place_of_one(search: Search, h: Hypothesis, kin: set[str]) -> Iterator[t
         rest = tuple(n for n in h.names if n != own)
         wanted = {n for n in kin if shares_class(n, own) and n not in EFFECTS[own].twins}
         if wanted and (without := search.fitted(rest, h.fit)).ok:
-            hits = {hit.name: hit for hit in reversed(search.screened(without, rest)[1])}
+            hits = {hit.name: hit for hit in best_of_each(search.screened(without, rest)[1])}
             for name in sorted(wanted & hits.keys()):
                 yield (*rest, name), search.fitted((*rest, name), without, [hits[name]])
 

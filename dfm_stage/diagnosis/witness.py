@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.diagnosis.blocks import by_size, jackknife, log_ratio
+from dfm_stage.diagnosis.blocks import jackknife, log_ratio
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     FORCE_WORTH,
@@ -36,8 +36,8 @@ PAIRED, LEADING = 10, 3
 """Effects that explain most: so many are combined to pairs, so many of them with all others."""
 POINTS = 3
 """Starting points of an effect that are tried in a pair."""
-CLOSER, SHOWN = 4, 20
-"""Sets whose constancy is looked at, and pairs that are told."""
+SHOWN = 20
+"""Pairs that are told."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,7 @@ class Explained:
     `share` is of its power above the noise, `share_se` its standard error;
     `of_predictable` is that over the share of the best of all, black boxes included.
     `parameters` are the base's and the effects' by address, SI; `errors` the jackknife standard
-    errors of those that are free here. `constancy` is the relative fall of what remains when the
-    sizes may depend on amplitude or record, and its standard error; None where not looked at.
+    errors of those that are free here.
     """
 
     names: tuple[str, ...]
@@ -57,7 +56,6 @@ class Explained:
     of_predictable: float
     parameters: Mapping[str, float]
     errors: Mapping[str, float]
-    constancy: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -65,9 +63,9 @@ class Witness:
     """What the force domain says by itself.
 
     `base` has the base parameters alone. `singles` and `pairs` are best first, `best` is the
-    best pair where it clearly beats the best single effect, else that. `margins` are how far each
-    rival stays behind in the place of a member of `best`: the mean log ratio of the blocks'
-    errors, in its standard errors; smallest first.
+    best pair where it clearly beats the best single effect, else that. `margins` are, by member
+    of `best`, how far each rival stays behind in its place: the mean log ratio of the blocks'
+    errors, in its standard errors; smallest first. `alone` are those over a member by itself.
 
     `left` is the RMS share of the missing force that the best of all leaves: of the effects, of a
     black box alone (`black_box`), of a black box on top of the effects (`on_top`). `missing` is
@@ -83,7 +81,8 @@ class Witness:
     singles: tuple[Explained, ...]
     pairs: tuple[Explained, ...]
     best: Explained
-    margins: Mapping[str, float]
+    margins: Mapping[str, Mapping[str, float]]
+    alone: Mapping[str, Mapping[str, float]]
     left: float
     black_box: float
     on_top: float
@@ -104,6 +103,15 @@ class Witness:
     def predictable_share(self) -> float:
         """Share of the missing force's power that can be predicted."""
         return 1.0 - self.left**2
+
+    @property
+    def nearest(self) -> dict[str, float]:
+        """How far each rival stays behind in the place of the member where it comes nearest."""
+        found: dict[str, float] = {}
+        for each in self.margins.values():
+            for rival, behind in each.items():
+                found[rival] = min(behind, found.get(rival, math.inf))
+        return dict(sorted(found.items(), key=lambda item: item[1]))
 
     def explained_by(self, names: Sequence[str]) -> bool:
         """Whether effects of `names` alone explain most of what can be predicted, and no others
@@ -151,9 +159,11 @@ def witness(runs: Sequence[Observation], model: Model, library: Sequence[str], *
              for name in fits.candidates.points if name not in {s.names[0] for s in sets.singles}}
     return Witness(
         base=figures.explained(fits.bare),
-        singles=tuple(figures.explained(s, k < CLOSER) for k, s in enumerate(sets.singles)),
-        pairs=tuple(figures.explained(s, k < CLOSER) for k, s in enumerate(sets.pairs[:SHOWN])),
-        best=figures.explained(sets.best, True), margins=sets.margins(),
+        singles=tuple(figures.explained(s) for s in sets.singles),
+        pairs=tuple(figures.explained(s) for s in sets.pairs[:SHOWN]),
+        best=figures.explained(sets.best), margins=sets.margins(sets.best),
+        alone={s.names[0]: sets.margins(s)[s.names[0]] for s in sets.singles
+               if s.names[0] in sets.best.names},
         left=math.sqrt(min(left)), black_box=math.sqrt(left[1]), on_top=math.sqrt(left[2]),
         missing=float(np.linalg.norm(fits.candidates.missing) / np.linalg.norm(found.target)),
         noise=noise, late_samples=late, held=found.timing.held,
@@ -208,17 +218,16 @@ class _Sets:
         worth = added > FORCE_WORTH * _power(fits, fits.bare.solution.errors)
         return pair if worth and mean > BLOCK_MARGIN * error else single
 
-    def margins(self) -> dict[str, float]:
-        """Of each rival that takes the place of a member of the best set."""
-        found: dict[str, float] = {}
-        for rival in self.singles if len(self.best.names) == 1 else self.pairs:
-            new = set(rival.names) - set(self.best.names)
-            if len(new) != 1:
-                continue
-            mean, error = log_ratio(self.best.solution.errors, rival.solution.errors)
-            name, behind = new.pop(), mean / max(error, 1e-300)
-            found[name] = min(behind, found.get(name, math.inf))
-        return dict(sorted(found.items(), key=lambda item: item[1]))
+    def margins(self, own: Fitted) -> dict[str, dict[str, float]]:
+        """By member of a set, of each rival that takes its place."""
+        found: dict[str, dict[str, float]] = {name: {} for name in own.names}
+        for rival in self.singles if len(own.names) == 1 else self.pairs:
+            new, old = set(rival.names) - set(own.names), set(own.names) - set(rival.names)
+            if len(new) == 1:
+                mean, error = log_ratio(own.solution.errors, rival.solution.errors)
+                found[old.pop()][new.pop()] = mean / max(error, 1e-300)
+        return {name: dict(sorted(each.items(), key=lambda item: item[1]))
+                for name, each in found.items()}
 
 
 class _Figures:
@@ -234,8 +243,8 @@ class _Figures:
         self.whole = fits.bare.solution.errors
         self.reached = self._share(left * self.whole)[0]
 
-    def explained(self, found: Fitted, closer: bool = False) -> Explained:
-        """All figures of a set; its constancy where it is looked at `closer`."""
+    def explained(self, found: Fitted) -> Explained:
+        """All figures of a set."""
         share, error = self._share(found.solution.errors)
         values = self._values(found, found.solution.coefficients)
         parts = [self._values(found, c) for c in found.solution.left_out]
@@ -243,8 +252,7 @@ class _Figures:
         return Explained(
             found.names, share, error, share / self.reached if self.reached > 0.0 else 0.0,
             values, {n: float(e) for n, e in zip(values, errors, strict=True)
-                     if e > FIXED * abs(values[n])},
-            self._constancy(found) if closer and found.members else None)
+                     if e > FIXED * abs(values[n])})
 
     def _share(self, errors: Array) -> tuple[float, float]:
         """Of the power above the noise, and its standard error: from block to block, and what
@@ -287,24 +295,6 @@ class _Figures:
                             and "N" in EFFECTS[name].parameter(own).unit):
                 values[address] *= factor
         return values
-
-    def _constancy(self, found: Fitted) -> tuple[float, float]:
-        """The larger relative fall of the remainder when the sizes depend on amplitude or
-        record, and its standard error."""
-        if not any(m.columns for m in found.members):
-            return 0.0, 0.0
-        owner, fitted = self.candidates.owner, self.candidates.fitted
-        groups = by_size(self.candidates.amplitude)
-        choices = [(groups, np.ones(groups.size, dtype=bool))]
-        blocks_of = np.bincount(owner[fitted])
-        if blocks_of.size > 1 and blocks_of.min() > 1:
-            choices.append((np.asarray(np.where(fitted, owner, 0), dtype=np.int64), fitted))
-        told = []
-        for groups, counted in choices:
-            split = self.fits.by_group(found, groups)
-            mean, error = log_ratio(split[counted], found.solution.errors[counted])
-            told.append((1.0 - math.exp(-mean), math.exp(-mean) * error))
-        return max(told)
 
 
 FIXED = 1e-12

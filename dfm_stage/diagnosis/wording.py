@@ -149,9 +149,8 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
     yield f"{EFFECTS[found.name].meaning}: {EFFECTS[found.name].equation}"
     if e.heard is not None:
         yield f"{e.heard.added[found.name]:.0%} of the missing force is lost without it"
-        behind = e.witness["margins"] if e.witness is not None else {}
         yield from (f"{name} in its place is {m:.1f} block standard errors behind in force"
-                    for name, m in list(behind.items())[:2])
+                    for name, m in list(e.heard.margins.get(found.name, {}).items())[:2])
     if e.graded:
         yield f"held-out blocks are worse without it by {seen.margin:.1f} standard errors"
         if seen.constancy is not None:

@@ -37,7 +37,7 @@ from dfm_stage.diagnosis.stretches import Stretches, changes, is_long, observe_s
 from dfm_stage.diagnosis.uncommon import judged_among_all
 from dfm_stage.diagnosis.verdict import leaves_open, verdict
 from dfm_stage.diagnosis.wording import few_samples, lost_samples
-from dfm_stage.identification.model_fit import default_free
+from dfm_stage.identification.model_fit import default_free, expand_names
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.formula import Formula
 from dfm_stage.model.registry import ALL, UNCOMMON, library_of
@@ -99,6 +99,9 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
     tell("reading")
     records, holdout = ([at_period(record, one.sample_period) for record in each]
                         for each in (records, holdout))
+    if len(names) > len(records) + len(holdout):
+        raise DiagnosisError(f"there are {len(names)} names for {len(records) + len(holdout)} "
+                             "records; give at most one for each")
     labels = [*names, *[""] * (len(records) + len(holdout) - len(names))]
     wanted = [(r, one, chosen if chosen in r.axes else axis, n or None)
               for r, n in zip((*records, *holdout), labels, strict=True)]
@@ -116,8 +119,9 @@ def diagnose(records: Sequence[Record], model: Model, *, holdout: Sequence[Recor
         runs, held = ([run for run in each if run.of] + part
                       for each, part in zip((runs, held), parts, strict=True))
     hidden = {f"{use.name}.{n}" for use in one.effects for n in shown_by_none(use.name, runs)}
+    held_fixed = expand_names(one, fixed)
     freed = tuple(n for n in (default_free(one) if free is None else free)
-                  if n not in fixed and (free is not None or n not in hidden))
+                  if n not in held_fixed and (free is not None or n not in hidden))
     search = Search(one, runs, freed, library=known, again=library is not None, step=tell)
     found = _diagnosis(Trial(search, held, seed, uncommon=uncommon), warnings,
                        bool(whole) and not holdout, (unextended, accept))
@@ -178,6 +182,7 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     models = {"given": search.model, "retuned": hypothesis.bare.model,
               "extended": hypothesis.fit.model}
     settled = verdict(evidence)
+    drifts = changes(models[settled.model], search.runs, search.free, search.weights, search.noise)
     if settled.remainder:
         evidence = with_surface(trial, models[settled.model], evidence)
         settled = verdict(evidence)
@@ -188,7 +193,6 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     if accepted[1]:
         evidence = with_accepted(trial, *accepted, evidence)
     model = models[settled.model]
-    drifts = changes(model, search.runs, search.free, search.weights, search.noise)
     evidence = replace(evidence, warnings=(*evidence.warnings, *drifts))
     search.step("judging")
     return told(evidence, settled, model)

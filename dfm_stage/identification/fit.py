@@ -56,8 +56,8 @@ class Fit:
 
     @property
     def rms(self) -> float:
-        """RMS of the output's residual over all runs."""
-        return rms([parts[0] for parts in self.residuals])
+        """RMS of the output's residual over all runs; infinite where it cannot be simulated."""
+        return rms([parts[0] for parts in self.residuals]) if self.ok else math.inf
 
     @property
     def locals(self) -> dict[tuple[str, int], float]:

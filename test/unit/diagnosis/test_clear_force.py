@@ -44,11 +44,13 @@ def explained(share: float, *names: str) -> Explained:
 
 def said(best: Explained, *singles: Explained, predictable: float = 0.95, noise: float = 0.01,
          **margins: float) -> Witness:
-    """A witness whose best set is `best`."""
+    """A witness whose best set is `best`, with these margins in the place of any member."""
+    by_member = dict.fromkeys(best.names, margins)
     pairs = (best,) if len(best.names) > 1 else ()
     left = math.sqrt(1.0 - predictable)
-    return Witness(explained(0.0), (*singles, *(() if pairs else (best,))), pairs, best, margins,
-                   left, left, left, 0.1, noise, (0.5, 0.01), True, 2.0, 24, {})
+    return Witness(explained(0.0), (*singles, *(() if pairs else (best,))), pairs, best,
+                   by_member, by_member, left, left, left, 0.1, noise, (0.5, 0.01), True, 2.0, 24,
+                   {})
 
 
 FRICTION = explained(0.9, "coulomb_friction")
@@ -94,6 +96,19 @@ def test_a_second_effect_counts_where_it_adds_a_substantial_part(offset, frictio
     heard = clear_force(said(both, explained(offset, "force_offset"),
                              explained(friction, "coulomb_friction")))
     assert (None if heard is None else tuple(heard.added)) == names
+
+
+def test_an_effect_told_alone_is_compared_alone():
+    """A rival of the second effect, which is not told, says nothing of the first."""
+    both = explained(0.93, "force_offset", "coulomb_friction")
+    seen = said(both, explained(0.9, "force_offset"), explained(0.25, "coulomb_friction"))
+    seen = replace(seen, margins={"force_offset": {}, "coulomb_friction": {"back_emf": 0.5}},
+                   alone={"force_offset": {"back_emf": 8.0}})
+    assert seen.nearest == {"back_emf": 0.5}
+    heard = clear_force(seen)
+    assert heard is not None
+    assert heard.margins == {"force_offset": {"back_emf": 8.0}}
+    assert clear_force(replace(seen, alone={"force_offset": {"back_emf": 2.0}})) is None
 
 
 @pytest.fixture(scope="module")

@@ -147,17 +147,22 @@ def test_a_set_that_hardly_explains_the_missing_force_is_not_proposed():
     assert proposed(-3.0) == []
 
 
-def test_a_search_among_common_effects_begins_with_none_of_a_wider_one():
-    def fit(rms, name):
-        return SimpleNamespace(ok=True, rms=rms, name=name)
-
-    cubic, gravity = fit(2.0, "cubic_stiffness"), fit(1.0, "gravity")
-    search = SimpleNamespace(fits={(frozenset({f.name}), 0): f for f in (gravity, cubic)},
-                             library=(cubic.name,), hits={cubic.name: SimpleNamespace(
-                                 name=cubic.name, gain=1.0)})
+@pytest.mark.parametrize(("library", "at_an_end", "begun"), [
+    (("cubic_stiffness",), (), ["cubic_stiffness"]),   # the wider search knew others
+    (("coulomb_friction", "presliding_friction", "hysteresis", "creep"),
+     ("presliding_friction", "hysteresis"), ["coulomb_friction", "creep"])])
+def test_grading_begins_with_the_best_single_effects_that_can_be_told(
+        library, at_an_end, begun, monkeypatch):
+    """Two that had become dry friction were the best on a geared arm: friction was not tried."""
+    fits = [SimpleNamespace(ok=True, rms=rms, name=name) for rms, name in (
+        (1.0, "gravity"), (2.0, "presliding_friction"), (2.1, "hysteresis"),
+        (2.2, "coulomb_friction"), (2.3, "creep"), (2.4, "cubic_stiffness"))]
+    search = SimpleNamespace(fits={(frozenset({f.name}), 0): f for f in fits}, library=library,
+                             hits={n: SimpleNamespace(name=n, gain=1.0) for n in begun})
+    monkeypatch.setattr(grading, "_usable", lambda _, names: names[0] not in at_an_end)
     trial = SimpleNamespace(search=search, witness=None)
-    begins = grading._found_before(trial, SimpleNamespace(names=()), fit(3.0, ""))
-    assert [begin[0] for begin in begins] == [cubic]
+    begins = grading._found_before(trial, SimpleNamespace(names=()), fits[0])
+    assert [begin[0].name for begin in begins] == begun
 
 
 # -- a servo axis that nothing holds -------------------------------------------------------------

@@ -11,8 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dfm_stage.diagnosis import hypothesis
+from dfm_stage.diagnosis.hypothesis import Trial
 from dfm_stage.diagnosis.observation import observe
-from dfm_stage.diagnosis.screen import Hit, Screen
+from dfm_stage.diagnosis.screen import Hit, Screen, best_of_each
 from dfm_stage.diagnosis.search import Search, _elsewhere
 from dfm_stage.identification.weights import Weight
 from dfm_stage.model import EFFECTS
@@ -60,11 +62,11 @@ def test_a_wider_search_knows_fits_that_came_to_their_end(search):
     cubic, damping = (search.fitted((name,), bare, [h for h in hits if h.name == name][:1])
                       for name in search.library)
     assert not cubic.cut
-    search.not_compared.update(dict.fromkeys(search.library))
     search.begin_work(0.0)
     drag = bare.model.with_effect("quadratic_damping", {"coefficient": 1.0})
     damping = search.keep(("quadratic_damping",), search._fit(drag, search.free, bare))
     assert damping.cut
+    assert search.not_compared == ("quadratic_damping",)
     search.begin_work(1e9)
     wide = search.widened(("gravity",))
     assert wide.library == (*search.library, "gravity")
@@ -166,7 +168,7 @@ def test_a_fit_that_ends_above_one_with_fewer_effects_begins_again_there(search,
         model = truth.believed()
         for name in names:
             model = model.with_effect(name, drag if name == "quadratic_damping" else {"k3": 1.0})
-        return SimpleNamespace(ok=True, chi2=chi2, model=model)
+        return SimpleNamespace(ok=True, cut=False, chi2=chi2, model=model)
 
     fewer, far = found(200.0, "cubic_stiffness"), found(400.0, *search.library)
     search.keep(("cubic_stiffness",), fewer)
@@ -224,3 +226,27 @@ def test_effects_begin_beside_the_base_as_given_too_where_its_gain_was_bent(sear
     search.fitted(("coulomb_friction",), far, [Hit.at("coulomb_friction", {"force": 8.0})])
     assert [force for _, force in begun] == pytest.approx(forces)
     assert begun[-1][0] == pytest.approx(truth.GAIN * (bent if len(forces) == 1 else 1.0))
+
+
+def test_the_best_hit_of_each_effect_comes_by_its_gain():
+    """A screen gives two of each: the order of the second ones says nothing."""
+    hits = [replace(Hit.at(name, {}), gain=gain) for name, gain in (
+        ("gravity", 100.0), ("creep", 90.0), ("cogging", 80.0), ("cogging", 79.0),
+        ("creep", 78.0), ("gravity", 1.0))]
+    assert [(h.name, h.gain) for h in best_of_each(hits)] == [
+        ("gravity", 100.0), ("creep", 90.0), ("cogging", 80.0)]
+
+
+def test_a_motion_that_escapes_is_as_far_off_as_can_be(search):
+    bare = search.begin()
+    assert bare.rms > 0.0
+    assert replace(bare, chi2=math.inf, residuals=[]).rms == math.inf
+
+
+def test_forces_are_in_the_scale_of_what_is_free(search, monkeypatch):
+    """With the mass free the force constant is as given, and sizes are in its scale."""
+    told = {}
+    monkeypatch.setattr(hypothesis, "witness", lambda *_, **more: told.update(more))
+    search.free = ("mass", "damping")
+    assert Trial(search, ()).witness is None
+    assert told["free"] == ("mass", "damping")

@@ -52,15 +52,13 @@ def test_the_missing_force_is_named_with_its_parameter(cubic):
     assert found.best.names == ("cubic_stiffness",)
     assert found.best.share > 0.98
     assert found.best.of_predictable > 0.98
-    assert min(found.margins.values()) > 5.0
+    assert min(found.nearest.values()) > 5.0
     assert found.best.parameters["cubic_stiffness.k3"] == pytest.approx(4e10, rel=0.02)
     # held: the others are in its scale
     assert found.best.parameters["mass"] == pytest.approx(truth.MASS, rel=1e-12)
     for name, true in (("damping", truth.DAMPING), ("stiffness", truth.STIFFNESS),
                        ("force_constant", truth.GAIN)):
         assert found.best.parameters[name] == pytest.approx(true, rel=0.01)
-    gain, error = found.best.constancy
-    assert gain < 3.0 * error + 0.02
     assert found.late_samples[0] == pytest.approx(0.5, abs=0.03)
     assert not found.cannot_tell
     assert {"encoder_quantization", "force_offset", "back_emf"} <= set(found.not_judged)
@@ -137,18 +135,6 @@ def test_a_black_box_sees_what_is_in_no_library():
     assert found.left < 0.7 * math.sqrt(1.0 - found.best.share)
 
 
-def test_a_stand_in_changes_with_amplitude():
-    """A stop that is met by large motion only, judged by a cubic spring."""
-    def stop(x, v):
-        return -4e4 * max(x - level, 0.0) - 4e4 * min(x + level, 0.0)
-    level = 1.5 * np.std(truth.move(truth.multisine(3, 0.5)))
-    runs = moved(stop, truth.multisine(1), truth.multisine(2, 0.5), truth.multisine(3, 0.3))
-    found = witness(runs, GIVEN, ["cubic_stiffness"])
-    gain, error = found.best.constancy
-    assert gain > 0.1
-    assert gain > 3.0 * error
-
-
 @pytest.mark.parametrize(("name", "parameters", "alike"), [
     ("coulomb_friction", {"force": 0.12}, ()),
     ("presliding_friction", {"force": 0.2, "stiffness": 4e3}, ("hysteresis",)),
@@ -163,7 +149,7 @@ def test_effects_of_the_library_come_first_in_their_class(name, parameters, alik
     found = witness(runs, GIVEN, LIBRARY)
     assert found.singles[0].names[0] in (name, *alike)
     assert found.of(name).of_predictable > 0.9
-    assert min(m for n, m in found.margins.items() if n not in alike) > 3.0
+    assert min(m for n, m in found.nearest.items() if n not in alike) > 3.0
     if name != "saturation":        # that less input leaves less of everything explains nothing
         assert found.of("saturation").share < 0.6
 
@@ -256,7 +242,7 @@ def test_the_hardening_circuit_shows_its_cubic_spring():
     assert found.best.names == ("cubic_stiffness", "quadratic_stiffness")
     assert found.best.share > 0.98
     assert found.best.of_predictable > 0.99
-    assert min(found.margins.values()) > 8.0
+    assert min(found.nearest.values()) > 8.0
 
 
 def test_the_servo_axis_shows_friction_and_its_offset():
@@ -269,4 +255,5 @@ def test_the_servo_axis_shows_friction_and_its_offset():
                  (20.39, 0.08), "force_offset.force": (3.165, 0.05)}
     for name, (value, rel) in published.items():
         assert found.best.parameters[name] == pytest.approx(value, rel=rel)
-    assert found.margins["presliding_friction"] > 3.0
+    assert found.margins["coulomb_friction"]["presliding_friction"] > 3.0
+
