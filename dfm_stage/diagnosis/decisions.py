@@ -189,8 +189,8 @@ MOST_GRADED = decision(
     "MOST_GRADED", 3, "1", meaning="Effects that are told at most beside a remainder.",
     set_on="derivation: each takes 0.3 of what the others leave; a fourth would take 0.1 of all")
 MARGIN_OVER_LARGER = decision(
-    "MARGIN_OVER_LARGER", 2.0, "block standard errors", meaning="The same over a rival that has "
-    "more parameters, and does worse with them.",
+    "MARGIN_OVER_LARGER", 2.0, "block standard errors", meaning="As `BLOCK_MARGIN`, over a rival "
+    "that has more parameters and does worse with them.",
     set_on="EMPS: an eddy brake, with one parameter more, is 2.2 to 3.9 behind Coulomb friction")
 PROPOSED = decision(
     "PROPOSED", 2, "1", meaning="Single effects, and pairs, that the force domain proposes for a "
@@ -225,8 +225,9 @@ OFFERED_SHARE = decision(
     "effect that is told as a part (`PARTIAL_SHARE`); blocks must bear it out, too "
     "(`BLOCK_MARGIN`)")
 RIVAL_GAIN = decision(
-    "RIVAL_GAIN", 0.4, "1", meaning="Screened gain over the effect's own from which such a rival "
-    "is fitted.", set_on="derivation: it takes less than half of the gap otherwise")
+    "RIVAL_GAIN", 0.4, "1", meaning="Screened gain, or share of the missing force, over the "
+    "effect's own from which a rival is fitted beside a remainder.",
+    set_on="derivation: it takes less than half of the gap otherwise")
 
 # -- what is left over ---------------------------------------------------------------------------
 
@@ -379,7 +380,7 @@ STRETCH_FILTER = decision(
     "motion of stretches is compared.", set_on="derivation: it passes a twentieth of the sampling "
     "rate, and takes the noise of an acceleration down to a hundredth")
 SHORTEST_WINDOW = decision(
-    "SHORTEST_WINDOW", 200, "samples", meaning="Shortest such window.",
+    "SHORTEST_WINDOW", 200, "samples", meaning="Shortest window in which states begin anew.",
     set_on="derivation: two states of 200 samples cost a hundredth of the information")
 SHORTEST_PERIOD = decision(
     "SHORTEST_PERIOD", 100, "samples", meaning="Shortest period of an excitation that is used.",

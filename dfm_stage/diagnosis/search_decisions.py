@@ -55,8 +55,8 @@ PAIR_MEMBER = _search("PAIR_MEMBER", 0.02, "1", "Share of the best screened gain
                       "candidate is screened in pairs.")
 PAIR_GAIN = _search("PAIR_GAIN", 1.02, "1", "Screened gain of a pair over the fitted one of the "
                     "best single effect, from which it is fitted.")
-RESTART_ABOVE = _search("RESTART_ABOVE", 1.03, "1", "Chi-square a sample above which effects are "
-                        "searched again beside the others.")
+RESTART_ABOVE = _search("RESTART_ABOVE", 1.03, "1", "Chi-square a sample above which a fit leaves "
+                        "more than noise, and effects are searched again beside the others.")
 NEAR_NOISE = _search("NEAR_NOISE", 1.15, "1", "Chi-square a sample up to which an uncommon effect "
                      "is tested by itself before several common ones are looked for; power left "
                      "over that of its high frequencies, above which it has a colour; held-out "
@@ -124,6 +124,6 @@ GRADING_STEPS = _search("GRADING_STEPS", 50e6, "steps", "Integration steps of th
                         "effects that explain a part.", BOUND)
 FIRST_SHARE = _search("FIRST_SHARE", 0.5, "1", "Share of MOST_STEPS after which the first effects "
                      "must be found: the rest is for what follows.", BOUND)
-LEAST_STEPS = _search("LEAST_STEPS", 15e6, "steps", "Integration steps that are left to it, and "
-                      "to the search to the noise after it, at least.", BOUND)
+LEAST_STEPS = _search("LEAST_STEPS", 15e6, "steps", "Integration steps that are left at least "
+                      "to what follows a search: a grading, or the search to the noise.", BOUND)
 STEPS_A_FIT = _search("STEPS_A_FIT", 24e6, "steps", "Integration steps of one fit at most.", BOUND)
