@@ -177,7 +177,19 @@ def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:
                 if not v.remainder and any(f.coloured for f in each)]
     return (*e.warnings, *([SPLIT] if e.split else []), *short, *coloured,
             *(DOUBTS[d.reason].format(names=" and ".join(d.names), ratio=d.ratio)
-              for d in v.doubts), *_disagreement(e, v))
+              for d in v.doubts), *_implausible(e, v), *_disagreement(e, v))
+
+
+def _implausible(e: Evidence, v: Verdict) -> Iterator[str]:
+    """Which effects told have values that no machine has; what turns in rad is not judged."""
+    told = {f.name for f in v.effects}
+    for x in e.effects:
+        doubt = EFFECTS[x.name].doubt
+        if x.name in told and doubt is not None \
+                and not any("rad" in q.unit for q in x.parameters.values()):
+            reason = doubt({n: q.value for n, q in x.parameters.items()})
+            if reason is not None:
+                yield f"{x.name}: {reason}"
 
 
 def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:

@@ -38,6 +38,19 @@ def _as_friction(brake: Mapping[str, float]) -> Parameters:
                 math.e + math.sqrt(math.e**2 - 1.0))}
 
 
+SLOWEST_BRAKE = 0.1
+"""m/s. After Wouterse, the critical speed is 2 resistivity / (mu_0 thickness) sqrt(gap / pole).
+That is 0.17 m/s for 50 mm of copper and a gap of a tenth of the pole, more for thinner plates."""
+
+
+def _doubt(values: Mapping[str, float]) -> str | None:
+    """A critical speed that takes more metal than a stage has room for."""
+    if values["critical_velocity"] >= SLOWEST_BRAKE:
+        return None
+    return (f"no brake of usual size has its largest force below {SLOWEST_BRAKE:g} m/s; dry "
+            "friction that comes in gradually looks the same")
+
+
 class EddyCurrentDamping(Effect):
     """Begins at critical speeds around those of the record."""
 
@@ -79,4 +92,5 @@ EFFECT = EddyCurrentDamping(
                          "speeds up to critical_velocity, and standstill")),
     force=force,
     twins={"stribeck_friction": _as_friction},
+    doubt=_doubt,
 )

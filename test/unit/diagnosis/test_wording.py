@@ -131,6 +131,20 @@ def test_noise_with_a_colour_is_told():
     assert words.startswith("run: what is left is stronger than its high frequencies")
 
 
+@pytest.mark.parametrize(("speed", "unit", "doubted"), [
+    (0.0187, "m/s", True), (0.2, "m/s", False), (0.9, "rad/s", False)])
+def test_a_brake_that_no_metal_makes_is_doubted(speed, unit, doubted):
+    """A crane's cart was told one of 19 mm/s; it has dry friction and no magnets."""
+    name = "eddy_current_damping"
+    brake = replace(SPRING, name=name, parameters={
+        "damping": Quantity(1870.0, "N s/m" if unit == "m/s" else "N s/rad", None),
+        "critical_velocity": Quantity(speed, unit, None)})
+    e, v = replace(NAMED, effects=(brake,)), Verdict(
+        "named", Reason.AT_FLOOR, (Found(name, (name,), 0.9, 100.0),))
+    words = wording.warnings(e, v)
+    assert any("dry friction" in w for w in words) is doubted
+
+
 def test_warnings_stand_in_the_order_in_which_they_arose():
     v = Verdict("named", Reason.AT_FLOOR, doubts=(Doubt(Reason.NEAR, ("creep",)),))
     e = replace(NAMED, warnings=("of a record",), split=True,
