@@ -100,7 +100,7 @@ class RivalEvidence:
 class EffectEvidence:
     """One effect of the hypothesis: parameters, the model without it, its rivals, and whether
     held-out records exercise it. `margin` is by how much the held-out blocks are worse without it,
-    in block standard errors, `constancy` whether its size is the same for every size of motion.
+    in block standard errors, `constancy` whether all sizes are the same for every size of motion.
     `force_share` is what it explains by itself of the force that is predictable, None where the
     force domain cannot judge it, `force_margin` its lead there over every rival outside its class,
     in block standard errors; `in_best` says that this has it, or one of its class, in its best

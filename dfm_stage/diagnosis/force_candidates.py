@@ -12,7 +12,7 @@ from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.black_box import features
 from dfm_stage.diagnosis.blocks import Blocks, Solution, block_edges
 from dfm_stage.diagnosis.candidates import excluded, starts
-from dfm_stage.diagnosis.decisions import BLOCKS
+from dfm_stage.diagnosis.decisions import BLOCKS, FEWEST_CYCLES
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.force_domain import Terms, not_judged
 from dfm_stage.diagnosis.force_setting import FEWEST, SHORTEST_KEPT, Setting, least_squares
@@ -101,7 +101,7 @@ class Candidates:
         ends = np.cumsum([run.kept.size for run in runs])[:-1]
         stride = int(np.median(np.diff(runs[0].kept)))
         lines = frequency_peaks([np.asarray(p) for p in np.split(self.missing, ends)],
-                                stride * at.sample_period, lowest_hz=2.0 / at.duration)
+                                stride * at.sample_period, lowest_hz=FEWEST_CYCLES / at.duration)
         return replace(at, frequencies=tuple(lines))
 
     def _points(self, name: str) -> list[Candidate]:

@@ -35,6 +35,7 @@ from dfm_stage.diagnosis.evidence import (
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import (
+    Constancy,
     Signal,
     constancy,
     margin_between,
@@ -87,8 +88,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
             quiet if graded or extended.remainder else None),
         _motion(runs),
         ModelEvidence(_errors(fitted_given, judged), _errors(given, judged)),
-        retuned, extended, tuple(effect_evidence(trial, h, name, extended.parameters, seen[2],
-                                                 judged) for name in h.names),
+        retuned, extended, _effects(trial, h, extended.parameters, seen[2], judged),
         base_shares={n: h.fit.model.base.get(n, 1.0) / search.model.base[n]
                      for n in ("damping", "stiffness", "force_constant")
                      if n in search.free and search.model.base.get(n, 0.0) != 0.0},
@@ -232,9 +232,18 @@ def _values(found: Fit, by_blocks: bool) -> dict[str, Quantity]:
     return {n: replace(q, value=float(values.get(n, q.value))) for n, q in told.items()}
 
 
-def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str, Quantity],
-                    seen: Prediction, judged: Judged) -> EffectEvidence:
-    """What speaks for one effect of a hypothesis whose fit leaves `seen` of held-out records."""
+def _effects(trial: Trial, h: Hypothesis, values: Mapping[str, Quantity], seen: Prediction,
+             judged: Judged) -> tuple[EffectEvidence, ...]:
+    """What speaks for each effect of a hypothesis whose fit leaves `seen` of held-out records;
+    the constancy is that of all sizes together."""
+    if not h.names:
+        return ()
+    steady = constancy(h.fit, [f"{n}.{EFFECTS[n].sizes[0]}" for n in h.names])
+    return tuple(_effect(trial, h, name, values, seen, judged, steady) for name in h.names)
+
+
+def _effect(trial: Trial, h: Hypothesis, name: str, values: Mapping[str, Quantity],
+            seen: Prediction, judged: Judged, steady: Constancy | None) -> EffectEvidence:
     search, fit = trial.search, h.fit
     rest = tuple(n for n in h.names if n != name)
     without = search.fitted(rest, fit) if rest else h.bare
@@ -246,8 +255,7 @@ def effect_evidence(trial: Trial, h: Hypothesis, name: str, values: Mapping[str,
                              power=power(without.residuals, judged.change)),
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
-        margin_between(missed.residuals, seen.residuals, judged.change),
-        constancy(fit, [f"{n}.{EFFECTS[n].sizes[0]}" for n in h.names]))
+        margin_between(missed.residuals, seen.residuals, judged.change), steady)
 
 
 def _own(trial: Trial, h: Hypothesis, name: str,

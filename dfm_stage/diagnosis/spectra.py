@@ -10,6 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.decisions import (
     COARSER,
+    FEWEST_CYCLES,
     FEWEST_LEVELS,
     FILTER_HIGHEST,
     FINEST_PATTERN,
@@ -37,7 +38,7 @@ def frequency_peaks(residuals: Sequence[Array], sample_period: float, count: int
 
 
 def position_peaks(positions: Sequence[Array], residuals: Sequence[Array], count: int = 3,
-                   cycles: float = 2.0) -> list[float]:
+                   cycles: float = FEWEST_CYCLES) -> list[float]:
     """Periods of the strongest patterns of `residuals` (N,) over `positions` (N,)."""
     low = min(float(p.min()) for p in positions)
     high = max(float(p.max()) for p in positions)

@@ -154,7 +154,8 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
     if e.graded:
         yield f"held-out blocks are worse without it by {seen.margin:.1f} standard errors"
         if seen.constancy is not None:
-            yield ("with another size for every size of motion it would explain "
+            it = "it" if len(e.effects) == 1 else "the effects together"
+            yield (f"with another size for every size of motion {it} would explain "
                    f"{seen.constancy.share:.0%} of what is left (limit {OTHER_FORM:.0%})")
         if e.surface is not None and found.name in e.surface.form_shares:
             yield ("with a size that varies with position, or another shape, it would "
