@@ -99,7 +99,7 @@ def _wanted(record: MeasuredRecord) -> str:
     if expected.required:
         return _groups(expected)
     if expected.complete is False:
-        return "no effect of the library"
+        return "an effect of no library"
     if not {"none", "retune"} & set(expected.verdicts):
         return " or ".join(f"`{n}`" for n in expected.first)
     return "nothing" + (f", or one of {len(expected.first)} effects" if expected.first else "")

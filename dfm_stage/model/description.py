@@ -20,6 +20,8 @@ from dfm_stage.model.parameter import BASE_BY_NAME, ModelError, Parameter
 from dfm_stage.model.registry import ALL, EFFECTS, coupling_effect, library_of
 
 SCHEMA_VERSION = 1
+USUAL_AXIS = "x"
+"""The axis of a record or a model whose only axis has no name."""
 Drive = Literal["voltage", "current"]
 
 
@@ -214,13 +216,13 @@ class Model:
         return "A" if self.drive == "current" else "V"
 
     def usual_axis(self, axis: str | None = None) -> str | None:
-        """`axis` if it is given; else "x" if the model has several axes and one of that name."""
-        return axis if axis is not None or "x" not in self.axes else "x"
+        """`axis` if it is given; else `x` if the model has several axes and one of that name."""
+        return axis if axis is not None or USUAL_AXIS not in self.axes else USUAL_AXIS
 
     def axis(self, name: str | None = None) -> Model:
         """The model of one axis; its coupling has become an effect.
 
-        `name` may be None where there is one axis only.
+        `name` may be None where there is one axis only; that of a model without names is `x`.
 
         Raises
         ------
@@ -228,7 +230,7 @@ class Model:
             If there is no such axis, or `name` is None and there are several.
         """
         if not self.axes:
-            if name is not None:
+            if name not in (None, USUAL_AXIS):
                 raise ModelError(f"model {self.name} has one axis without a name; "
                                  f"there is no axis {name}")
             return self

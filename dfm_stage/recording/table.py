@@ -106,7 +106,7 @@ class _Undriven:
         self._table = table
         self.path, self.kind, self.warnings = table.path, table.kind, table.warnings
         self.sample_period = table.sample_period
-        kinds = {name: _QUANTITY.fullmatch(suffix_of(name, of_input=True)[0])
+        kinds = {name: _QUANTITY.fullmatch(suffix_of(name, of_input=True)[0].lower())
                  for name in table.names}
         axes = dict.fromkeys(kind["axis"] for kind in kinds.values()
                              if kind is not None and kind["quantity"] in _OUTPUTS)
@@ -194,10 +194,10 @@ def _choose(table: Table, options: Options) -> _Choice:
     found: dict[str, dict[str, _Source]] = {}
     for name in table.names:
         rest, unit = suffix_of(name)
-        match = _QUANTITY.fullmatch(rest)
+        match = _QUANTITY.fullmatch(rest.lower())
         if rest == name or (match and match["quantity"] == "input"):
             rest, unit = suffix_of(name, of_input=True)
-            match = _QUANTITY.fullmatch(rest)
+            match = _QUANTITY.fullmatch(rest.lower())
         if match is None or unit is None:
             continue
         quantity, axis_name = match["quantity"], match["axis"] or DEFAULT_AXIS
@@ -250,7 +250,7 @@ def _time_column(table: Table, options: Options, notes: list[str]) -> _Source | 
         return _named(table, options.time, options.time_unit, "s", "time", notes)
     for name in table.names:
         rest, unit = suffix_of(name)
-        if rest == "time" and unit is not None and unit.base == "s":
+        if rest.lower() == "time" and unit is not None and unit.base == "s":
             return _Source(name, _unit(options.time_unit) if options.time_unit else unit)
     if table.sample_period is not None:
         notes.append(f"there is no time column; the sample period in the file, "

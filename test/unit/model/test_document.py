@@ -201,3 +201,11 @@ def test_an_effect_stands_once() -> None:
     twice = GOOD + "  - name: cubic_stiffness\n    parameters: {k3: 1.0}\n"
     with pytest.raises(ModelError, match=r"m:15: effect cubic_stiffness is there already"):
         parse_model(twice, "m")
+
+
+def test_the_only_axis_may_be_called_x() -> None:
+    """A record with one axis without a prefix calls it so."""
+    model = load_model("paper_stage")
+    assert model.axis("x") is model
+    with pytest.raises(ModelError, match="there is no axis y"):
+        model.axis("y")

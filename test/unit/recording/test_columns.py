@@ -168,3 +168,13 @@ def test_an_input_that_does_not_stand_is_interpolated(tmp_path: Path) -> None:
 def test_time_in_a_unit_of_speed_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="no unit of time"):
         read_record(plain(tmp_path, "t_m_s,u,y", 1.0), time="t_m_s", input="u", output="y")
+
+
+@pytest.mark.parametrize("header", [
+    "Time [s],Input [V],Position [um]", "Time_s,Input_V,Position_um", "TIME_S,INPUT_V,POSITION_UM",
+])
+def test_capitals_in_a_header_do_not_matter(tmp_path: Path, header: str) -> None:
+    record = read_record(plain(tmp_path, header, 5.0))
+    axis = record.axis("x")
+    assert axis.position == pytest.approx([5e-6 * swing(k) for k in range(ROWS)])
+    assert (axis.input_unit, record.sample_period) == ("V", pytest.approx(1e-3))
