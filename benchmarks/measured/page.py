@@ -26,6 +26,8 @@ ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "benchmarks" / "kept" / "measured_stages.json"
 PAGE = ROOT / "docs" / "measured_stages.md"
 NOT_RUN = "not run"
+MOST_NAMES = 2
+"""Alternatives that a cell of the table of answers spells out."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +99,19 @@ def _wanted(record: MeasuredRecord) -> str:
     relatives."""
     expected = record.expected
     if expected.required:
-        return _groups(expected)
+        return ", and ".join(map(_few, expected.required))
     if expected.complete is False:
         return "an effect of no library"
     if not {"none", "retune"} & set(expected.verdicts):
-        return " or ".join(f"`{n}`" for n in expected.first)
+        return _few(expected.first)
     return "nothing" + (f", or one of {len(expected.first)} effects" if expected.first else "")
+
+
+def _few(names: Sequence[str]) -> str:
+    """Alternatives, of which the first ones are spelled out."""
+    shown = [f"`{name}`" for name in names[:MOST_NAMES]]
+    more = [f"{len(names) - MOST_NAMES} more"] if len(names) > MOST_NAMES else []
+    return " or ".join((*shown, *more))
 
 
 def _expected(record: MeasuredRecord) -> str:
