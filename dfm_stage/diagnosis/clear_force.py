@@ -37,7 +37,8 @@ def clear_force(seen: Witness) -> Heard | None:
     part it from other effects.
 
     A second effect counts where the first leaves a substantial part without it, and where each
-    explains something by itself: two that only do so together mend each other's errors.
+    explains something by itself: two that only do so together mend each other's errors. One that
+    does not count stays beside the others where these are compared with their rivals.
     """
     best, share = seen.best, seen.best.share
     predictable = max(seen.predictable_share, LEAST_PREDICTABLE)
@@ -50,11 +51,10 @@ def clear_force(seen: Witness) -> Heard | None:
                   if added[n] >= PARTIAL_SHARE * predictable and alone[n] > 0.0)
     if not names:
         return None
-    margins = seen.margins
     if len(names) < len(best.names):
         share = added[names[0]] = alone[names[0]]
-        margins = seen.alone
-    level = {n: [m for m, behind in margins[n].items() if _level(behind, n, m)] for n in names}
+    level = {n: [m for m, behind in seen.margins[n].items() if _level(behind, n, m)]
+             for n in names}
     if share < FURTHER_PART * predictable or any(
             not _related(m, names) for each in level.values() for m in each):
         return None
@@ -63,7 +63,7 @@ def clear_force(seen: Witness) -> Heard | None:
     members = {n: (n, *(m for m in level[n] if m not in names and shares_class(m, n)))
                for n in names}
     return Heard({n: added[n] for n in names}, share, predictable, members,
-                 _sizes(told, seen.blocks), told.parameters, {n: margins[n] for n in names})
+                 _sizes(told, seen.blocks), told.parameters, {n: seen.margins[n] for n in names})
 
 
 def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:

@@ -65,7 +65,7 @@ class Witness:
     `base` has the base parameters alone. `singles` and `pairs` are best first, `best` is the
     best pair where it clearly beats the best single effect, else that. `margins` are, by member
     of `best`, how far each rival stays behind in its place: the mean log ratio of the blocks'
-    errors, in its standard errors; smallest first. `alone` are those over a member by itself.
+    errors, in its standard errors; smallest first.
 
     `left` is the RMS share of the missing force that the best of all leaves: of the effects, of a
     black box alone (`black_box`), of a black box on top of the effects (`on_top`). `missing` is
@@ -82,7 +82,6 @@ class Witness:
     pairs: tuple[Explained, ...]
     best: Explained
     margins: Mapping[str, Mapping[str, float]]
-    alone: Mapping[str, Mapping[str, float]]
     left: float
     black_box: float
     on_top: float
@@ -161,9 +160,7 @@ def witness(runs: Sequence[Observation], model: Model, library: Sequence[str], *
         base=figures.explained(fits.bare),
         singles=tuple(figures.explained(s) for s in sets.singles),
         pairs=tuple(figures.explained(s) for s in sets.pairs[:SHOWN]),
-        best=figures.explained(sets.best), margins=sets.margins(sets.best),
-        alone={s.names[0]: sets.margins(s)[s.names[0]] for s in sets.singles
-               if s.names[0] in sets.best.names},
+        best=figures.explained(sets.best), margins=sets.margins(),
         left=math.sqrt(min(left)), black_box=math.sqrt(left[1]), on_top=math.sqrt(left[2]),
         missing=float(np.linalg.norm(fits.candidates.missing) / np.linalg.norm(found.target)),
         noise=noise, late_samples=late, held=found.timing.held,
@@ -218,8 +215,9 @@ class _Sets:
         worth = added > FORCE_WORTH * _power(fits, fits.bare.solution.errors)
         return pair if worth and mean > BLOCK_MARGIN * error else single
 
-    def margins(self, own: Fitted) -> dict[str, dict[str, float]]:
-        """By member of a set, of each rival that takes its place."""
+    def margins(self) -> dict[str, dict[str, float]]:
+        """By member of the best set, of each rival that takes its place."""
+        own = self.best
         found: dict[str, dict[str, float]] = {name: {} for name in own.names}
         for rival in self.singles if len(own.names) == 1 else self.pairs:
             new, old = set(rival.names) - set(own.names), set(own.names) - set(rival.names)

@@ -49,7 +49,7 @@ def said(best: Explained, *singles: Explained, predictable: float = 0.95, noise:
     pairs = (best,) if len(best.names) > 1 else ()
     left = math.sqrt(1.0 - predictable)
     return Witness(explained(0.0), (*singles, *(() if pairs else (best,))), pairs, best,
-                   by_member, by_member, left, left, left, 0.1, noise, (0.5, 0.01), True, 2.0, 24,
+                   by_member, left, left, left, 0.1, noise, (0.5, 0.01), True, 2.0, 24,
                    {})
 
 
@@ -98,17 +98,18 @@ def test_a_second_effect_counts_where_it_adds_a_substantial_part(offset, frictio
     assert (None if heard is None else tuple(heard.added)) == names
 
 
-def test_an_effect_told_alone_is_compared_alone():
-    """A rival of the second effect, which is not told, says nothing of the first."""
+def test_rivals_of_an_effect_that_is_not_told_do_not_count():
+    """They say nothing of the first; its own are compared beside the second."""
     both = explained(0.93, "force_offset", "coulomb_friction")
     seen = said(both, explained(0.9, "force_offset"), explained(0.25, "coulomb_friction"))
-    seen = replace(seen, margins={"force_offset": {}, "coulomb_friction": {"back_emf": 0.5}},
-                   alone={"force_offset": {"back_emf": 8.0}})
+    seen = replace(seen, margins={"force_offset": {"back_emf": 8.0},
+                                  "coulomb_friction": {"back_emf": 0.5}})
     assert seen.nearest == {"back_emf": 0.5}
     heard = clear_force(seen)
     assert heard is not None
     assert heard.margins == {"force_offset": {"back_emf": 8.0}}
-    assert clear_force(replace(seen, alone={"force_offset": {"back_emf": 2.0}})) is None
+    assert clear_force(replace(seen, margins={
+        "force_offset": {"back_emf": 2.0}, "coulomb_friction": {}})) is None
 
 
 @pytest.fixture(scope="module")
