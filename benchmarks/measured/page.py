@@ -61,11 +61,11 @@ def read_results(path: Path = KEPT) -> dict[str, Result]:
 def answers(results: Mapping[str, Result],
             table: Mapping[str, MeasuredRecord] | None = None) -> str:
     """What was expected of each record, and what was answered."""
-    rows = ["| record | blind | expected | answered | judged | RMS left | time |",
-            "|---|---|---|---|---|---|---|"]
+    rows = ["| record | expected | answered | judged | left, % | time, s |",
+            "|---|---|---|---|---|---|"]
     listed = table or load_records()
     for name, record in listed.items():
-        row = [f"[`{name}`](#{name})", "no" if record.set_rules else "yes", _wanted(record)]
+        row = [f"[{name}](#{name}){' *' if record.set_rules else ''}", _wanted(record)]
         result = results.get(name)
         if result is None:
             row += [NOT_RUN, "", "", ""]
@@ -74,7 +74,7 @@ def answers(results: Mapping[str, Result],
             judged = result.judged if result.judged == "right" else f"**{result.judged}**"
             left = result.figures.get("held_out_left_percent", {}).get("value")
             row += [f"{result.verdict}{': ' + told if told else ''}", judged,
-                    "" if left is None else f"{left:.3g} %", f"{result.seconds:.0f} s"]
+                    "" if left is None else f"{left:.3g}", f"{result.seconds:.0f}"]
         rows.append("| " + " | ".join(row) + " |")
     return "\n".join([*_totals(results, listed), *rows])
 
