@@ -250,3 +250,21 @@ def test_forces_are_in_the_scale_of_what_is_free(search, monkeypatch):
     search.free = ("mass", "damping")
     assert Trial(search, ()).witness is None
     assert told["free"] == ("mass", "damping")
+
+
+@pytest.mark.parametrize("dropped", [True, False])
+def test_rivals_stand_beside_the_effects_that_are_left(dropped, monkeypatch):
+    """Fitted beside one that was dropped later, they had more parameters than what they are
+    compared with."""
+    stub = SimpleNamespace(
+        settle=lambda names, found: (names, found, "bare"), step=lambda _: None, weights=(),
+        compare=lambda names, found: (names, found, {"creep": ["beside a mode"]}),
+        polished=lambda _, found: found, all_rivals=lambda *_: {"creep": ["alone"]})
+    monkeypatch.setattr(hypothesis, "weights_like", lambda *_: ())
+    for test in ("exchange_rival", "without_each", "line_of_input", "at_bound"):
+        monkeypatch.setattr(Trial, test, lambda _, h: h)
+    monkeypatch.setattr(Trial, "surrogate_tests", lambda _, h: replace(
+        h, names=h.names[:1]) if dropped else h)
+    monkeypatch.setattr(Trial, "second_look", lambda *_: None)
+    h = Trial(stub, ()).run(("creep", "second_mode"), "fit")
+    assert h.rivals == {"creep": ["alone" if dropped else "beside a mode"]}
