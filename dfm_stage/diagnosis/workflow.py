@@ -182,17 +182,17 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     models = {"given": search.model, "retuned": hypothesis.bare.model,
               "extended": hypothesis.fit.model}
     settled = verdict(evidence)
-    drifts = changes(models[settled.model], search.runs, search.free, search.weights, search.noise)
     if settled.remainder:
         evidence = with_surface(trial, models[settled.model], evidence)
         settled = verdict(evidence)
+    model = models[settled.model]
+    drifts = changes(model, search.runs, search.free, search.weights, search.noise)
     if leaves_open(settled):
         evidence = with_next_experiment(trial, hypothesis, evidence, settled.undecided)
     if wants_formulas(settled):
         evidence = with_formulas(*_as_judged(trial, hypothesis, evidence), evidence, settled)
     if accepted[1]:
         evidence = with_accepted(trial, *accepted, evidence)
-    model = models[settled.model]
     evidence = replace(evidence, warnings=(*evidence.warnings, *drifts))
     search.step("judging")
     return told(evidence, settled, model)

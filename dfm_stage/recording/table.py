@@ -32,7 +32,7 @@ DEFAULT_AXIS = "x"
 NO_INPUT = "none"
 """In the place of an input's column: nothing drove the stage."""
 _QUANTITY = re.compile(r"(?:(?P<axis>\w+)_)?(?P<quantity>input|position|velocity|acceleration|"
-                       r"current|reference)")
+                       r"current|reference)", re.IGNORECASE)
 _KINDS = {"position": "a position", "input": "an input"}
 _OUTPUTS = ("position", "velocity", "acceleration")
 _SHOWN = 8
@@ -106,15 +106,15 @@ class _Undriven:
         self._table = table
         self.path, self.kind, self.warnings = table.path, table.kind, table.warnings
         self.sample_period = table.sample_period
-        kinds = {name: _QUANTITY.fullmatch(suffix_of(name, of_input=True)[0].lower())
+        kinds = {name: _QUANTITY.fullmatch(suffix_of(name, of_input=True)[0])
                  for name in table.names}
         axes = dict.fromkeys(kind["axis"] for kind in kinds.values()
-                             if kind is not None and kind["quantity"] in _OUTPUTS)
+                             if kind is not None and kind["quantity"].lower() in _OUTPUTS)
         self.inputs = ["(no input)"] if output is not None else [
             f"{axis}_input_v" if axis else "input_v" for axis in axes]
         self.names: Sequence[str] = [*(
             name for name, kind in kinds.items() if name == output or kind is None
-            or kind["quantity"] != "input"), *self.inputs]
+            or kind["quantity"].lower() != "input"), *self.inputs]
 
     def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """As in `Table`."""
@@ -194,13 +194,13 @@ def _choose(table: Table, options: Options) -> _Choice:
     found: dict[str, dict[str, _Source]] = {}
     for name in table.names:
         rest, unit = suffix_of(name)
-        match = _QUANTITY.fullmatch(rest.lower())
-        if rest == name or (match and match["quantity"] == "input"):
+        match = _QUANTITY.fullmatch(rest)
+        if rest == name or (match and match["quantity"].lower() == "input"):
             rest, unit = suffix_of(name, of_input=True)
-            match = _QUANTITY.fullmatch(rest.lower())
+            match = _QUANTITY.fullmatch(rest)
         if match is None or unit is None:
             continue
-        quantity, axis_name = match["quantity"], match["axis"] or DEFAULT_AXIS
+        quantity, axis_name = match["quantity"].lower(), match["axis"] or DEFAULT_AXIS
         if quantity in _OUTPUTS and measured(unit.base)[1] != quantity:
             continue
         if quantity in found.setdefault(axis_name, {}):

@@ -178,3 +178,7 @@ def test_capitals_in_a_header_do_not_matter(tmp_path: Path, header: str) -> None
     axis = record.axis("x")
     assert axis.position == pytest.approx([5e-6 * swing(k) for k in range(ROWS)])
     assert (axis.input_unit, record.sample_period) == ("V", pytest.approx(1e-3))
+
+
+def test_an_axis_keeps_its_capital(tmp_path: Path) -> None:
+    assert list(read_record(plain(tmp_path, "Time_s,B_Input_v,B_Position_um", 5.0)).axes) == ["B"]
