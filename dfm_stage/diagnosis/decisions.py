@@ -119,6 +119,11 @@ BLOCK_MARGIN = decision(
     "BLOCK_MARGIN", 3.0, "block standard errors", meaning="By this much held-out blocks must be "
     "worse without an effect, and with a rival in its place, which joins the class otherwise.",
     set_on=REAL)
+NOISE_IN_VELOCITY = decision(
+    "NOISE_IN_VELOCITY", 0.05, "1", meaning="Power of the noise over that of what a model without "
+    "effects leaves, up to which the velocity of a position is judged over so few samples.",
+    set_on="derivation: effects that differ by a factor of two in power then differ by 1.9. The "
+    "recorded crane cart, 0.3 from sample to sample: a brake fits the noise there")
 SAYS_NOTHING = decision(
     "SAYS_NOTHING", 0.1, "1", meaning="Power of the difference between two predictions of a "
     "block, over what the better one leaves of it, below which the block does not part them.",

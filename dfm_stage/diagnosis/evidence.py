@@ -197,14 +197,14 @@ class Noise:
 @dataclass(frozen=True)
 class Judged:
     """Where held-out power is compared: in which signal, in windows of how many seconds, the power
-    of its noise, and the RMS that a black box would leave, where one was tried. With `change` the
-    signal is the output's change from sample to sample."""
+    of its noise, and the RMS that a black box would leave, where one was tried. With `lag` the
+    signal is the output's change over so many samples."""
 
     signal: Signal | Literal["force"] = "position"
     window_s: float | None = None
     noise_power: float = 0.0
     predictable: float | None = None
-    change: bool = False
+    lag: int = 0
 
 
 @dataclass(frozen=True)

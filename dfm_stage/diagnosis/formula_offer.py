@@ -74,24 +74,24 @@ def with_formulas(trial: Trial, h: Hypothesis, evidence: Evidence, v: Verdict) -
     """
     if evidence.surface is None:
         return evidence
-    own, change = trial.search, evidence.judged.change
+    own, lag = trial.search, evidence.judged.lag
     own.step("looking for a formula")
     own.begin_work(LEAST_STEPS)
     own.weigh_at_first(h.bare)
     trial.held_weights = weights_like(trial.held, own.weights)
     starts = [((), h.bare)] if v.model != "extended" else [(h.names, h.fit), ((), h.bare)]
-    gap = power(trial.predicted(h.bare.model).residuals, change) - evidence.judged.noise_power
+    gap = power(trial.predicted(h.bare.model).residuals, lag) - evidence.judged.noise_power
     lists = [_proposals(trial, *start) for start in starts]
     proposals = [each[k] for k in range(MOST_OFFERED) for each in lists if k < len(each)]
     fits = [f for k, p in enumerate(proposals[:MOST_OFFERED])
             if (k == 0 or own.steps < own.most_steps)
-            and (f := _fitted(trial, p, k, change)) is not None and _pays(f, evidence)]
-    offers = _ranked(fits, change)
+            and (f := _fitted(trial, p, k, lag)) is not None and _pays(f, evidence)]
+    offers = _ranked(fits, lag)
     taken = {*EFFECTS.keys(), *(use.name for use in own.model.effects)}
     free = [n for k in range(1, len(taken) + MOST_OFFERED + 1)
             if (n := f"formula_{k}") not in taken]
     return replace(evidence, formulas=tuple(
-        _offer(f, name, change, gap) for f, name in zip(offers, free, strict=False)))
+        _offer(f, name, lag, gap) for f, name in zip(offers, free, strict=False)))
 
 
 def _proposals(trial: Trial, names: Names, start: Fit) -> list[_Proposal]:
@@ -109,7 +109,7 @@ def _proposals(trial: Trial, names: Names, start: Fit) -> list[_Proposal]:
         _Proposal(f, names, start, without, regression.scales) for f in found]
 
 
-def _fitted(trial: Trial, proposal: _Proposal, number: int, change: bool) -> _Fitted | None:
+def _fitted(trial: Trial, proposal: _Proposal, number: int, lag: int) -> _Fitted | None:
     """The model with the formula, fitted from what the force domain says; None where it cannot be
     simulated, or where the fit ends in a minimum that leaves more than the model without it."""
     own = trial.search
@@ -120,7 +120,7 @@ def _fitted(trial: Trial, proposal: _Proposal, number: int, change: bool) -> _Fi
     names = (*proposal.names, formula.name)
     found = own.once(names, proposal.start, [Hit.at(formula.name, effect.defaults)],
                      dict(proposal.found.base))
-    if not found.ok or power(found.residuals, change) > power(proposal.start.residuals, change):
+    if not found.ok or power(found.residuals, lag) > power(proposal.start.residuals, lag):
         return None
     found = own.settled(names, found)
     left = trial.predicted(found.model)
@@ -129,32 +129,32 @@ def _fitted(trial: Trial, proposal: _Proposal, number: int, change: bool) -> _Fi
 
 def _pays(f: _Fitted, e: Evidence) -> bool:
     """Whether it takes enough of what is left of held-out records, on blocks beyond chance."""
-    change, noise = e.judged.change, e.judged.noise_power
-    before, after = (power(p.residuals, change) - noise for p in (f.proposal.without, f.left))
+    lag, noise = e.judged.lag, e.judged.noise_power
+    before, after = (power(p.residuals, lag) - noise for p in (f.proposal.without, f.left))
     return before - after > OFFERED_SHARE * before and margin_between(
-        f.proposal.without.residuals, f.left.residuals, change) > BLOCK_MARGIN
+        f.proposal.without.residuals, f.left.residuals, lag) > BLOCK_MARGIN
 
 
-def _ranked(fits: Sequence[_Fitted], change: bool) -> list[_Fitted]:
+def _ranked(fits: Sequence[_Fitted], lag: int) -> list[_Fitted]:
     """The simplest of those that held-out blocks do not part from the best first; none that has
     more parameters than one that does as well."""
 
     def level(f: _Fitted, other: _Fitted) -> bool:
-        return margin_between(f.left.residuals, other.left.residuals, change) < BLOCK_MARGIN
+        return margin_between(f.left.residuals, other.left.residuals, lag) < BLOCK_MARGIN
 
     kept = [f for f in fits if not any(
         level(g, f) and g.size < f.size for g in fits if g is not f)]
-    kept.sort(key=lambda f: power(f.left.residuals, change))
+    kept.sort(key=lambda f: power(f.left.residuals, lag))
     return sorted(kept, key=lambda f: (not level(f, kept[0]), f.size if level(f, kept[0]) else 0))
 
 
-def _offer(f: _Fitted, name: str, change: bool, gap: float) -> Offer:
+def _offer(f: _Fitted, name: str, lag: int, gap: float) -> Offer:
     """What is told of a formula; `gap` is the held-out power above the noise without any."""
     use = f.fit.model.effect(f.formula.name)
     assert use is not None  # noqa: S101 (it was fitted)
     quantities = f.fit.quantities_over(*score_by_blocks(f.fit))
     values = {n: float(f"{v:.9g}") for n, v in use.parameters.items()}
-    taken = power(f.proposal.without.residuals, change) - power(f.left.residuals, change)
+    taken = power(f.proposal.without.residuals, lag) - power(f.left.residuals, lag)
     found = f.proposal.found
     return Offer(
         formula_of({**f.formula.to_dict(values), "name": name}),
@@ -168,7 +168,7 @@ def _offer(f: _Fitted, name: str, change: bool, gap: float) -> Offer:
 def with_accepted(trial: Trial, model: Model, formulas: Sequence[Formula],
                   evidence: Evidence) -> Evidence:
     """Add what `model` leaves, which is the one without the `formulas` that were accepted."""
-    own, change = trial.search, evidence.judged.change
+    own, lag = trial.search, evidence.judged.lag
     without = Search(model, own.runs, tuple(
         n for n in own.free if n.partition(".")[0] not in {f.name for f in formulas}))
     bare = without.begin()
@@ -176,7 +176,7 @@ def with_accepted(trial: Trial, model: Model, formulas: Sequence[Formula],
     trial.held_weights = weights_like(trial.held, without.weights)
 
     def errors(seen: Prediction) -> Errors:
-        return Errors(seen.rms, seen.chi2, seen.count, power(seen.residuals, change))
+        return Errors(seen.rms, seen.chi2, seen.count, power(seen.residuals, lag))
 
     held = trial.predicted(model)
     left = [parts[0] for parts in (*given.residuals, *held.residuals)]

@@ -41,6 +41,7 @@ from dfm_stage.diagnosis.margins import (
     margin_between,
     power,
     score_by_blocks,
+    velocity_lag,
 )
 from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
@@ -112,10 +113,10 @@ def judged_in(h: Hypothesis, noise: float) -> Judged:
     drifts by whatever small force there is, and its position is judged in velocity. `noise` is the
     RMS of high frequencies."""
     system = h.fit.system if h.fit.ok else h.bare.system
-    change = system.drifts
-    signal: Signal = "velocity" if change else system.runs[0].measures
+    lag = velocity_lag(h.bare.residuals, noise**2) if system.drifts else 0
+    signal: Signal = "velocity" if lag else system.runs[0].measures
     window = max(run.window for run in system.runs) * system.runs[0].sample_period
-    return Judged(signal, window or None, noise**2 * (2.0 if change else 1.0), change=change)
+    return Judged(signal, window or None, noise**2 * (2.0 if lag else 1.0), lag=lag)
 
 
 def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
@@ -199,7 +200,7 @@ def with_next_experiment(trial: Trial, h: Hypothesis, evidence: Evidence,
 
 
 def _errors(seen: Prediction, judged: Judged) -> Errors:
-    return Errors(seen.rms, seen.chi2, seen.count, power(seen.residuals, judged.change))
+    return Errors(seen.rms, seen.chi2, seen.count, power(seen.residuals, judged.lag))
 
 
 def _motion(runs: Sequence[Observation]) -> Motion:
@@ -216,7 +217,7 @@ def has_colour(found: Fit, quiet: float) -> bool:
 def _of_model(trial: Trial, found: Fit, seen: Prediction, judged: Judged,
               by_blocks: bool = False) -> ModelEvidence:
     fitted = Errors(found.rms, found.chi2, found.white.size,
-                    power(found.residuals, judged.change))
+                    power(found.residuals, judged.lag))
     if not found.ok:
         return ModelEvidence(fitted, _errors(seen, judged))
     evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found, by_blocks),
@@ -252,10 +253,10 @@ def _effect(trial: Trial, h: Hypothesis, name: str, values: Mapping[str, Quantit
     return EffectEvidence(
         name, _own(trial, h, name, values),
         ModelEvidence(Errors(without.rms, without.chi2, without.white.size,
-                             power=power(without.residuals, judged.change)),
+                             power=power(without.residuals, judged.lag)),
                       _errors(missed, judged)),
         tuple(rivals), name not in h.not_exercised,
-        margin_between(missed.residuals, seen.residuals, judged.change), steady)
+        margin_between(missed.residuals, seen.residuals, judged.lag), steady)
 
 
 def _own(trial: Trial, h: Hypothesis, name: str,
@@ -304,7 +305,7 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Prediction
     other_law = rival.name not in EFFECTS[name].twins
     return RivalEvidence(rival.name, rival.cost, rival.price(h.fit), _errors(seen, judged),
                          distance / trial.search.weights[0][0].rms,
-                         margin_between(seen.residuals, own.residuals, judged.change),
+                         margin_between(seen.residuals, own.residuals, judged.lag),
                          shares_class(rival.name, name), larger,
                          rival.name not in trial.search.not_compared,
                          repeats=larger and other_law and _makes_the_same(seen, own, judged))
@@ -314,7 +315,7 @@ def _makes_the_same(one: Prediction, other: Prediction, judged: Judged) -> bool:
     """Whether the difference of two predictions drowns in the noise."""
     apart = [[a[0] - b[0]] for a, b in zip(one.residuals, other.residuals, strict=True)] \
         if one.residuals and other.residuals else []
-    return power(apart, judged.change) < SAYS_NOTHING * judged.noise_power
+    return power(apart, judged.lag) < SAYS_NOTHING * judged.noise_power
 
 
 def _offset(bare: Fit, library: Sequence[str]) -> Offset | None:

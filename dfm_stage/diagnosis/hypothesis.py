@@ -16,7 +16,7 @@ from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason
 from dfm_stage.diagnosis.fit import Fit, fit
-from dfm_stage.diagnosis.margins import power
+from dfm_stage.diagnosis.margins import power, velocity_lag
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import Finding, findings
 from dfm_stage.diagnosis.search import Rival, Search
@@ -147,10 +147,10 @@ class Trial:
             return h
         given = fit(search.model, search.runs, (), search.weights, earlier=near.locals,
                     noise=noise, iterations=0)
-        change = given.system.drifts
-        left = [(power(given.residuals, change), power(h.bare.residuals, change)),
-                (power(self.predicted(search.model).residuals, change),
-                 power(self.predicted(h.bare.model).residuals, change))]
+        lag = velocity_lag(h.bare.residuals, noise**2) if given.system.drifts else 0
+        left = [(power(given.residuals, lag), power(h.bare.residuals, lag)),
+                (power(self.predicted(search.model).residuals, lag),
+                 power(self.predicted(h.bare.model).residuals, lag))]
         if all(after <= RETUNE_RATIO**2 * before for before, after in left):
             return h
         return replace(h, bare=given, fit=h.fit if h.names else given)

@@ -21,8 +21,10 @@ from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     BLOCKS,
     LONG_BLOCKS,
+    NOISE_IN_VELOCITY,
     SAYS_NOTHING,
     SHORTEST_BLOCK,
+    SHORTEST_WINDOW,
     SIZE_GROUPS,
     SIZES_APART,
 )
@@ -31,10 +33,22 @@ from dfm_stage.diagnosis.fit import Fit
 Signal = Literal["position", "velocity", "acceleration"]
 
 
-def judged_signal(residual: Array, change: bool) -> Array:
-    """The residual (N,) of one run as it is judged: itself, or its change where the velocity of
-    a position is."""
-    return np.asarray(np.diff(residual)) if change else residual
+def judged_signal(residual: Array, lag: int) -> Array:
+    """The residual (N,) of one run as it is judged: itself, or its change over `lag` samples where
+    the velocity of a position is."""
+    return residual[lag:] - residual[:-lag] if lag else residual
+
+
+def velocity_lag(residuals: Sequence[Sequence[Array]], noise_power: float) -> int:
+    """Samples over which the velocity of positions is taken, given what a model leaves of them and
+    the mean square of their noise: as few as leave noise a small part of it. Over more than a
+    block, blocks would depend on each other."""
+    shortest = min((parts[0].size for parts in residuals), default=0)
+    lag = 1
+    while 2 * lag <= min(SHORTEST_WINDOW, shortest // BLOCKS) and (
+            2.0 * noise_power > NOISE_IN_VELOCITY * power(residuals, lag)):
+        lag *= 2
+    return lag
 
 
 def cuts(sizes: Sequence[int]) -> list[list[slice]]:
@@ -46,20 +60,20 @@ def cuts(sizes: Sequence[int]) -> list[list[slice]]:
              for b in np.flatnonzero(owner == i)] for i in range(len(sizes))]
 
 
-def powers(residuals: Sequence[Sequence[Array]], change: bool = False) -> Array:
+def powers(residuals: Sequence[Sequence[Array]], lag: int = 0) -> Array:
     """Mean square (B,) of the output's residual in each block; infinite without residuals."""
     if not residuals:
         return np.full(1, math.inf)
-    signals = [judged_signal(parts[0], change) for parts in residuals]
+    signals = [judged_signal(parts[0], lag) for parts in residuals]
     return np.array([float(np.mean(s[part] ** 2)) for s, parts in
                      zip(signals, cuts([s.size for s in signals]), strict=True) for part in parts])
 
 
-def power(residuals: Sequence[Sequence[Array]], change: bool = False) -> float:
+def power(residuals: Sequence[Sequence[Array]], lag: int = 0) -> float:
     """Mean square of the output's residual over all runs; infinite without residuals."""
     if not residuals:
         return math.inf
-    signals = [judged_signal(parts[0], change) for parts in residuals]
+    signals = [judged_signal(parts[0], lag) for parts in residuals]
     return float(sum(s @ s for s in signals)) / max(sum(s.size for s in signals), 1)
 
 
@@ -93,11 +107,11 @@ def margin(rival: Array, own: Array, apart: Array | None = None) -> float:
 
 
 def margin_between(rival: Sequence[Sequence[Array]], own: Sequence[Sequence[Array]],
-                   change: bool = False) -> float:
+                   lag: int = 0) -> float:
     """The margin over a rival from what both leave of the same runs."""
     apart = [[a[0] - b[0]] for a, b in zip(rival, own, strict=True)] if rival and own else None
-    return margin(powers(rival, change), powers(own, change),
-                  None if apart is None else powers(apart, change))
+    return margin(powers(rival, lag), powers(own, lag),
+                  None if apart is None else powers(apart, lag))
 
 
 @dataclass(frozen=True)

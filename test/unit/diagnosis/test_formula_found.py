@@ -98,7 +98,7 @@ def test_an_offer_needs_a_part_of_what_is_left_of_held_out_records(before, after
     draw = np.random.default_rng(1)
     fitted = SimpleNamespace(left=left(after, draw),
                              proposal=SimpleNamespace(without=left(before, draw)))
-    evidence = SimpleNamespace(judged=SimpleNamespace(change=False, noise_power=1.0))
+    evidence = SimpleNamespace(judged=SimpleNamespace(lag=0, noise_power=1.0))
     assert formula_offer._pays(fitted, evidence) is offered
 
 

@@ -30,7 +30,7 @@ def test_further_formulas_are_fitted_while_work_is_left(each, fitted, monkeypatc
     monkeypatch.setattr(formula_offer, "_fitted", fit)
     monkeypatch.setattr(formula_offer, "_ranked", lambda *_: [])
     monkeypatch.setattr(formula_offer, "replace", lambda evidence, **_: evidence)
-    evidence = SimpleNamespace(surface=1, judged=SimpleNamespace(change=False, noise_power=0.0))
+    evidence = SimpleNamespace(surface=1, judged=SimpleNamespace(lag=0, noise_power=0.0))
     bare = SimpleNamespace(bare=SimpleNamespace(model=None))
     formula_offer.with_formulas(trial, bare, evidence, SimpleNamespace(model="retuned"))
     assert done == fitted

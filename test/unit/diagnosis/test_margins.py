@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dfm_stage.diagnosis.decisions import BLOCKS, OTHER_FORM, SHORTEST_BLOCK
+from dfm_stage.diagnosis.decisions import (
+    BLOCKS,
+    NOISE_IN_VELOCITY,
+    OTHER_FORM,
+    SHORTEST_BLOCK,
+    SHORTEST_WINDOW,
+)
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.margins import (
     constancy,
@@ -18,6 +24,7 @@ from dfm_stage.diagnosis.margins import (
     power,
     powers,
     score_by_blocks,
+    velocity_lag,
 )
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.weights import Weight
@@ -73,8 +80,28 @@ def test_a_drift_weighs_little_in_velocity():
     noise = np.random.default_rng(0).standard_normal(40_000)
     drifting = noise + np.linspace(0.0, 1000.0, noise.size)
     assert power([[drifting]]) > 1e5
-    assert power([[drifting]], change=True) == pytest.approx(2.0, rel=0.02)
-    assert np.mean(powers([[drifting]], change=True)) == pytest.approx(2.0, rel=0.02)
+    assert power([[drifting]], 1) == pytest.approx(2.0, rel=0.02)
+    assert np.mean(powers([[drifting]], 1)) == pytest.approx(2.0, rel=0.02)
+
+
+def test_velocity_is_judged_over_as_few_samples_as_leave_its_noise_small():
+    """A sine of amplitude A changes by 2 A^2 sin^2(w L / 2) over L samples, white noise by twice
+    its power."""
+    noise = np.random.default_rng(1).standard_normal(40_000)
+    amplitude, omega = 30.0, np.pi / 200.0
+    left = [[noise + amplitude * np.sin(omega * np.arange(noise.size))]]
+    change = {lag: 2.0 * amplitude**2 * np.sin(0.5 * omega * lag) ** 2 for lag in (16, 32)}
+    assert power(left, 32) == pytest.approx(change[32] + 2.0, rel=0.02)
+    assert 2.0 / (change[32] + 2.0) < NOISE_IN_VELOCITY < 2.0 / (change[16] + 2.0)
+    assert velocity_lag(left, 1.0) == 32
+    assert velocity_lag(left, 0.0) == 1
+
+
+@pytest.mark.parametrize(("blocks_of", "lag"), [(20, 16), (4000, 128)])
+def test_noise_alone_is_judged_over_less_than_a_block_and_than_a_window(blocks_of, lag):
+    noise = np.random.default_rng(2).standard_normal(blocks_of * BLOCKS)
+    assert velocity_lag([[noise]], 1.0) == lag
+    assert lag <= min(blocks_of, SHORTEST_WINDOW)
 
 
 # -- margins -------------------------------------------------------------------------------------
