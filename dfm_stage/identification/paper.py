@@ -14,6 +14,8 @@ from dfm_stage.identification.plant import Mode
 from dfm_stage.identification.quantity import Quantity
 
 PAPER_MODE = Mode(numerator=1.0, damping=1.705, stiffness=600.7)
+OTHER_STAGE = 2.0
+"""Ratio of a coefficient to the paper's above which the stage is another one."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,10 @@ class PaperRow:
 
 def compare_with_paper(numerator: Quantity, damping: Quantity,
                        stiffness: Quantity) -> tuple[PaperRow, ...]:
-    """Set the three coefficients of numerator / (s^2 + damping s + stiffness) beside Eq. 3."""
-    return (PaperRow("numerator", "b", PAPER_MODE.numerator, numerator),
+    """Set the three coefficients of numerator / (s^2 + damping s + stiffness) beside Eq. 3; none
+    where one of them says that it is another stage."""
+    rows = (PaperRow("numerator", "b", PAPER_MODE.numerator, numerator),
             PaperRow("damping coefficient", "c/m", PAPER_MODE.damping, damping),
             PaperRow("stiffness coefficient", "k/m", PAPER_MODE.stiffness, stiffness))
+    same = all(1.0 / OTHER_STAGE <= row.ours.value / row.paper <= OTHER_STAGE for row in rows)
+    return rows if same else ()

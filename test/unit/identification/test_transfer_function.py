@@ -13,6 +13,7 @@ from dfm_stage.identification import (
     fit_transfer_function,
 )
 from dfm_stage.identification.paper import compare_with_paper
+from dfm_stage.identification.quantity import Quantity
 
 PAPER = LinearPlant((Mode(1.0, 1.705, 600.7),), lag=1e-3, delay=1e-3)
 
@@ -91,3 +92,8 @@ def test_comparison_with_the_paper():
     assert [r.paper for r in rows] == [1.0, 1.705, 600.7]
     assert all(abs(r.deviation_percent) < 5.0 for r in rows)
     assert set(rows[0].to_dict()) >= {"paper", "ours", "deviation_percent"}
+
+
+@pytest.mark.parametrize("other", [(2.1, 1.705, 600.7), (1.0, 0.8, 600.7), (1.0, 1.705, 6e4)])
+def test_another_stage_is_not_compared_with_the_paper(other):
+    assert not compare_with_paper(*(Quantity(v, "") for v in other))
