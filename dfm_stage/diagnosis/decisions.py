@@ -124,6 +124,10 @@ NOISE_IN_VELOCITY = decision(
     "effects leaves, up to which the velocity of a position is judged over so few samples.",
     set_on="derivation: effects that differ by a factor of two in power then differ by 1.9. The "
     "recorded crane cart, 0.3 from sample to sample: a brake fits the noise there")
+LONGEST_VELOCITY = decision(
+    "LONGEST_VELOCITY", 16, "samples", meaning="Samples over which the velocity of a position is "
+    "judged at most.", set_on="derivation: a sixth of the shortest block and a twelfth of the "
+    "shortest window, so that few differences cross their edges")
 SAYS_NOTHING = decision(
     "SAYS_NOTHING", 0.1, "1", meaning="Power of the difference between two predictions of a "
     "block, over what the better one leaves of it, below which the block does not part them.",

@@ -198,13 +198,14 @@ class Noise:
 class Judged:
     """Where held-out power is compared: in which signal, in windows of how many seconds, the power
     of its noise, and the RMS that a black box would leave, where one was tried. With `lag` the
-    signal is the output's change over so many samples."""
+    signal is the output's change over so many samples, which are `velocity_s`."""
 
     signal: Signal | Literal["force"] = "position"
     window_s: float | None = None
     noise_power: float = 0.0
     predictable: float | None = None
     lag: int = 0
+    velocity_s: float | None = None
 
 
 @dataclass(frozen=True)

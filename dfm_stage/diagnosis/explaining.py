@@ -21,7 +21,7 @@ from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import gather, with_confirmation, with_joint_fit
 from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.observation import Observation, in_windows
+from dfm_stage.diagnosis.observation import in_windows
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
@@ -135,7 +135,8 @@ def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     far behind the force domain, because long simulations have many local minima then."""
     found = trial, *graded(trial, h, warnings, split)
     if not found[1].names and trial.search.free and not found[1].bare.system.free:
-        own = _anew(trial, trial.search.runs, trial.held, ())
+        own = trial.on(trial.search.runs, trial.held, free=())
+        own.witness = trial.witness  # forces do not know what is free
         bare = own.search.begin()
         found = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
     seen = trial.witness
@@ -195,15 +196,7 @@ def begun_in_windows(trial: Trial) -> tuple[Trial, Fit]:
 
 def _in_windows(trial: Trial) -> Trial:
     """The same with states that start anew in every window."""
-    return _anew(trial, [in_windows(r) for r in trial.search.runs],
-                 [in_windows(r) for r in trial.held], trial.search.free)
-
-
-def _anew(trial: Trial, runs: Sequence[Observation], held: Sequence[Observation],
-          free: Names) -> Trial:
-    """The same on other forms of the records, or with other base parameters free."""
-    old = trial.search
-    found = Trial(Search(old.model, runs, free, library=old.library, again=old.again,
-                         step=old.step), held, trial.seed)
-    found.witness = trial.witness  # forces know neither windows nor what is free
-    return found
+    own = trial.on([in_windows(r) for r in trial.search.runs],
+                   [in_windows(r) for r in trial.held])
+    own.witness = trial.witness  # forces know no windows
+    return own

@@ -41,7 +41,6 @@ from dfm_stage.diagnosis.margins import (
     margin_between,
     power,
     score_by_blocks,
-    velocity_lag,
 )
 from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
@@ -71,7 +70,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
     quiet = white_weights(h.fit.residuals)[0][0].rms if h.fit.ok else 0.0
-    judged = judged_in(h, quiet)
+    judged = judged_in(h, quiet, trial.lag)
     given = trial.predicted(search.model)
     fitted_given = predict(search.model, runs, search.weights, search.noise)
     seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
@@ -108,15 +107,17 @@ def _whole(runs: Sequence[Observation]) -> list[Observation]:
     return [r for k, r in enumerate(runs) if not r.of or r.of not in {a.of for a in runs[:k]}]
 
 
-def judged_in(h: Hypothesis, noise: float) -> Judged:
+def judged_in(h: Hypothesis, noise: float, lag: int) -> Judged:
     """The signal in which held-out powers are compared: the output, but a body without a spring
-    drifts by whatever small force there is, and its position is judged in velocity. `noise` is the
-    RMS of high frequencies."""
+    drifts by whatever small force there is, and its position is judged in velocity, over `lag`
+    samples. `noise` is the RMS of high frequencies."""
     system = h.fit.system if h.fit.ok else h.bare.system
-    lag = velocity_lag(h.bare.residuals, noise**2) if system.drifts else 0
+    lag = lag if system.drifts else 0
     signal: Signal = "velocity" if lag else system.runs[0].measures
-    window = max(run.window for run in system.runs) * system.runs[0].sample_period
-    return Judged(signal, window or None, noise**2 * (2.0 if lag else 1.0), lag=lag)
+    period = system.runs[0].sample_period
+    window = max(run.window for run in system.runs) * period
+    return Judged(signal, window or None, noise**2 * (2.0 if lag else 1.0), lag=lag,
+                  velocity_s=lag * period or None)
 
 
 def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:

@@ -242,19 +242,14 @@ def _proposes_alone(seen: Witness | None, search: Search) -> bool:
 
 def _rivals(search: Search, seen: Witness | None, name: str, names: Names, found: Fit,
             among: Names) -> Iterator[Rival]:
-    """The effects `among` some that come nearest in the place of one, fitted; those that can be
-    the same motion are begun there."""
+    """The effects `among` some that come nearest in the place of one, fitted."""
     rest = tuple(n for n in names if n != name)
     without = search.once(rest, found)
     if not without.ok:
         return
-    twins = {r.name: r for r in search.twin_rivals(name, rest, found, among)}
-    yield from (r for r in twins.values() if _usable(r.fit, (r.name,)))
     near = _near(seen, name, names) if seen is not None and _proposes_alone(seen, search) \
         else _screened(search, name, rest, without, among)
     for hit in near:
-        if hit.name in twins:
-            continue
         search.step(f"fitting {hit.name} in place of {name}")
         rival = search.once((*rest, hit.name), without, [hit])
         if _usable(rival, (hit.name,)):

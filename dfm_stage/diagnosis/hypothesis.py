@@ -16,7 +16,7 @@ from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.errors import DiagnosisError
 from dfm_stage.diagnosis.evidence import DropReason
 from dfm_stage.diagnosis.fit import Fit, fit
-from dfm_stage.diagnosis.margins import power, velocity_lag
+from dfm_stage.diagnosis.margins import power
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.remainder import Finding, findings
 from dfm_stage.diagnosis.search import Rival, Search
@@ -58,7 +58,8 @@ class Trial:
     """Finds a hypothesis with `search` and tests it on the records `held`.
 
     `dropped` is what failed and why; `seed` fixes the surrogates. `uncommon` are effects that are
-    looked for only where those of the search leave more than noise.
+    looked for only where those of the search leave more than noise. `lag` are the samples over
+    which the velocity of a position that drifts is judged.
     """
 
     search: Search
@@ -67,6 +68,7 @@ class Trial:
     held_weights: Weights = ()
     dropped: dict[str, DropReason] = field(default_factory=dict)
     uncommon: Names = ()
+    lag: int = 0
     _predicted: dict[tuple[int, int, float], tuple[Model, Weights, Prediction]] = field(
         default_factory=dict)
     """What was predicted, by the objects it depends on, which are kept so that no other has their
@@ -84,6 +86,19 @@ class Trial:
                            free=self.search.free)
         except DiagnosisError:
             return None
+
+    def on(self, runs: Sequence[Observation], held: Sequence[Observation], *,
+           free: Names | None = None) -> Trial:
+        """The same with nothing tried yet, on other forms of the records, or with other base
+        parameters free."""
+        old = self.search
+        search = Search(old.model, runs, old.free if free is None else free, library=old.library,
+                        again=old.again, step=old.step)
+        return Trial(search, held, self.seed, uncommon=self.uncommon, lag=self.lag)
+
+    def widened(self) -> Trial:
+        """The same among the uncommon effects, too."""
+        return Trial(self.search.widened(self.uncommon), self.held, self.seed, lag=self.lag)
 
     def run(self, names: Names, found: Fit) -> Hypothesis:
         """Test what a search found and what it finds after each drop; return what is left."""
@@ -147,7 +162,7 @@ class Trial:
             return h
         given = fit(search.model, search.runs, (), search.weights, earlier=near.locals,
                     noise=noise, iterations=0)
-        lag = velocity_lag(h.bare.residuals, noise**2) if given.system.drifts else 0
+        lag = self.lag if given.system.drifts else 0
         left = [(power(given.residuals, lag), power(h.bare.residuals, lag)),
                 (power(self.predicted(search.model).residuals, lag),
                  power(self.predicted(h.bare.model).residuals, lag))]

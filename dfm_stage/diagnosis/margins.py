@@ -21,10 +21,10 @@ from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     BLOCKS,
     LONG_BLOCKS,
+    LONGEST_VELOCITY,
     NOISE_IN_VELOCITY,
     SAYS_NOTHING,
     SHORTEST_BLOCK,
-    SHORTEST_WINDOW,
     SIZE_GROUPS,
     SIZES_APART,
 )
@@ -40,12 +40,10 @@ def judged_signal(residual: Array, lag: int) -> Array:
 
 
 def velocity_lag(residuals: Sequence[Sequence[Array]], noise_power: float) -> int:
-    """Samples over which the velocity of positions is taken, given what a model leaves of them and
-    the mean square of their noise: as few as leave noise a small part of it. Over more than a
-    block, blocks would depend on each other."""
-    shortest = min((parts[0].size for parts in residuals), default=0)
+    """Samples over which the velocity of positions is judged, given what a model leaves of them
+    and the mean square of their noise: as few as leave noise a small part of that."""
     lag = 1
-    while 2 * lag <= min(SHORTEST_WINDOW, shortest // BLOCKS) and (
+    while 2 * lag <= LONGEST_VELOCITY and (
             2.0 * noise_power > NOISE_IN_VELOCITY * power(residuals, lag)):
         lag *= 2
     return lag

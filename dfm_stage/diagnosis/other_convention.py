@@ -144,7 +144,7 @@ def _moved(trial: Trial, by: float) -> Trial:
     def moved(known: Convention) -> Convention:
         return replace(known, shift=min(known.shift + by * (known.sigma or 0.0), 0.0))
 
-    return _of(trial, *([run.by(moved(run.convention)) if _is_moved(run.convention) else run
+    return trial.on(*([run.by(moved(run.convention)) if _is_moved(run.convention) else run
                          for run in runs] for runs in (trial.search.runs, trial.held)))
 
 
@@ -180,14 +180,7 @@ def by_other_conventions(trial: Trial) -> Iterator[Trial]:
         return
     for kind in LATENESS:
         if any(c.hold != kind for c in known):
-            yield _of(trial, *(_by(each, kind, trial.search.model) for each in (runs, held)))
-
-
-def _of(trial: Trial, runs: Sequence[Observation], held: Sequence[Observation]) -> Trial:
-    """The trial with nothing tried yet, on other forms of its records."""
-    old = trial.search
-    return Trial(Search(old.model, runs, old.free, library=old.library, again=old.again,
-                        step=old.step), held, trial.seed, uncommon=trial.uncommon)
+            yield trial.on(*(_by(each, kind, trial.search.model) for each in (runs, held)))
 
 
 def _by(runs: Sequence[Observation], kind: Hold, model: Model) -> list[Observation]:

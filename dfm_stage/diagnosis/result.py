@@ -20,7 +20,7 @@ from dfm_stage.model import Model
 
 SCHEMA_NOTE = ("schema 2 keeps every key of schema 1; new are the verdict partial (a reader of "
                "schema 1 should take it as unknown with a better model) and the keys complete, "
-               "predictable_share, margins, constancy, predictable, judged, window_s, "
+               "predictable_share, margins, constancy, predictable, judged, window_s, velocity_s, "
                "conventions, witness, stretches; in description: surface, predictable_share, "
                "position_velocity_share, formulas")
 
@@ -75,7 +75,8 @@ class Gap:
     """RMS of measured minus simulated before, retuned and after, fitted and held out.
 
     `predictable` is the RMS, in the signal judged, that a black box would leave, `window_s` how
-    often the state starts anew.
+    often the state starts anew. `velocity_s` is the time over which a position changes, where that
+    change was judged as its velocity; `predictable` is of this change then.
     """
 
     unit: str
@@ -86,6 +87,7 @@ class Gap:
     predictable: float | None = None
     judged: str = "position"
     window_s: float | None = None
+    velocity_s: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON keeps it."""
@@ -95,7 +97,7 @@ class Gap:
                 "fit": {w: _number(v) for w, v in zip(words, self.fit, strict=True)},
                 "held_out": {w: _number(v) for w, v in zip(words, self.held_out, strict=True)},
                 "predictable": _number(self.predictable), "judged": self.judged,
-                "window_s": _number(self.window_s)}
+                "window_s": _number(self.window_s), "velocity_s": _number(self.velocity_s)}
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,8 @@ def told(e: Evidence, v: Verdict, model: Model) -> Diagnosis:
     gap = Gap(e.unit, *e.noise.floor,
               (given.fitted.rms, retuned.fitted.rms, shown.fitted.rms),
               (given.held_out.rms, retuned.held_out.rms, shown.held_out.rms),
-              e.judged.predictable, e.judged.signal, e.judged.window_s)
+              e.judged.predictable, e.judged.signal, e.judged.window_s,
+              e.judged.velocity_s)
     rejected = (Rejected(r.name, r.held_out_rms, wording.rejection(r)) for r in v.rejected)
     proposal = e.next_experiment
     return Diagnosis(

@@ -263,7 +263,7 @@ class Search(Fits):
             return names, current
         for name in names[len(before):]:
             rest = tuple(n for n in names if n != name)
-            for twin in self.twin_rivals(name, rest, current, self.library):
+            for twin in self._twin_rivals(name, rest, current):
                 if self.score(twin.fit) < self.score(current):
                     return (*rest, twin.name), twin.fit
         return names, current
@@ -358,15 +358,15 @@ class Search(Fits):
                                 current.chi2 + WORTH * max(loss, 0.0))
             if rival.ok and not at_upper_end(rival, [hit.name]):
                 found.append(Rival(hit.name, rival.chi2 - current.chi2, rival))
-        found += self.twin_rivals(name, rest, current, self.library)
+        found += self._twin_rivals(name, rest, current)
         return sorted(found, key=lambda r: r.cost)
 
-    def twin_rivals(self, name: str, rest: Names, current: Fit, among: Names) -> list[Rival]:
-        """Effects `among` some that can be the same motion as `name`, begun there: from the
-        screen, which is linear, their fits seldom find it."""
+    def _twin_rivals(self, name: str, rest: Names, current: Fit) -> list[Rival]:
+        """Effects that can be the same motion as `name`, begun there: from the screen, which is
+        linear, their fits seldom find it."""
         found = []
         for twin in EFFECTS[name].twins:
-            if twin in among and twin not in (*rest, *self.barred):
+            if twin in self.library and twin not in (*rest, *self.barred):
                 self.step(f"fitting {twin} in place of {name}, from the same motion")
                 fit = self.in_place_of(name, twin, (*rest, twin), current)
                 if fit.ok:

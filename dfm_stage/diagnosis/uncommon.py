@@ -49,8 +49,8 @@ def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: b
     if not trial.uncommon or (said.complete and not relatives and not coloured):
         return found
     trial.search.step("looking for uncommon effects, too")
-    search = trial.search.widened(trial.uncommon)
-    first, wide = search.begin(), Trial(search, trial.held, trial.seed)
+    wide = trial.widened()
+    first = wide.search.begin()
     if coloured:
         return _in_the_colour(wide, first, found, warnings, split)
     if said.complete:
@@ -60,7 +60,7 @@ def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: b
         among_all = explained(wide, first, warnings, split)
         if is_clearly_more(among_all[2], found[2]):
             return among_all
-    return _beside_main(trial, found, warnings, split)
+    return _beside_main(found, warnings, split)
 
 
 def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
@@ -75,7 +75,7 @@ def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
     if is_noise(common):
         return None
     search.step("looking for uncommon effects, too")
-    wide = Trial(search.widened(trial.uncommon), trial.held, trial.seed)
+    wide = trial.widened()
     names, found = wide.search.alone_of(trial.uncommon, first, common)
     if not may_stand_alone(search, found, common):
         return None
@@ -94,8 +94,7 @@ def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence
     return other if other[1].names and said.complete else found
 
 
-def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
-                 split: bool) -> Judgement:
+def _beside_main(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     """What was found to explain a part, with the effects beside the main one compared with the
     uncommon ones, too. In windows the force domain alone proposes rivals, and it has done so."""
     own, h, evidence = found
@@ -103,8 +102,8 @@ def _beside_main(trial: Trial, found: Judgement, warnings: Sequence[str],
             or own.search.runs[0].window:
         return found
     own.search.step("comparing uncommon effects, too")
-    wide = Trial(own.search.widened(trial.uncommon), own.held, own.seed, dropped=own.dropped)
-    wide.witness = own.witness
+    wide = own.widened()
+    wide.dropped, wide.witness = own.dropped, own.witness
     return wide, *beside_main(wide, h, main_effect(evidence).name, own.search.library, warnings,
                               split)
 

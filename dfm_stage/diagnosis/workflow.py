@@ -19,6 +19,7 @@ from dfm_stage.diagnosis.formula_offer import (
 )
 from dfm_stage.diagnosis.gather import with_next_experiment, with_surface
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.margins import velocity_lag
 from dfm_stage.diagnosis.observation import Observation, alike, observe, split_by_time
 from dfm_stage.diagnosis.other_convention import (
     by_other_conventions,
@@ -38,6 +39,7 @@ from dfm_stage.diagnosis.uncommon import judged_among_all
 from dfm_stage.diagnosis.verdict import leaves_open, verdict
 from dfm_stage.diagnosis.wording import few_samples, lost_samples
 from dfm_stage.identification.model_fit import default_free, expand_names
+from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.formula import Formula
 from dfm_stage.model.registry import ALL, UNCOMMON, library_of
@@ -170,6 +172,8 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
         raise DiagnosisError(f"model {search.model.name}: cannot be simulated on "
                              f"{search.runs[0].name}: the motion escapes, a force is too stiff, "
                              "or the parameters leave their limits; correct the model")
+    if first.system.drifts:
+        trial.lag = velocity_lag(first.residuals, white_weights(first.residuals)[0][0].rms**2)
     if not is_noise(first):
         trial, first = clearest(*timed(trial, first))
     found = judged_among_all(trial, first, warnings, split)

@@ -15,7 +15,7 @@ from dfm_stage.identification.quantity import Quantity
 
 PAPER_MODE = Mode(numerator=1.0, damping=1.705, stiffness=600.7)
 OTHER_STAGE = 2.0
-"""Ratio of a coefficient to the paper's above which the stage is another one."""
+"""Ratio of a coefficient to the paper's, or its inverse, above which the stage is another one."""
 
 
 @dataclass(frozen=True)

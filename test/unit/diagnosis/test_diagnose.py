@@ -199,7 +199,8 @@ def test_json_has_the_agreed_shape(cubic):
     assert {"verdict", "effects", "base", "rejected", "gap", "description", "next_experiment",
             "warnings"} <= set(data)
     assert set(data["gap"]) == {"unit", "noise_floor", "noise_floor_from", "fit", "held_out",
-                                "predictable", "judged", "window_s"}
+                                "predictable", "judged", "window_s",
+                                "velocity_s"}
     effect = data["effects"][0]
     assert {"name", "class", "parameters", "gap_share", "evidence", "predictable_share", "margins",
             "constancy"} <= set(effect)

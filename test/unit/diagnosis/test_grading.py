@@ -292,33 +292,6 @@ def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(monkeyp
     assert h.names == (judged[-1],)
 
 
-def test_a_rival_that_can_be_the_same_motion_begins_there_and_is_not_screened(monkeypatch):
-    """Begun where a linear screen puts it, friction that yields over the whole travel ends far
-    from the hysteresis that it is."""
-    begun = []
-
-    def fitted(chi2):
-        return SimpleNamespace(ok=True, chi2=chi2)
-
-    def once(names, _start, hits=()):
-        begun.extend(hit.name for hit in hits)
-        return fitted(50.0)
-
-    search = SimpleNamespace(
-        step=lambda _: None, once=once,
-        twin_rivals=lambda name, *_: [
-            grading.Rival(n, 1.0, fitted(11.0)) for n in EFFECTS[name].twins])
-    monkeypatch.setattr(grading, "_usable", lambda *_: True)
-    monkeypatch.setattr(grading, "_screened", lambda *_: [
-        grading.Hit.at(n, EFFECTS[n].defaults) for n in ("presliding_friction", "second_mode")])
-    among = ("hysteresis", "presliding_friction", "second_mode")
-    rivals = list(grading._rivals(search, None, "hysteresis", ("hysteresis",), fitted(10.0),
-                                  among))
-    assert [(r.name, r.cost) for r in rivals] == [
-        ("presliding_friction", 1.0), ("second_mode", 40.0)]
-    assert begun == ["second_mode"]
-
-
 @pytest.mark.slow
 def test_an_effect_stands_beside_the_given_base_where_held_out_records_refute_another():
     """A vibration beside damping that grows with position, which bends the base."""

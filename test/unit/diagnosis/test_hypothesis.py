@@ -11,10 +11,11 @@ from dfm_stage.diagnosis import hypothesis
 from dfm_stage.diagnosis.evidence import DropReason
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.search import Rival
+from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.verification import SurrogateTest
 from dfm_stage.identification.periods import Periodicity
 from dfm_stage.identification.quantity import Quantity
+from dfm_stage.model import Model
 
 PASSED, FAILED = SurrogateTest(1e4, 100.0, 1e4, 5e3), SurrogateTest(1e4, 5e3, 1e4, 100.0)
 IDLE = SurrogateTest(1.0, 100.0, 100.0, np.inf)
@@ -225,3 +226,15 @@ def test_what_was_predicted_is_predicted_anew_by_other_weights(monkeypatch):
         trial.held_weights = weights
         assert trial.predicted(model) == trial.predicted(model) == weights
     assert asked == [("one",), ("other",)]
+
+
+def test_other_forms_of_a_trial_are_judged_by_the_same_velocity():
+    """Powers over other numbers of samples could not be compared between them."""
+    cart = Model("cart", 1e-3, {"mass": 1.0, "damping": 1.0})
+    search = Search(cart, [], ("mass",), library=("creep",))
+    trial = Trial(search, [], 7, uncommon=("backlash",), lag=8, dropped={"creep": None})
+    other, wide = trial.on([], [], free=()), trial.widened()
+    assert (other.lag, other.seed, other.uncommon, other.dropped) == (8, 7, ("backlash",), {})
+    assert (other.search.free, other.search.library) == ((), ("creep",))
+    assert (wide.lag, wide.seed, wide.uncommon) == (8, 7, ())
+    assert wide.search.library == ("creep", "backlash")
