@@ -168,11 +168,11 @@ def _signed(found: Identification, paths: Sequence[str]) -> Model:
     from dfm_stage.comparison import with_gap
     from dfm_stage.identification.convention import origin_of
 
-    unit, axis = found.sources[0].axis.input_unit, found.sources[0].axis
+    axis = found.sources[0].axis
     gap = max(each.fit.rms for each in found.held_out or found.evaluations)
     return with_gap(replace(found.model, origin={
         "identified_from": [Path(p).name for p in paths], **origin_of(found.conventions),
-        **({} if unit == found.model.input_unit else {"input_unit": unit}),
+        "input_unit": axis.input_unit,
         "ci95": {name: [finite(float(x)) for x in q.ci95]
                  for name, q in found.estimate.quantities().items() if q.ci95 is not None}}),
         gap, axis.output_unit)

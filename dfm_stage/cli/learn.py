@@ -68,7 +68,7 @@ OPTIONS = (
 EPILOG = """examples:
   ./run learn scan_repeat --model raster_bench --out learned
   ./run learn scan_repeat --bag bags/multisine --plant raster_bench --out learned
-  {door()} learn --replay learned --out again
+  ./run learn --replay learned --out again
 The signal is in learned/<axis>_learned.csv and attached to learned/bag; learned/learned.yaml is an
 experiment that replays it with the gains it was learnt with.
 """
@@ -276,8 +276,8 @@ def _finish(axes: list[Axis], out: Path, options: argparse.Namespace) -> dict[st
               file=sys.stderr)
     write_json(out / "learning.json", result)
     learning_page(axes, out, options)
-    print(f"written: {out}/learned.yaml (replay it with {door()} learn --replay {out}), "
-          f"{out}/report.html, {out}/bag", file=sys.stderr)
+    print(f"written: {out}/learned.yaml (replay it with {door()} learn --replay {out} --out "
+          f"{out}_again), {out}/report.html, {out}/bag", file=sys.stderr)
     return result
 
 

@@ -43,6 +43,7 @@ def test_writes_figures_model_and_page(record, tmp_path, capsys):
     model = load_model(out / "model.yaml")
     assert model.base["stiffness"] == found["parameters"]["stiffness"]["value"]
     assert model.origin["identified_from"] == ["shake.csv"]
+    assert model.origin["input_unit"] == "V"
     page = (out / "report.html").read_text()
     assert page.startswith("<!DOCTYPE html>")
     assert page.count("<figure") >= 3
