@@ -174,8 +174,9 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
                              "or the parameters leave their limits; correct the model")
     if first.system.drifts:
         trial.lag = velocity_lag(first.residuals, white_weights(first.residuals)[0][0].rms**2)
+    trial, first = timed(trial, first)
     if not is_noise(first):
-        trial, first = clearest(*timed(trial, first))
+        trial, first = clearest(trial, first)
     found = judged_among_all(trial, first, warnings, split)
     if has_fast_mode(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)

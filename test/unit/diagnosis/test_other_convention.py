@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.blind.measured import diagnosed_files
+from benchmarks.corpus.measured import make_case, measured_plan
 from dfm_stage.diagnosis import diagnose, workflow
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.observation import Observation, observe
@@ -90,6 +92,16 @@ def test_an_estimated_shift_is_moved_to_where_the_model_leaves_least(source, mov
     for each in (*own.search.runs, *own.held):
         assert each.convention.shift == pytest.approx(-0.5 if moved else -0.503, abs=2e-4)
     assert fit.rms == own.search.begin().rms
+
+
+@pytest.mark.slow
+def test_an_error_of_timing_near_the_noise_is_no_lag():
+    """A held input that is early by a sample, and nothing else: the estimate is off by a
+    thousandth of one, which leaves hardly more than the noise of the quiet record."""
+    answer = diagnosed_files(make_case(measured_plan("convention", 24, 534595891)[16]))
+    assert answer["effects"] == []
+    for each in answer["conventions"]:
+        assert each["input_shift_samples"]["value"] == pytest.approx(-1.0, abs=2e-4)
 
 
 def test_a_shift_is_moved_by_its_own_standard_errors_and_never_late():
