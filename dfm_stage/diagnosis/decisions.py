@@ -120,13 +120,14 @@ BLOCK_MARGIN = decision(
     "worse without an effect, and with a rival in its place, which joins the class otherwise.",
     set_on=REAL)
 NOISE_IN_VELOCITY = decision(
-    "NOISE_IN_VELOCITY", 0.05, "1", meaning="Power of the noise over that of what a model without "
-    "effects leaves, up to which the velocity of a position is judged over so few samples.",
-    set_on="derivation: effects that differ by a factor of two in power then differ by 1.9. The "
-    "recorded crane cart, 0.3 from sample to sample: a brake fits the noise there")
+    "NOISE_IN_VELOCITY", 0.05, "1", meaning="The velocity of a position is judged over as few "
+    "samples as bring the noise below this share of the power that the model without effects "
+    "leaves.", set_on="derivation: two remainders of all and of half of that power then still "
+    "differ by a factor of 1.9. The recorded crane cart: the share is 0.3 from sample to sample, "
+    "and a brake fits the noise there")
 LONGEST_VELOCITY = decision(
-    "LONGEST_VELOCITY", 16, "samples", meaning="Samples over which the velocity of a position is "
-    "judged at most.", set_on="derivation: a sixth of the shortest block and a twelfth of the "
+    "LONGEST_VELOCITY", 16, "samples", meaning="The velocity of a position is judged over at "
+    "most as many.", set_on="derivation: a sixth of the shortest block and a twelfth of the "
     "shortest window, so that few differences cross their edges")
 SAYS_NOTHING = decision(
     "SAYS_NOTHING", 0.1, "1", meaning="Power of the difference between two predictions of a "

@@ -145,7 +145,7 @@ def _moved(trial: Trial, by: float) -> Trial:
         return replace(known, shift=min(known.shift + by * (known.sigma or 0.0), 0.0))
 
     return trial.on(*([run.by(moved(run.convention)) if _is_moved(run.convention) else run
-                         for run in runs] for runs in (trial.search.runs, trial.held)))
+                       for run in runs] for runs in (trial.search.runs, trial.held)))
 
 
 def _tried(trial: Trial) -> tuple[Trial, Fit]:

@@ -204,6 +204,7 @@ def test_dry_friction_of_a_servo_is_judged_by_its_velocity_in_windows():
     found = servo_diagnosis(0.04)
     assert (found.verdict, found.names, found.complete) == ("named", ("coulomb_friction",), False)
     assert (found.gap.judged, found.gap.window_s) == ("velocity", pytest.approx(0.2))
+    assert found.gap.velocity_s == pytest.approx(PERIOD)  # its noise is small
     assert found.effects[0].gap_share > 0.9
     assert found.effects[0].parameters["force"].value == pytest.approx(COULOMB, rel=0.08)
     assert found.base["damping"].value == pytest.approx(VISCOUS, rel=0.08)
