@@ -44,7 +44,7 @@ JOINT_LOSS = decision(
     "to the fitted ones, up to which one set of values serves both.", set_on=FIRST_FORM)
 GROSS_GAP = decision(
     "GROSS_GAP", 0.05, "1", meaning="Motion of a body without a spring that is missed over all of "
-    "it, both by their change from sample to sample, above which it is judged in windows first.",
+    "it, both by their velocity as it is judged, above which it is judged in windows first.",
     set_on=MOTOR_BENCH)
 BASE_AT_ZERO = decision(
     "BASE_AT_ZERO", 1e-9, "1", meaning="Damping, stiffness or force constant below this share of "

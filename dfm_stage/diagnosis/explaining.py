@@ -21,6 +21,7 @@ from dfm_stage.diagnosis.fit import Fit, rms
 from dfm_stage.diagnosis.gather import gather, with_confirmation, with_joint_fit
 from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.margins import judged_signal
 from dfm_stage.diagnosis.observation import in_windows
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.search_decisions import (
@@ -51,7 +52,7 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
     begun = steps_taken()
     part: Judgement | None = None
     free = first.system.springless or not any(run.driven for run in first.system.runs)
-    if free and is_gross(first) and (
+    if free and is_gross(first, trial.lag) and (
             trial.witness is not None and not trial.witness.cannot_tell):
         own = _in_windows(trial)
         bare = own.search.begin()
@@ -140,7 +141,7 @@ def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         bare = own.search.begin()
         found = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
     seen = trial.witness
-    if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare) \
+    if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare, trial.lag) \
             or seen.best.share < PARTIAL_SHARE \
             or explained_share(found[2]) > FAR_BEHIND * seen.best.share:
         return found
@@ -158,7 +159,7 @@ def _by_force(trial: Trial, h: Hypothesis, warnings: Sequence[str],
     if seen is None or heard is None:
         return None
     bare = h.bare
-    if is_gross(bare) and not trial.search.runs[0].window:
+    if is_gross(bare, trial.lag) and not trial.search.runs[0].window:
         trial, bare = begun_in_windows(trial)
     found = by_force(trial, bare, seen, heard, warnings, split) if bare.ok else None
     return None if found is None else (trial, *found)
@@ -179,12 +180,12 @@ def is_out_of_reach(found: Fit) -> bool:
     return found.ok and found.chi2 > OUT_OF_REACH**2 * found.white.size
 
 
-def is_gross(bare: Fit) -> bool:
-    """Whether much of the motion is missed; of what drifts, of its change from sample to sample,
-    because whatever small force there is carries the position away."""
-    degree = 1 if bare.system.drifts else 0
-    motion = max(float(np.std(np.diff(run.output, degree))) for run in bare.system.runs)
-    return rms([np.diff(parts[0], degree) for parts in bare.residuals]) > GROSS_GAP * motion
+def is_gross(bare: Fit, lag: int) -> bool:
+    """Whether much of the motion is missed, by the signals that are judged: of what drifts the
+    velocity over `lag` samples, because whatever small force there is carries the position away,
+    and noise the change from sample to sample."""
+    motion = max(float(np.std(judged_signal(run.output, lag))) for run in bare.system.runs)
+    return rms([judged_signal(parts[0], lag) for parts in bare.residuals]) > GROSS_GAP * motion
 
 
 def begun_in_windows(trial: Trial) -> tuple[Trial, Fit]:

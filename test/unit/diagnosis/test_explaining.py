@@ -76,10 +76,11 @@ def told(name: str, power: float) -> tuple[None, SimpleNamespace, SimpleNamespac
 def test_what_windows_do_not_tell_is_looked_for_in_whole_records_and_in_forces(
         left, whole, forced, by, monkeypatch):
     """A bench searched for all that reaches the noise for 100 s, with 67 times as much left."""
-    trial = SimpleNamespace(search=Gap(left, left), witness=SimpleNamespace(cannot_tell=False))
+    trial = SimpleNamespace(search=Gap(left, left), lag=1,
+                            witness=SimpleNamespace(cannot_tell=False))
     first = leaving(50.0)
     first.system.springless = True
-    monkeypatch.setattr(explaining, "is_gross", lambda _: True)
+    monkeypatch.setattr(explaining, "is_gross", lambda *_: True)
     monkeypatch.setattr(explaining, "stays_open", lambda _: False)
     monkeypatch.setattr(explaining, "_in_windows", lambda _: SimpleNamespace(
         search=SimpleNamespace(begin=lambda: first)))
@@ -90,3 +91,13 @@ def test_what_windows_do_not_tell_is_looked_for_in_whole_records_and_in_forces(
     monkeypatch.setattr(explaining, "to_noise", lambda *_: told("noise", 0.0)[1:])
     monkeypatch.setattr(explaining, "needs_grading", lambda _: False)
     assert explaining.explained(trial, first, (), split=False)[2].by == by
+
+
+@pytest.mark.parametrize(("lag", "gross"), [(1, True), (16, False)])
+def test_noise_alone_is_no_gross_gap_of_a_finely_sampled_body(lag, gross):
+    """From sample to sample the body of a slow motion moves less than its noise."""
+    rng = np.random.default_rng(3)
+    left = 2e-4 * rng.standard_normal(10_000)
+    run = SimpleNamespace(output=np.sin(0.63e-3 * np.arange(10_000)) + left)
+    bare = SimpleNamespace(system=SimpleNamespace(runs=[run]), residuals=[[left]])
+    assert explaining.is_gross(bare, lag) == gross
