@@ -123,8 +123,7 @@ def search(system: System, weights: Weights, start: Array, *, iterations: int = 
     def spent() -> bool:
         return system.work - begun > allowance
 
-    kept = _KeptSlopes(system, light)
-    criterion = Criterion(system, weights, slopes=kept.slopes)
+    criterion = Criterion(system, weights, slopes=_KeptSlopes(system, light).slopes)
 
     def residual(z: Array) -> Array:
         return np.array([math.inf]) if spent() else criterion.residual(z)
@@ -139,6 +138,10 @@ def search(system: System, weights: Weights, start: Array, *, iterations: int = 
     found = minimum(chord or criterion.derivative, start, iterations)
     if chord is not None and chord.stale and not spent():
         found = minimum(criterion.jacobian, found.x, max(iterations // 2, 3))
+    if light and math.isfinite(found.cost) and not spent() and not system.barely_nonlinear(
+            found.x):  # the effects have grown, and bend the base's slopes
+        criterion = Criterion(system, weights, slopes=_KeptSlopes(system, light=False).slopes)
+        found = minimum(criterion.derivative, found.x, iterations)
     if not math.isfinite(found.cost):
         return Fit(system.model, system, weights, start, [], found.residual, found.jacobian,
                    math.inf, False)

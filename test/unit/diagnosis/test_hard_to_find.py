@@ -373,3 +373,19 @@ def test_a_range_that_ends_on_one_side_only_is_found_though_its_middle_is_not_kn
     limit, centre = (found.effects[0].parameters[n] for n in ("limit", "centre"))
     assert limit.value + centre.value == pytest.approx(2.0e-4, rel=1e-2)
     assert limit.ci95 is centre.ci95 is None
+
+
+def test_a_fit_goes_on_where_an_effect_has_grown_until_it_bends_the_slopes_of_the_base():
+    """Begun at a small amplitude, the base's slopes are those without the effect; with these the
+    fit ended at 3700 times the noise."""
+    feed = truth.scan()
+    position = truth.move(feed, lambda x, v: -0.3 * np.sin(2.0 * np.pi * x / 8e-4 + 0.3))
+    search = Search(truth.believed(), [observe(truth.record(feed, position, 1, "run"),
+                                               truth.believed())],
+                    ("damping", "stiffness", "force_constant"), library=("cogging",))
+    bare = search.begin()
+    model = bare.model.with_effect("cogging", {"amplitude": 0.006, "period": 9.2e-4,
+                                               "phase": 0.0})
+    found = search._fit(model, search.parameters(model), bare)
+    assert found.chi2 < 1.02 * found.white.size
+    assert found.model.effect("cogging").parameters["amplitude"] == pytest.approx(0.3, rel=1e-3)
