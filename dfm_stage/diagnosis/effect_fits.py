@@ -261,8 +261,8 @@ class Fits:
             key=lambda m: self._fit(self._with(m, names, [begin])[0], (), current,
                                     iterations=0).chi2)
         found = self._from(first, names, current, [begin], math.inf, limit=STEPS_BEFORE_LINEAR)
-        known = self.fits.get((frozenset(names), self.weighing))
-        return known if known is not None and known.chi2 <= found.chi2 else self.keep(names, found)
+        known = self.fits.get((frozenset(names), self.weighing), found)
+        return self.keep(names, found) if found.ok and found.chi2 <= known.chi2 else known
 
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW,
