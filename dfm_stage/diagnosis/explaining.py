@@ -141,7 +141,8 @@ def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         bare = own.search.begin()
         found = own, *graded(own, Hypothesis((), bare, bare), warnings, split)
     seen = trial.witness
-    if seen is None or seen.cannot_tell or trial.search.runs[0].window or not is_gross(h.bare, trial.lag) \
+    if seen is None or seen.cannot_tell or trial.search.runs[0].window \
+            or not is_gross(h.bare, trial.lag) \
             or seen.best.share < PARTIAL_SHARE \
             or explained_share(found[2]) > FAR_BEHIND * seen.best.share:
         return found

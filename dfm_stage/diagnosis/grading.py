@@ -34,7 +34,7 @@ from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.search_decisions import FULL_SHARE, GRADING_STEPS, LEAST_STEPS, SHORT_LIST
 from dfm_stage.diagnosis.verdict import fallen
 from dfm_stage.diagnosis.verification import weights_like
-from dfm_stage.diagnosis.witness import Explained, Witness
+from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.effect import Parameters
 
@@ -126,7 +126,7 @@ def _proposed(search: Search,
         if each.names and allowed and frozenset(each.names) not in told \
                 and each.share > max(RIVAL_GAIN * seen.best.share, SMALL_SHARE):
             told.add(frozenset(each.names))
-            yield ({n: _parameters(each, n) for n in each.names},
+            yield ({n: each.of_effect(n) for n in each.names},
                    {n: v for n, v in each.parameters.items() if "." not in n})
 
 
@@ -138,12 +138,6 @@ def _paid(seen: Witness | None) -> set[frozenset[str]]:
     return {frozenset(each.names) for each in (seen.best, *seen.pairs)
             if len(each.names) == len(seen.best.names)
             and each.share > RIVAL_GAIN * seen.best.share}
-
-
-def _parameters(told: Explained, name: str) -> Parameters:
-    """What the force domain says of an effect, and defaults of what it cannot see."""
-    return {p: told.parameters.get(f"{name}.{p}", value)
-            for p, value in EFFECTS[name].defaults.items()}
 
 
 def _found_before(trial: Trial, h: Hypothesis, bare: Fit) -> Iterator[Begin]:
@@ -264,7 +258,7 @@ def _near(seen: Witness, name: str, names: Names) -> list[Hit]:
     listed = [*seen.best.names, *(n for n, m in margins.items() if m < NEAR_RIVAL)]
     near = [n for n in listed if n in alone and n not in names
             and alone[n].share > RIVAL_GAIN * own]
-    return [Hit.at(n, _parameters(alone[n], n)) for n in near[:GRADED_RIVALS]]
+    return [Hit.at(n, alone[n].of_effect(n)) for n in near[:GRADED_RIVALS]]
 
 
 def _screened(search: Search, name: str, rest: Names, without: Fit, among: Names) -> list[Hit]:

@@ -75,10 +75,18 @@ class Trial:
     identity."""
     _found: dict[int, tuple[object, dict[str, tuple[Finding, ...]]]] = field(default_factory=dict)
     """The same of what was found in the residuals of a fit."""
+    _witnesses: dict[Names, Witness | None] = field(default_factory=dict)
+    """What the force domain says of these records, by the effects that it judged."""
 
     @cached_property
     def witness(self) -> Witness | None:
         """What the force domain says; None where the records are too short for it."""
+        library = self.search.library
+        if library not in self._witnesses:
+            self._witnesses[library] = self._judged_by_force()
+        return self._witnesses[library]
+
+    def _judged_by_force(self) -> Witness | None:
         self.search.step("judging in the force domain")
         try:
             return witness([replace(r, window=0) for r in self.search.runs], self.search.model,
@@ -98,7 +106,8 @@ class Trial:
 
     def widened(self) -> Trial:
         """The same among the uncommon effects, too."""
-        return Trial(self.search.widened(self.uncommon), self.held, self.seed, lag=self.lag)
+        return Trial(self.search.widened(self.uncommon), self.held, self.seed, lag=self.lag,
+                     _witnesses=self._witnesses)
 
     def run(self, names: Names, found: Fit) -> Hypothesis:
         """Test what a search found and what it finds after each drop; return what is left."""

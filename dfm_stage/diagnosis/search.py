@@ -81,8 +81,10 @@ class Search(Fits):
                       weighing=self.weighing, weighings=self.weighings, noise=self.noise,
                       library=(*self.library, *names), again=True, step=self.step, seen=self.seen)
 
-    def screened(self, current: Fit, names: Sequence[str]) -> tuple[Screen, list[Hit]]:
-        """Hits of every effect that is allowed and not in `current` yet, best first."""
+    def screened(self, current: Fit, names: Sequence[str],
+                 among: Sequence[str] | None = None) -> tuple[Screen, list[Hit]]:
+        """Hits of every effect, or of those `among` some, that is allowed and not in `current`
+        yet, best first."""
         key = frozenset(names), self.weighing, current.chi2, frozenset(self.barred)
         if key not in self.seen:
             while len(self.seen) >= SCREENS_KEPT:
@@ -93,7 +95,8 @@ class Search(Fits):
         if not names and not self.hits:
             self.above = current.chi2 - current.white.size
         step, at = self._step_of(current.model), self.conditions(self.model)
-        allowed = [n for n in self.library if n not in (*names, *self.barred)
+        allowed = [n for n in (self.library if among is None else among)
+                   if n not in (*names, *self.barred)
                    and not excluded(n, self.model, at, self.again)]
         looks.update({n: screen.hits(n) for n in allowed if n not in looks})
         found = [h for n in allowed for h in looks[n]
@@ -123,9 +126,7 @@ class Search(Fits):
         effect and leaves more than noise, each is begun at another size, all else fitted around
         it first: those with few parameters first."""
         screen, best_hits = self._looked((), current)
-        self.screens[frozenset()] = best_hits
-        listed = [h for h in best_hits if h.name in names
-                  and h.gain > SHORT_LIST_GAIN * best_hits[0].gain][:SHORT_LIST]
+        listed = self._short_list([h for h in best_hits if h.name in names], FIRST)
         best = self._best_alone(listed, current)
         if self.score(best[1]) > self.score(known):
             return best
@@ -156,7 +157,6 @@ class Search(Fits):
         listed = self._short_list(best_hits, limit)
         if not listed or (names and listed[0].gain < FURTHER_SHARE * above):
             return None
-        self.screens[frozenset(names)] = best_hits
         trials = self._singles(names, current, listed, above, FULL_SHARE * above)
         taken = current.chi2 - self.best([(names, current), *trials])[1].chi2
         if len(names) + 2 <= MOST_EFFECTS and taken < FULL_SHARE * above:
@@ -180,6 +180,7 @@ class Search(Fits):
         """A screen, and the best hit of each effect, best first."""
         screen, hits = self.screened(current, names)
         best_hits = best_of_each(hits)
+        self.screens[frozenset(names)] = best_hits
         if not names:
             self.smallest = screen.smallest(FIRST)
             for hit in best_hits:

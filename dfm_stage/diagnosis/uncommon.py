@@ -17,7 +17,7 @@ from dfm_stage.diagnosis.explaining import Judgement, explained, is_noise, to_no
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.grading import beside_main
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.screen import best_of_each
+from dfm_stage.diagnosis.screen import Hit, best_of_each
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
@@ -78,9 +78,23 @@ def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
     wide = trial.widened()
     names, found = wide.search.alone_of(trial.uncommon, first, common)
     if not may_stand_alone(search, found, common):
+        names, found = _begun_by_force(wide, first, trial.uncommon) or (names, found)
+    if not may_stand_alone(search, found, common):
         return None
     other = wide, *to_noise(wide, names, found, MOST_STEPS, warnings, split)
     return other if len(other[1].names) == 1 and verdict(other[2]).complete else None
+
+
+def _begun_by_force(wide: Trial, first: Fit, names: Names) -> tuple[Names, Fit] | None:
+    """The fit of the one of some effects that explains nearly all in the force domain, begun as
+    there: a large effect is far from what its response to a small one promises."""
+    seen = wide.witness
+    if seen is None or seen.cannot_tell or len(seen.best.names) != 1 \
+            or seen.best.share < NAMED_SHARE or seen.best.names[0] not in names:
+        return None
+    name = seen.best.names[0]
+    wide.search.step(f"fitting {name}")
+    return (name,), wide.search.around((name,), first, Hit.at(name, seen.best.of_effect(name)))
 
 
 def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],
@@ -124,8 +138,8 @@ def _seen_in_what_is_left(trial: Trial, h: Hypothesis, names: Sequence[str]) -> 
     if not names or trial.search.runs[0].window:
         return set()
     search = trial.search.widened(tuple(names))
-    _, hits = search.screened(_weighed(search, h), h.names)
-    return {hit.name for hit in hits if hit.name in names and hit.gain > FIRST}
+    _, hits = search.screened(_weighed(search, h), h.names, names)
+    return {hit.name for hit in hits if hit.gain > FIRST}
 
 
 def _weighed(search: Search, h: Hypothesis) -> Fit:
@@ -142,9 +156,9 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
     alone = {n for n in relatives if any(shares_class(n, own) for own in h.names)}
     begun: dict[Names, Fit] = {}
     if alone:
-        hits = {hit.name: hit for hit in best_of_each(search.screened(first, ())[1])}
-        begun = {(n,): search.fitted((n,), first, [hits[n]])
-                 for n in sorted(alone & hits.keys())}
+        _, hits = search.screened(first, (), sorted(alone))
+        begun = {(hit.name,): search.fitted((hit.name,), first, [hit])
+                 for hit in best_of_each(hits)}
     for own in h.names:
         for twin in sorted(relatives & EFFECTS[own].twins.keys()):
             names = tuple(twin if n == own else n for n in h.names)
@@ -169,9 +183,9 @@ def _in_place_of_one(search: Search, h: Hypothesis, kin: set[str]) -> Iterator[t
         rest = tuple(n for n in h.names if n != own)
         wanted = {n for n in kin if shares_class(n, own) and n not in EFFECTS[own].twins}
         if wanted and (without := search.fitted(rest, h.fit)).ok:
-            hits = {hit.name: hit for hit in best_of_each(search.screened(without, rest)[1])}
-            for name in sorted(wanted & hits.keys()):
-                yield (*rest, name), search.fitted((*rest, name), without, [hits[name]])
+            _, hits = search.screened(without, rest, sorted(wanted))
+            for hit in best_of_each(hits):
+                yield (*rest, hit.name), search.fitted((*rest, hit.name), without, [hit])
 
 
 def _may_explain(wide: Trial, found: Judgement) -> bool:

@@ -31,6 +31,7 @@ from dfm_stage.diagnosis.force_setting import settled
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.model_fit import default_free
 from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.effect import Parameters
 
 PAIRED, LEADING = 10, 3
 """Effects that explain most: so many are combined to pairs, so many of them with all others."""
@@ -56,6 +57,11 @@ class Explained:
     of_predictable: float
     parameters: Mapping[str, float]
     errors: Mapping[str, float]
+
+    def of_effect(self, name: str) -> Parameters:
+        """Its parameters, with defaults of what the force domain cannot see."""
+        return {p: self.parameters.get(f"{name}.{p}", value)
+                for p, value in EFFECTS[name].defaults.items()}
 
 
 @dataclass(frozen=True)

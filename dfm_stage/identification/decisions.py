@@ -44,7 +44,7 @@ FITTED_STEPS = decision(
 LINEAR_SHARE = decision(
     "LINEAR_SHARE", 0.05, "1", meaning=
     "Share of the output up to which nonlinear effects are left out of the "
-    "sensitivities of the base.",
+    "sensitivities of the base; a fit that ends above it goes on with them.",
     set_on=ESTIMATOR)
 SHARP = decision(
     "SHARP", 0.06, "1", meaning=

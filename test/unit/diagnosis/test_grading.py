@@ -22,6 +22,7 @@ from dfm_stage.diagnosis.evidence import (
     Noise,
     RivalEvidence,
 )
+from dfm_stage.diagnosis.witness import Explained
 from dfm_stage.model import EFFECTS, Model, load_model
 from dfm_stage.recording import AxisRecord, Provenance, Record, read_record
 
@@ -137,7 +138,7 @@ def test_what_the_force_domain_bears_out_is_paid_for_with_its_near_rivals():
 def test_a_set_that_hardly_explains_the_missing_force_is_not_proposed():
     """Near a resonance forces nearly cancel, and what is missing of them says little."""
     def proposed(share):
-        alone = SimpleNamespace(names=("creep",), share=share, parameters={})
+        alone = Explained(("creep",), share, 0.0, share, {}, {})
         seen = SimpleNamespace(best=alone, singles=(alone,), pairs=(), cannot_tell=False)
         return [list(new) for new, _ in grading._proposed(
             SimpleNamespace(library=("creep",), barred=set()), seen)]

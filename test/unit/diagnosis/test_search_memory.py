@@ -90,6 +90,39 @@ def test_a_wider_search_screens_only_what_was_not_looked_at(search, monkeypatch)
     assert [h for h in wide if h.name != "gravity"] == narrow
 
 
+def test_only_the_effects_asked_for_are_screened(search, monkeypatch):
+    bare = search.begin()
+    looked = []
+    hits = Screen.hits
+    monkeypatch.setattr(Screen, "hits", lambda self, name, keep=2: (
+        looked.append(name), hits(self, name, keep))[1])
+    found = search.screened(bare, (), ("cubic_stiffness",))[1]
+    assert looked == ["cubic_stiffness"]
+    assert {h.name for h in found} == {"cubic_stiffness"}
+    search.screened(bare, ())
+    assert looked == ["cubic_stiffness", "quadratic_damping"]
+
+
+def test_rivals_begin_where_the_first_look_saw_them_whatever_weighs_now(search, monkeypatch):
+    bare = search.begin()
+    names, cubic = search.alone(bare)
+    assert names == ("cubic_stiffness",)
+    search.reweigh(OTHER)
+    monkeypatch.setattr(search, "screened", lambda *_: pytest.fail("screened again"))
+    search.all_rivals(names, search.fitted(names, cubic))
+
+
+def test_a_twin_that_cannot_be_simulated_is_no_fit_of_its_effects(search, monkeypatch):
+    """What the screen begins with is still tried."""
+    bare = search.begin()
+    mode = search._fit(bare.model.with_effect("second_mode", {
+        "share": 0.1, "frequency": 200.0, "damping_ratio": 0.03}), (), bare, iterations=0)
+    monkeypatch.setattr(search, "_from", lambda *_, **__: replace(bare, chi2=math.inf))
+    assert not search.in_place_of("second_mode", "sensor_mount", ("sensor_mount",), mode).ok
+    monkeypatch.setattr(search, "_from", lambda *_, **__: bare)
+    assert search.fitted(("sensor_mount",), bare).ok
+
+
 def test_an_effect_begins_on_another_side_of_zero_or_at_the_second_best_size():
     def hit(name, **parameters):
         return Hit.at(name, parameters)
@@ -113,13 +146,14 @@ def test_effects_begin_at_another_size_until_one_leaves_noise(search, monkeypatc
         return SimpleNamespace(ok=True, chi2=100.0 * above, white=np.zeros(100),
                                system=SimpleNamespace(free=()))
 
-    def hit(name):
-        return SimpleNamespace(name=name, gain=9000.0, parameters={})
+    def hit(name, times=1.0):
+        return SimpleNamespace(name=name, gain=9000.0 * times, parameters={})
 
-    begun, first = [], [hit("gravity"), hit("one_sided_cable")]
-    names = tuple(h.name for h in first)
-    monkeypatch.setattr(search, "_looked", lambda *_: (None, first))
-    monkeypatch.setattr(search, "_singles", lambda *_: [((n,), fit(3.0)) for n in names])
+    begun, names = [], ("gravity", "one_sided_cable")
+    common = hit("periodic_disturbance", 2.0)  # looks better than they, of which two may be named
+    monkeypatch.setattr(search, "_looked", lambda *_: (None, [common, *map(hit, names)]))
+    monkeypatch.setattr(search, "_singles", lambda _, __, listed, *___: [
+        ((h.name,), fit(3.0)) for h in listed])
     monkeypatch.setattr(search, "around", lambda own, *_: (begun.append(own[0]), fit(leaves))[1])
     monkeypatch.setattr("dfm_stage.diagnosis.search._elsewhere", lambda hit, screen: hit)
     monkeypatch.setattr("dfm_stage.diagnosis.search.at_upper_end", lambda *_: False)

@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.measured import make_case, measured_plan
-from dfm_stage.diagnosis import DiagnosisError, diagnose, uncommon
+from dfm_stage.diagnosis import DiagnosisError, diagnose, hypothesis, uncommon
+from dfm_stage.diagnosis.hypothesis import Trial
+from dfm_stage.diagnosis.observation import observe
+from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.uncommon import may_stand_alone
+from dfm_stage.diagnosis.witness import Explained
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import Model, Simulator, model_from_dict
 from dfm_stage.model.registry import ALL, library_of
@@ -289,9 +293,41 @@ def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
     screened = []
     search = SimpleNamespace(
         weights=("now",), runs=[SimpleNamespace(window=0)], fitted=lambda *given: ("anew", *given),
-        widened=lambda _: search, screened=lambda fit, _: (screened.append(fit), []))
+        widened=lambda _: search, screened=lambda fit, *_: (screened.append(fit), []))
     earlier, same = (SimpleNamespace(names=("hysteresis",), fit=SimpleNamespace(weights=weights))
                      for weights in (("earlier",), search.weights))
     for h in (earlier, same):
         uncommon._seen_in_what_is_left(SimpleNamespace(search=search), h, ["backlash"])
     assert screened == [("anew", ("hysteresis",), earlier.fit), same.fit]
+
+
+@pytest.mark.parametrize(("names", "share", "noisy", "begun"), [
+    (("gravity",), 0.99, False, ("gravity",)),
+    (("gravity",), 0.90, False, None),                  # leaves more than an effect may
+    (("gravity",), 0.99, True, None),                   # the force domain cannot tell
+    (("cubic_stiffness",), 0.99, False, None),          # a common one
+    (("gravity", "cogging"), 0.99, False, None)])
+def test_an_effect_begins_where_the_force_domain_saw_it(names, share, noisy, begun) -> None:
+    """The response to a small force of a swing through half a circle promises little: a cubic
+    spring was named in part."""
+    told = Explained(names, share, 0.01, share, {"stiffness": 68.0, "gravity.weight": 0.4}, {})
+    tried: list[dict[str, float]] = []
+    search = SimpleNamespace(step=lambda _: None, around=lambda own, _, hit: tried.append(
+        hit.parameters))
+    wide = SimpleNamespace(search=search,
+                           witness=SimpleNamespace(cannot_tell=noisy, best=told))
+    found = uncommon._begun_by_force(wide, None, ("gravity", "cogging"))
+    assert (None if found is None else found[0]) == begun
+    assert [each["weight"] for each in tried] == ([0.4] if begun else [])
+
+
+def test_what_the_force_domain_said_is_known_to_a_wider_trial(monkeypatch) -> None:
+    asked: list[tuple[str, ...]] = []
+    monkeypatch.setattr(hypothesis, "witness",
+                        lambda *given, **_: asked.append(given[2]))
+    run = record("cogging", {"amplitude": 0.0, "period": 1.0}, 1, 3.0)
+    trial = Trial(Search(BELIEVED, [observe(run, BELIEVED)], ("damping",),
+                         library=("cubic_stiffness",)), [], uncommon=("gravity",))
+    for each in (trial, trial.widened(), trial.widened()):
+        assert each.witness is None
+    assert asked == [("cubic_stiffness",), ("cubic_stiffness", "gravity")]
