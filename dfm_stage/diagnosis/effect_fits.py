@@ -138,6 +138,12 @@ class Fits:
             self.unfinished.pop(key, None)
         return found
 
+    def _keep_better(self, names: Names, found: Fit) -> Fit:
+        """The better of a fit and the one known of the same effects, remembered; one that failed
+        is not, because others may begin elsewhere."""
+        known = self.fits.get((frozenset(names), self.weighing), found)
+        return self.keep(names, found) if found.ok and found.chi2 <= known.chi2 else known
+
     @property
     def not_compared(self) -> Names:
         """Effects whose fits were not begun, or not finished, in that order."""
@@ -178,9 +184,8 @@ class Fits:
     def around(self, names: Names, start: Fit, hit: Hit) -> Fit:
         """The fit that begins with one more effect, all else fitted around it first; the best so
         far of several."""
-        known = self.fits.get((frozenset(names), self.weighing))
-        found = self._from(start.model, names, start, [hit], math.inf, others_first=True)
-        return self.keep(names, found if known is None or found.chi2 < known.chi2 else known)
+        return self._keep_better(names, self._from(start.model, names, start, [hit], math.inf,
+                                                   others_first=True))
 
     def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),
              base: Parameters | None = None) -> Fit:
@@ -261,8 +266,7 @@ class Fits:
             key=lambda m: self._fit(self._with(m, names, [begin])[0], (), current,
                                     iterations=0).chi2)
         found = self._from(first, names, current, [begin], math.inf, limit=STEPS_BEFORE_LINEAR)
-        known = self.fits.get((frozenset(names), self.weighing), found)
-        return self.keep(names, found) if found.ok and found.chi2 <= known.chi2 else known
+        return self._keep_better(names, found)
 
     def _from(self, model: Model, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               worth: float, others_first: bool = False, limit: float = STEPS_BEFORE_SLOW,

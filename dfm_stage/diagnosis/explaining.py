@@ -182,9 +182,9 @@ def is_out_of_reach(found: Fit) -> bool:
 
 
 def is_gross(bare: Fit, lag: int) -> bool:
-    """Whether much of the motion is missed, by the signals that are judged: of what drifts the
-    velocity over `lag` samples, because whatever small force there is carries the position away,
-    and noise the change from sample to sample."""
+    """Whether much of the motion is missed; of what drifts, of its velocity over `lag` samples.
+    Whatever small force there is carries the position away, and noise decides its change from
+    sample to sample."""
     motion = max(float(np.std(judged_signal(run.output, lag))) for run in bare.system.runs)
     return rms([judged_signal(parts[0], lag) for parts in bare.residuals]) > GROSS_GAP * motion
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from dfm_stage.diagnosis.alike import shares_class
+from dfm_stage.diagnosis.alike import at_upper_end, shares_class
 from dfm_stage.diagnosis.decisions import (
     FIRST,
     FURTHER,
@@ -92,9 +92,11 @@ def _begun_by_force(wide: Trial, first: Fit, names: Names) -> tuple[Names, Fit] 
     if seen is None or seen.cannot_tell or len(seen.best.names) != 1 \
             or seen.best.share < NAMED_SHARE or seen.best.names[0] not in names:
         return None
-    name = seen.best.names[0]
-    wide.search.step(f"fitting {name}")
-    return (name,), wide.search.around((name,), first, Hit.at(name, seen.best.of_effect(name)))
+    name, search = seen.best.names[0], wide.search
+    search.begin_work(FIRST_SHARE * MOST_STEPS)
+    search.step(f"fitting {name}")
+    found = search.around((name,), first, Hit.at(name, seen.best.of_effect(name)))
+    return None if at_upper_end(found, [name]) else ((name,), found)
 
 
 def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],

@@ -123,7 +123,8 @@ def search(system: System, weights: Weights, start: Array, *, iterations: int = 
     def spent() -> bool:
         return system.work - begun > allowance
 
-    criterion = Criterion(system, weights, slopes=_KeptSlopes(system, light).slopes)
+    kept = _KeptSlopes(system, light)
+    criterion = Criterion(system, weights, slopes=kept.slopes)
 
     def residual(z: Array) -> Array:
         return np.array([math.inf]) if spent() else criterion.residual(z)
@@ -138,10 +139,11 @@ def search(system: System, weights: Weights, start: Array, *, iterations: int = 
     found = minimum(chord or criterion.derivative, start, iterations)
     if chord is not None and chord.stale and not spent():
         found = minimum(criterion.jacobian, found.x, max(iterations // 2, 3))
-    if light and math.isfinite(found.cost) and not spent() and not system.barely_nonlinear(
-            found.x):  # the effects have grown, and bend the base's slopes
-        criterion = Criterion(system, weights, slopes=_KeptSlopes(system, light=False).slopes)
-        found = minimum(criterion.derivative, found.x, iterations)
+    grown = light and iterations > 0 and math.isfinite(found.cost) \
+        and not system.barely_nonlinear(found.x)
+    if grown and not spent():  # the effects bend the base's slopes now
+        return search(system, weights, found.x, iterations=iterations, tolerance=tolerance,
+                      exact=True, allowance=allowance - (system.work - begun))
     if not math.isfinite(found.cost):
         return Fit(system.model, system, weights, start, [], found.residual, found.jacobian,
                    math.inf, False)

@@ -95,7 +95,7 @@ def test_what_windows_do_not_tell_is_looked_for_in_whole_records_and_in_forces(
 
 @pytest.mark.parametrize(("lag", "gross"), [(1, True), (16, False)])
 def test_noise_alone_is_no_gross_gap_of_a_finely_sampled_body(lag, gross):
-    """From sample to sample the body of a slow motion moves less than its noise."""
+    """From sample to sample, noise makes up more than half of the change of a slow motion."""
     rng = np.random.default_rng(3)
     left = 2e-4 * rng.standard_normal(10_000)
     run = SimpleNamespace(output=np.sin(0.63e-3 * np.arange(10_000)) + left)

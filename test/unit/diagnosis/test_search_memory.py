@@ -109,7 +109,17 @@ def test_rivals_begin_where_the_first_look_saw_them_whatever_weighs_now(search, 
     assert names == ("cubic_stiffness",)
     search.reweigh(OTHER)
     monkeypatch.setattr(search, "screened", lambda *_: pytest.fail("screened again"))
+    assert [h.name for h in search.screens[frozenset()]] == ["cubic_stiffness"]
     search.all_rivals(names, search.fitted(names, cubic))
+
+
+def test_a_failed_beginning_elsewhere_is_no_fit_of_its_effect(search, monkeypatch):
+    bare = search.begin()
+    cubic = [h for h in search.screened(bare, ())[1] if h.name == "cubic_stiffness"][:1]
+    with monkeypatch.context() as patch:
+        patch.setattr(search, "_from", lambda *_, **__: replace(bare, chi2=math.inf))
+        assert not search.around(("cubic_stiffness",), bare, cubic[0]).ok
+    assert search.fitted(("cubic_stiffness",), bare, cubic).ok
 
 
 def test_a_twin_that_cannot_be_simulated_is_no_fit_of_its_effects(search, monkeypatch):

@@ -301,24 +301,27 @@ def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
     assert screened == [("anew", ("hysteresis",), earlier.fit), same.fit]
 
 
-@pytest.mark.parametrize(("names", "share", "noisy", "begun"), [
-    (("gravity",), 0.99, False, ("gravity",)),
-    (("gravity",), 0.90, False, None),                  # leaves more than an effect may
-    (("gravity",), 0.99, True, None),                   # the force domain cannot tell
-    (("cubic_stiffness",), 0.99, False, None),          # a common one
-    (("gravity", "cogging"), 0.99, False, None)])
-def test_an_effect_begins_where_the_force_domain_saw_it(names, share, noisy, begun) -> None:
+@pytest.mark.parametrize(("names", "share", "noisy", "ended", "begun"), [
+    (("gravity",), 0.99, False, False, ("gravity",)),
+    (("gravity",), 0.99, False, True, None),            # another effect in the limit
+    (("gravity",), 0.90, False, False, None),           # leaves more than an effect may
+    (("gravity",), 0.99, True, False, None),            # the force domain cannot tell
+    (("cubic_stiffness",), 0.99, False, False, None),   # a common one
+    (("gravity", "cogging"), 0.99, False, False, None)])
+def test_an_effect_begins_where_the_force_domain_saw_it(names, share, noisy, ended, begun,
+                                                        monkeypatch) -> None:
     """The response to a small force of a swing through half a circle promises little: a cubic
     spring was named in part."""
     told = Explained(names, share, 0.01, share, {"stiffness": 68.0, "gravity.weight": 0.4}, {})
     tried: list[dict[str, float]] = []
-    search = SimpleNamespace(step=lambda _: None, around=lambda own, _, hit: tried.append(
-        hit.parameters))
+    search = SimpleNamespace(step=lambda _: None, begin_work=lambda _: None,
+                             around=lambda own, _, hit: tried.append(hit.parameters))
+    monkeypatch.setattr(uncommon, "at_upper_end", lambda *_: ended)
     wide = SimpleNamespace(search=search,
                            witness=SimpleNamespace(cannot_tell=noisy, best=told))
     found = uncommon._begun_by_force(wide, None, ("gravity", "cogging"))
     assert (None if found is None else found[0]) == begun
-    assert [each["weight"] for each in tried] == ([0.4] if begun else [])
+    assert [each["weight"] for each in tried] == ([0.4] if begun or ended else [])
 
 
 def test_what_the_force_domain_said_is_known_to_a_wider_trial(monkeypatch) -> None:
