@@ -18,7 +18,7 @@ TITLES = {
     "bags": "Reading bags", "simulate": "The simulator", "coverage": "Intervals that hold",
     "identify": "Identification", "motor_bench": "Data recorded by others",
     "control": "Controllers on one scan", "drivers": "Serial drivers", "diagnose": "Diagnosis",
-    "long": "Long records",
+    "long": "Long records", "minute": "Records of a minute",
     "faults": "Faults", "joins": "Tools that come and go",
     "executors": "Executors", "zero_current": "Time to zero current",
     "real": "Diagnoses of records measured by others",
