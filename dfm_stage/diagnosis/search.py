@@ -9,7 +9,7 @@ from typing import Any
 
 from dfm_stage.diagnosis.alike import at_upper_end, same_rounding, shares_class
 from dfm_stage.diagnosis.candidates import excluded
-from dfm_stage.diagnosis.decisions import FIRST, FURTHER
+from dfm_stage.diagnosis.decisions import FIRST, FURTHER, NAMED_SHARE
 from dfm_stage.diagnosis.effect_fits import Fits, Names, first_weights
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit, Screen, best_of_each, pair_gains
@@ -122,11 +122,15 @@ class Search(Fits):
         return self._best_alone(self._short_list(best_hits, FIRST), current)
 
     def alone_of(self, names: Names, current: Fit, known: Fit) -> tuple[Names, Fit]:
-        """The same among `names` only. Where the best explains more than the `known` fit of an
-        effect and leaves more than noise, each is begun at another size, all else fitted around
+        """The same among `names` only, which must promise as much as the others where the `known`
+        fit of one of these explains most. Where the best explains more than that fit does and
+        leaves more than noise, each is begun at another size, all else fitted around
         it first: those with few parameters first."""
         screen, best_hits = self._looked((), current)
-        listed = self._short_list([h for h in best_hits if h.name in names], FIRST)
+        own = [h for h in best_hits if h.name in names]
+        most = (best_hits if explains_most(current, known) else own)[:1]
+        listed = [h for h in self._short_list(own, FIRST)
+                  if h.gain > SHORT_LIST_GAIN * most[0].gain]
         best = self._best_alone(listed, current)
         if self.score(best[1]) > self.score(known):
             return best
@@ -392,6 +396,12 @@ class Search(Fits):
                     names, current = kept, found
                     continue
             return names, current, bare
+
+
+def explains_most(first: Fit, found: Fit) -> bool:
+    """Whether an effect takes enough of what is above the noise to be named for it."""
+    noise = first.white.size
+    return first.chi2 - found.chi2 >= NAMED_SHARE * (first.chi2 - noise)
 
 
 def _noise(current: Fit) -> float:

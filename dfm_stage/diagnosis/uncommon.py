@@ -18,7 +18,7 @@ from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.grading import beside_main
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.screen import Hit, best_of_each
-from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search import Search, explains_most
 from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
     LEAST_STEPS,
@@ -77,7 +77,7 @@ def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
     search.step("looking for uncommon effects, too")
     wide = trial.widened()
     names, found = wide.search.alone_of(trial.uncommon, first, common)
-    if not may_stand_alone(search, found, common):
+    if not may_stand_alone(search, found, common) and not explains_most(first, common):
         names, found = _begun_by_force(wide, first, trial.uncommon) or (names, found)
     if not may_stand_alone(search, found, common):
         return None

@@ -146,12 +146,13 @@ def test_an_effect_begins_on_another_side_of_zero_or_at_the_second_best_size():
     assert _elsewhere(curve[0], SimpleNamespace(hits=lambda name, keep: curve[:1])) is None
 
 
-@pytest.mark.parametrize(("known", "leaves", "tried"), [
-    (7.0, 1.0, ["one_sided_cable"]),            # noise: no other is tried
-    (7.0, 2.0, ["one_sided_cable", "gravity"]),
-    (2.5, 1.0, [])])                            # a common effect explains more
-def test_effects_begin_at_another_size_until_one_leaves_noise(search, monkeypatch, known, leaves,
-                                                              tried):
+@pytest.mark.parametrize(("promise", "known", "leaves", "tried", "left"), [
+    (0.5, 7.0, 1.0, ["one_sided_cable"], 1.0),              # noise: no other is tried
+    (0.5, 7.0, 2.0, ["one_sided_cable", "gravity"], 2.0),
+    (0.9, 2.5, 1.0, [], 3.0),                               # a common effect explains more
+    (0.5, 6.0, 1.0, [], 99.0)])                             # and most, as none of them promises
+def test_effects_begin_at_another_size_until_one_leaves_noise(search, monkeypatch, promise, known,
+                                                              leaves, tried, left):
     def fit(above):
         return SimpleNamespace(ok=True, chi2=100.0 * above, white=np.zeros(100),
                                system=SimpleNamespace(free=()))
@@ -160,7 +161,7 @@ def test_effects_begin_at_another_size_until_one_leaves_noise(search, monkeypatc
         return SimpleNamespace(name=name, gain=9000.0 * times, parameters={})
 
     begun, names = [], ("gravity", "one_sided_cable")
-    common = hit("periodic_disturbance", 2.0)  # looks better than they, of which two may be named
+    common = hit("periodic_disturbance", 1.0 / promise)     # looks better than they do
     monkeypatch.setattr(search, "_looked", lambda *_: (None, [common, *map(hit, names)]))
     monkeypatch.setattr(search, "_singles", lambda _, __, listed, *___: [
         ((h.name,), fit(3.0)) for h in listed])
@@ -169,7 +170,7 @@ def test_effects_begin_at_another_size_until_one_leaves_noise(search, monkeypatc
     monkeypatch.setattr("dfm_stage.diagnosis.search.at_upper_end", lambda *_: False)
     _, found = search.alone_of(names, fit(99.0), fit(known))
     assert begun == tried
-    assert found.chi2 == (100.0 * leaves if tried else 300.0)
+    assert found.chi2 == 100.0 * left
 
 
 @pytest.mark.parametrize("known", ["bare", "given"])

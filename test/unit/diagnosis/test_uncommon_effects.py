@@ -11,7 +11,7 @@ from benchmarks.corpus.measured import make_case, measured_plan
 from dfm_stage.diagnosis import DiagnosisError, diagnose, hypothesis, uncommon
 from dfm_stage.diagnosis.hypothesis import Trial
 from dfm_stage.diagnosis.observation import observe
-from dfm_stage.diagnosis.search import Search
+from dfm_stage.diagnosis.search import Search, explains_most
 from dfm_stage.diagnosis.uncommon import may_stand_alone
 from dfm_stage.diagnosis.witness import Explained
 from dfm_stage.identification import Run, fit_model
@@ -322,6 +322,14 @@ def test_an_effect_begins_where_the_force_domain_saw_it(names, share, noisy, end
     found = uncommon._begun_by_force(wide, None, ("gravity", "cogging"))
     assert (None if found is None else found[0]) == begun
     assert [each["weight"] for each in tried] == ([0.4] if begun or ended else [])
+
+
+@pytest.mark.parametrize(("common", "most"), [(1599.0, True), (1601.0, False)])
+def test_a_common_effect_explains_most_from_the_share_from_which_it_is_named(common,
+                                                                             most) -> None:
+    first, found = (SimpleNamespace(chi2=chi2, white=np.zeros(1000))
+                    for chi2 in (11_000.0, common))
+    assert explains_most(first, found) is most
 
 
 def test_what_the_force_domain_said_is_known_to_a_wider_trial(monkeypatch) -> None:
