@@ -38,6 +38,16 @@ def search() -> Search:
                   library=("cubic_stiffness", "quadratic_damping"))
 
 
+@pytest.fixture
+def looked(monkeypatch) -> list[str]:
+    """The effects that were screened so far."""
+    names: list[str] = []
+    hits = Screen.hits
+    monkeypatch.setattr(Screen, "hits", lambda self, name, keep=2: (
+        names.append(name), hits(self, name, keep))[1])
+    return names
+
+
 def test_fits_and_screens_by_the_same_weights_are_made_once(search):
     bare = search.begin()
     weights, noise = search.weights, search.noise
@@ -76,12 +86,8 @@ def test_a_wider_search_knows_fits_that_came_to_their_end(search):
     assert wide.fitted(("quadratic_damping",), bare) is not damping
 
 
-def test_a_wider_search_screens_only_what_was_not_looked_at(search, monkeypatch):
+def test_a_wider_search_screens_only_what_was_not_looked_at(search, looked):
     bare = search.begin()
-    looked = []
-    hits = Screen.hits
-    monkeypatch.setattr(Screen, "hits", lambda self, name, keep=2: (
-        looked.append(name), hits(self, name, keep))[1])
     narrow = search.screened(bare, ())[1]
     assert looked == list(search.library)
     looked.clear()
@@ -90,12 +96,8 @@ def test_a_wider_search_screens_only_what_was_not_looked_at(search, monkeypatch)
     assert [h for h in wide if h.name != "gravity"] == narrow
 
 
-def test_only_the_effects_asked_for_are_screened(search, monkeypatch):
+def test_only_the_effects_asked_for_are_screened(search, looked):
     bare = search.begin()
-    looked = []
-    hits = Screen.hits
-    monkeypatch.setattr(Screen, "hits", lambda self, name, keep=2: (
-        looked.append(name), hits(self, name, keep))[1])
     found = search.screened(bare, (), ("cubic_stiffness",))[1]
     assert looked == ["cubic_stiffness"]
     assert {h.name for h in found} == {"cubic_stiffness"}
