@@ -137,7 +137,7 @@ NAMED_SHARE = decision(
     "NAMED_SHARE", 0.94, "1", meaning="Share of the held-out gap, or of the missing force, "
     "from which effects that leave a remainder are named; of what is left, what a further effect "
     "takes that may be small, and that the force domain need not find; of the force, from which "
-    "one uncommon effect is tried where the force domain saw it; if a common one takes as much "
+    "uncommon effects are tried where the force domain saw them; if a common one takes as much "
     "by itself, uncommon ones are tried only if they promise as much.",
     set_on="EMPS (0.948), and cases of two corpora that were looked at: six relatives of what was "
     "left out that leave more than noise (0.83 to 0.94, one 0.987); right names beside a "

@@ -181,10 +181,10 @@ class Fits:
                                                self._from(fewer.model, names, fewer, weaker,
                                                           worth)))
 
-    def around(self, names: Names, start: Fit, hit: Hit) -> Fit:
-        """The fit that begins with one more effect, all else fitted around it first; the best so
+    def around(self, names: Names, start: Fit, hits: Sequence[Hit]) -> Fit:
+        """The fit that begins with further effects, all else fitted around them first; the best so
         far of several."""
-        return self._keep_better(names, self._from(start.model, names, start, [hit], math.inf,
+        return self._keep_better(names, self._from(start.model, names, start, hits, math.inf,
                                                    others_first=True))
 
     def once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit] = (),

@@ -28,6 +28,7 @@ from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
     LEAST_STEPS,
     MOST_STEPS,
+    NEAR_NOISE,
     RESTART_ABOVE,
 )
 from dfm_stage.diagnosis.verdict import (
@@ -36,6 +37,7 @@ from dfm_stage.diagnosis.verdict import (
     needs_joint_fit,
     small_parts,
     stays_open,
+    verdict,
 )
 from dfm_stage.identification.system import steps_taken
 
@@ -83,10 +85,25 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
         part = _explaining(trial, h, warnings, split)
     elif h.names and not part[1].names:
         part = trial, *graded(trial, h, warnings, split)
+    again = _near_noise(trial, h, part, warnings, split)
+    if again is not None:
+        return again
     forced = None if part[1].names else _by_force(trial, h, warnings, split)
     if part[1].names or forced is not None:
         return forced or part
     return trial, h, replace(evidence, witness=part[2].witness, judged=part[2].judged)
+
+
+def _near_noise(trial: Trial, h: Hypothesis, part: Judgement, warnings: Sequence[str],
+                split: bool) -> Judgement | None:
+    """What leaves only noise, begun with effects that explain a part and come near it; None where
+    the search ended with these, or where they do not stand."""
+    own, other, _ = part
+    if own is not trial or not other.names or set(other.names) == set(h.names) \
+            or other.fit.chi2 > NEAR_NOISE * other.fit.white.size:
+        return None
+    found = to_noise(trial, other.names, other.fit, LEAST_STEPS, warnings, split)
+    return (trial, *found) if verdict(found[1]).complete else None
 
 
 def _where_windows_tell_nothing(trial: Trial, h: Hypothesis, warnings: Sequence[str],

@@ -140,7 +140,7 @@ class Search(Fits):
             if best[1].chi2 < _noise(current):
                 break
             self.step(f"fitting {hit.name}")
-            found = self.around((hit.name,), current, hit)
+            found = self.around((hit.name,), current, [hit])
             if not at_upper_end(found, [hit.name]):
                 best = self.best([best, ((hit.name,), found)])
         return best

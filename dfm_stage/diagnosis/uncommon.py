@@ -65,38 +65,52 @@ def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: b
 
 def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
                   split: bool) -> Judgement | None:
-    """One uncommon effect that leaves only noise where no common one does by itself; a search for
-    several common ones would end in more than noise, and late."""
+    """One uncommon effect that leaves only noise where no common one does by itself, or those that
+    the force domain sees; a search for several common ones would end in more than noise, and
+    late."""
     search = trial.search
     if not trial.uncommon or search.runs[0].window or is_noise(first):
         return None
     search.begin_work(FIRST_SHARE * MOST_STEPS)
-    _, common = search.alone(first)
+    usual, common = search.alone(first)
     if is_noise(common):
         return None
     search.step("looking for uncommon effects, too")
     wide = trial.widened()
     names, found = wide.search.alone_of(trial.uncommon, first, common)
-    if not may_stand_alone(search, found, common) and not explains_most(first, common):
-        names, found = _begun_by_force(wide, first, trial.uncommon) or (names, found)
+    if not may_stand_alone(search, found, common):
+        names, found = _begun_by_force(trial, wide, first, usual, common) or (
+            names, found)
     if not may_stand_alone(search, found, common):
         return None
     other = wide, *to_noise(wide, names, found, MOST_STEPS, warnings, split)
-    return other if len(other[1].names) == 1 and verdict(other[2]).complete else None
+    few = 0 < len(other[1].names) <= len(names)
+    return other if few and verdict(other[2]).complete else None
 
 
-def _begun_by_force(wide: Trial, first: Fit, names: Names) -> tuple[Names, Fit] | None:
-    """The fit of the one of some effects that explains nearly all in the force domain, begun as
-    there: a large effect is far from what its response to a small one promises."""
-    seen = wide.witness
-    if seen is None or seen.cannot_tell or len(seen.best.names) != 1 \
-            or seen.best.share < NAMED_SHARE or seen.best.names[0] not in names:
+def _begun_by_force(trial: Trial, wide: Trial, first: Fit, usual: Names,
+                    common: Fit) -> tuple[Names, Fit] | None:
+    """The fit of the effects that explain nearly all in the force domain, one at least uncommon,
+    begun as there: a large effect is far from what its response to a small one promises.
+
+    The force domain takes a lag as none of its business: where the `common` fit is of one that
+    explains most, the effects come beside it. Where another effect explains most, it is not asked.
+    """
+    search, late = wide.search, usual if all(EFFECTS[n].late for n in usual) else ()
+    most = explains_most(first, common)
+    if most and not late:
         return None
-    name, search = seen.best.names[0], wide.search
+    beside, start = (late, common) if most else ((), first)
+    seen = wide.witness
+    if seen is None or seen.cannot_tell or seen.best.share < NAMED_SHARE \
+            or not set(seen.best.names) & set(trial.uncommon):
+        return None
+    told = tuple(n for n in seen.best.names if n not in beside)
     search.begin_work(FIRST_SHARE * MOST_STEPS)
-    search.step(f"fitting {name}")
-    found = search.around((name,), first, Hit.at(name, seen.best.of_effect(name)))
-    return None if at_upper_end(found, [name]) else ((name,), found)
+    search.step(f"fitting {' and '.join((*beside, *told))}")
+    found = search.around((*beside, *told), start, [
+        Hit.at(n, seen.best.of_effect(n)) for n in told])
+    return None if at_upper_end(found, told) else ((*beside, *told), found)
 
 
 def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],

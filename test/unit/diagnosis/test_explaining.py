@@ -101,3 +101,20 @@ def test_noise_alone_is_no_gross_gap_of_a_finely_sampled_body(lag, gross):
     run = SimpleNamespace(output=np.sin(0.63e-3 * np.arange(10_000)) + left)
     bare = SimpleNamespace(system=SimpleNamespace(runs=[run]), residuals=[[left]])
     assert explaining.is_gross(bare, lag) == gross
+
+
+@pytest.mark.parametrize(("names", "left", "complete", "stands"), [
+    (("creep",), 1.05, True, True),
+    (("cogging",), 1.05, True, False),     # the search ended with it
+    (("creep",), 1.1, True, False),        # more than noise is left
+    (("creep",), 1.05, False, False),      # tests refute it
+    ((), 1.05, True, False)])
+def test_effects_of_a_part_that_come_near_the_noise_are_gone_on_from(
+        names, left, complete, stands, monkeypatch):
+    """The work of a search may end in the fits of an effect with many parameters."""
+    trial, ended = SimpleNamespace(), SimpleNamespace(names=("cogging",))
+    part = trial, SimpleNamespace(names=names, fit=leaving(left)), "graded"
+    monkeypatch.setattr(explaining, "to_noise", lambda _, names, *__: (names, "tested"))
+    monkeypatch.setattr(explaining, "verdict", lambda _: SimpleNamespace(complete=complete))
+    found = explaining._near_noise(trial, ended, part, (), False)
+    assert found == ((trial, names, "tested") if stands else None)

@@ -120,7 +120,7 @@ def test_a_failed_beginning_elsewhere_is_no_fit_of_its_effect(search, monkeypatc
     cubic = [h for h in search.screened(bare, ())[1] if h.name == "cubic_stiffness"][:1]
     with monkeypatch.context() as patch:
         patch.setattr(search, "_from", lambda *_, **__: replace(bare, chi2=math.inf))
-        assert not search.around(("cubic_stiffness",), bare, cubic[0]).ok
+        assert not search.around(("cubic_stiffness",), bare, cubic).ok
     assert search.fitted(("cubic_stiffness",), bare, cubic).ok
 
 

@@ -301,27 +301,48 @@ def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
     assert screened == [("anew", ("hysteresis",), earlier.fit), same.fit]
 
 
+FIRST, MOST = (SimpleNamespace(chi2=chi2, white=np.zeros(1000)) for chi2 in (1e5, 2e3))
+
+
 @pytest.mark.parametrize(("names", "share", "noisy", "ended", "begun"), [
     (("gravity",), 0.99, False, False, ("gravity",)),
     (("gravity",), 0.99, False, True, None),            # another effect in the limit
     (("gravity",), 0.90, False, False, None),           # leaves more than an effect may
     (("gravity",), 0.99, True, False, None),            # the force domain cannot tell
     (("cubic_stiffness",), 0.99, False, False, None),   # a common one
-    (("gravity", "cogging"), 0.99, False, False, None)])
+    (("creep", "gravity"), 0.99, False, False, ("creep", "gravity"))])
 def test_an_effect_begins_where_the_force_domain_saw_it(names, share, noisy, ended, begun,
                                                         monkeypatch) -> None:
     """The response to a small force of a swing through half a circle promises little: a cubic
     spring was named in part."""
+    found, tried = begun_by_force(names, share, noisy, ended, (), FIRST, monkeypatch)
+    assert (None if found is None else found[0]) == begun
+    assert [h.parameters["weight"] for each in tried for h in each if h.name == "gravity"] == (
+        [0.4] if begun or ended else [])
+
+
+@pytest.mark.parametrize(("usual", "common", "begun"), [
+    ("coil_inductance", MOST, ("coil_inductance", "gravity")),  # a lag is beside all forces
+    ("coil_inductance", FIRST, ("gravity",)),                   # one that explains little
+    ("coulomb_friction", MOST, None)])                          # the gap has its name
+def test_an_effect_that_the_force_domain_saw_begins_beside_a_lag(usual, common, begun,
+                                                                 monkeypatch) -> None:
+    """Beside the inductance of a coil, a cable was named quadratic stiffness."""
+    found, _ = begun_by_force(("gravity",), 0.99, False, False, (usual,), common, monkeypatch)
+    assert (None if found is None else found[0]) == begun
+
+
+def begun_by_force(names, share, noisy, ended, usual, common, monkeypatch):
+    """What `_begun_by_force` finds, and the hits that it began with."""
     told = Explained(names, share, 0.01, share, {"stiffness": 68.0, "gravity.weight": 0.4}, {})
-    tried: list[dict[str, float]] = []
+    tried = []
     search = SimpleNamespace(step=lambda _: None, begin_work=lambda _: None,
-                             around=lambda own, _, hit: tried.append(hit.parameters))
+                             around=lambda own, _, hits: tried.append(hits))
     monkeypatch.setattr(uncommon, "at_upper_end", lambda *_: ended)
     wide = SimpleNamespace(search=search,
                            witness=SimpleNamespace(cannot_tell=noisy, best=told))
-    found = uncommon._begun_by_force(wide, None, ("gravity", "cogging"))
-    assert (None if found is None else found[0]) == begun
-    assert [each["weight"] for each in tried] == ([0.4] if begun or ended else [])
+    trial = SimpleNamespace(uncommon=("gravity", "cogging"))
+    return uncommon._begun_by_force(trial, wide, FIRST, usual, common), tried
 
 
 @pytest.mark.parametrize(("common", "most"), [(1599.0, True), (1601.0, False)])
