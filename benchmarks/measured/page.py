@@ -209,6 +209,11 @@ def with_tables(text: str, results: Mapping[str, Result]) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Keep the results named, if any, and write the page's tables."""
     given = sys.argv[1:] if argv is None else argv
+    missing = [path for path in given if not Path(path).is_file()]
+    if missing:
+        print(f"{missing[0]}: no such file; give the results.json of ./run bench real --keep",
+              file=sys.stderr)
+        return 2
     for path in given:
         write_results(KEPT, read_results(Path(path)))
     PAGE.write_text(with_tables(PAGE.read_text("utf-8"), read_results()), "utf-8")

@@ -31,7 +31,7 @@ MEANINGS = {
     "named": "effects are missing in the model", "partial": "effects explain a part of the gap",
     "ambiguous": "several effects explain the gap alike",
     "unknown": "no effect of the library explains the gap",
-    "not_excited": "the stage hardly moved"}
+    "not_excited": "the motion is small beside what the model leaves as noise"}
 DATES = {"recording": "Times are those of the recordings.",
          "file": "The records do not all say when they were made: times are those of their files.",
          "order": "The records do not say when they were made, and their files were written "

@@ -67,7 +67,7 @@ OPTIONS: Options = (
     option("--axis", metavar="NAME", help="axis, where a record has several"),
     *(option(name, action="append", default=[], metavar="NAME[,NAME]", help=words)
       for name, words in (
-          ("--library", "effects that may be named, or all (default: uncommon ones come last)"),
+          ("--library", "effects that may be named, or all (default: common, then uncommon)"),
           ("--without", "effects that may not be named"),
           ("--free", "re-estimate these as well, for instance mass"),
           ("--fix", "hold these at the model's values"))),

@@ -25,8 +25,8 @@ SENTENCES = {
     "fitted to.",
     "retune": "No physics is missing: the gap closes when the model's own parameters are "
     "re-estimated.",
-    "not_excited": "These data could not have shown a missing effect: the stage hardly moves "
-    "above its noise.",
+    "not_excited": "These data could not have shown a missing effect: the motion is small beside "
+    "what the model leaves as noise.",
     "none": "Nothing is missing: what the model leaves over is noise."}
 PARTED = ("on a linear spring a constant force and an encoder zero are the same; give "
           "encoder_zero in the model if it is known")

@@ -117,3 +117,10 @@ def test_results_fill_their_rows_and_leave_the_others(tmp_path: Path):
     assert page.NOT_RUN in rows["silverbox"]
     assert "| `emps` | mass | 94 kg | 95.1 kg | 93.2 to 97 | inside |" in \
         page.figures_beside_published(results)
+
+
+def test_results_that_are_not_there_leave_the_page_as_it_is(tmp_path, capsys):
+    before = page.PAGE.read_text("utf-8")
+    assert page.main([str(tmp_path / "results.json")]) == 2
+    assert "no such file" in capsys.readouterr().err
+    assert page.PAGE.read_text("utf-8") == before
