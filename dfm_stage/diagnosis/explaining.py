@@ -26,6 +26,7 @@ from dfm_stage.diagnosis.observation import in_windows
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
+    GRADING_STEPS,
     LEAST_STEPS,
     MOST_STEPS,
     NEAR_NOISE,
@@ -33,11 +34,11 @@ from dfm_stage.diagnosis.search_decisions import (
 )
 from dfm_stage.diagnosis.verdict import (
     explained_share,
+    judge_hypothesis,
     needs_grading,
     needs_joint_fit,
     small_parts,
     stays_open,
-    verdict,
 )
 from dfm_stage.identification.system import steps_taken
 
@@ -82,28 +83,27 @@ def explained(trial: Trial, first: Fit, warnings: Sequence[str], split: bool) ->
     if not needs_grading(evidence):
         return trial, h, evidence
     if part is None:
-        part = _explaining(trial, h, warnings, split)
+        part = _near_noise(h, _explaining(trial, h, warnings, split), warnings, split)
     elif h.names and not part[1].names:
-        part = trial, *graded(trial, h, warnings, split)
-    again = _near_noise(trial, h, part, warnings, split)
-    if again is not None:
-        return again
+        part = _near_noise(h, (trial, *graded(trial, h, warnings, split)), warnings, split)
     forced = None if part[1].names else _by_force(trial, h, warnings, split)
     if part[1].names or forced is not None:
         return forced or part
     return trial, h, replace(evidence, witness=part[2].witness, judged=part[2].judged)
 
 
-def _near_noise(trial: Trial, h: Hypothesis, part: Judgement, warnings: Sequence[str],
-                split: bool) -> Judgement | None:
-    """What leaves only noise, begun with effects that explain a part and come near it; None where
-    the search ended with these, or where they do not stand."""
-    own, other, _ = part
-    if own is not trial or not other.names or set(other.names) == set(h.names) \
+def _near_noise(h: Hypothesis, part: Judgement, warnings: Sequence[str],
+                split: bool) -> Judgement:
+    """Effects that explain a part, or what a search finds that begins with them, if they come near
+    the noise and its effects stand; what the search that ended in `h` dropped is not held against
+    them."""
+    trial, other, _ = part
+    if trial.search.runs[0].window or not other.names or set(other.names) == set(h.names) \
             or other.fit.chi2 > NEAR_NOISE * other.fit.white.size:
-        return None
-    found = to_noise(trial, other.names, other.fit, LEAST_STEPS, warnings, split)
-    return (trial, *found) if verdict(found[1]).complete else None
+        return part
+    own = replace(trial, search=replace(trial.search, barred=set()), dropped={})
+    found = to_noise(own, other.names, other.fit, GRADING_STEPS, warnings, split)
+    return (own, *found) if judge_hypothesis(found[1]).stands else part
 
 
 def _where_windows_tell_nothing(trial: Trial, h: Hypothesis, warnings: Sequence[str],

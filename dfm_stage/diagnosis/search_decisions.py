@@ -57,8 +57,8 @@ PAIR_GAIN = _search("PAIR_GAIN", 1.02, "1", "Screened gain of a pair over the fi
                     "best single effect, from which it is fitted.")
 RESTART_ABOVE = _search("RESTART_ABOVE", 1.03, "1", "Chi-square a sample above which a fit leaves "
                         "more than noise, and effects are searched again beside the others.")
-NEAR_NOISE = _search("NEAR_NOISE", 1.15, "1", "Chi-square a sample up to which an uncommon effect "
-                     "is tested by itself before several common ones are looked for, and up to "
+NEAR_NOISE = _search("NEAR_NOISE", 1.15, "1", "Chi-square a sample up to which uncommon effects "
+                     "are tested before several common ones are looked for, and up to "
                      "which a search begins with effects that explain a part; power left over "
                      "that of its high frequencies, above which it has a colour; held-out "
                      "power over the noise, above which there is more than noise in it.",

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from dfm_stage.diagnosis.alike import at_upper_end, shares_class
 from dfm_stage.diagnosis.decisions import (
+    BLOCK_MARGIN,
     FIRST,
     FURTHER,
     FURTHER_PART,
@@ -32,6 +33,7 @@ from dfm_stage.diagnosis.verdict import (
     main_effect,
     verdict,
 )
+from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.model import EFFECTS
 
 
@@ -65,8 +67,8 @@ def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: b
 
 def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
                   split: bool) -> Judgement | None:
-    """One uncommon effect that leaves only noise where no common one does by itself, or those that
-    the force domain sees; a search for several common ones would end in more than noise, and
+    """One uncommon effect that leaves only noise where no common one does by itself, or the set of
+    the force domain that does; a search for several common ones would end in more than noise, and
     late."""
     search = trial.search
     if not trial.uncommon or search.runs[0].window or is_noise(first):
@@ -77,40 +79,48 @@ def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
         return None
     search.step("looking for uncommon effects, too")
     wide = trial.widened()
-    names, found = wide.search.alone_of(trial.uncommon, first, common)
-    if not may_stand_alone(search, found, common):
-        names, found = _begun_by_force(trial, wide, first, usual, common) or (
-            names, found)
-    if not may_stand_alone(search, found, common):
+    begun: tuple[Names, Fit] | None = wide.search.alone_of(trial.uncommon, first, common)
+    if begun is None or not may_stand_alone(search, begun[1], common):
+        begun = _begun_by_force(trial, wide, first, usual, common)
+    if begun is None or not may_stand_alone(search, begun[1], common):
         return None
-    other = wide, *to_noise(wide, names, found, MOST_STEPS, warnings, split)
-    few = 0 < len(other[1].names) <= len(names)
-    return other if few and verdict(other[2]).complete else None
+    other = wide, *to_noise(wide, *begun, MOST_STEPS, warnings, split)
+    names = other[1].names
+    own = len(names) <= len(begun[0]) and set(names) & set(trial.uncommon)
+    return other if own and verdict(other[2]).complete else None
 
 
 def _begun_by_force(trial: Trial, wide: Trial, first: Fit, usual: Names,
                     common: Fit) -> tuple[Names, Fit] | None:
-    """The fit of the effects that explain nearly all in the force domain, one at least uncommon,
-    begun as there: a large effect is far from what its response to a small one promises.
+    """The fit of the effects that explain nearly all in the force domain, begun as there: a large
+    effect is far from what its response to a small one promises.
 
-    The force domain takes a lag as none of its business: where the `common` fit is of one that
-    explains most, the effects come beside it. Where another effect explains most, it is not asked.
+    Of lags, the force domain knows little: where the `common` fit is of one that explains most,
+    the effects come beside it. Where another effect explains most, the force is not asked.
     """
-    search, late = wide.search, usual if all(EFFECTS[n].late for n in usual) else ()
-    most = explains_most(first, common)
-    if most and not late:
+    beside = usual if explains_most(first, common) else ()
+    if any(EFFECTS[n].late is None for n in beside):
         return None
-    beside, start = (late, common) if most else ((), first)
-    seen = wide.witness
-    if seen is None or seen.cannot_tell or seen.best.share < NAMED_SHARE \
-            or not set(seen.best.names) & set(trial.uncommon):
+    seen, search = wide.witness, wide.search
+    if seen is None or not _needs_uncommon(seen, trial):
         return None
-    told = tuple(n for n in seen.best.names if n not in beside)
+    told = tuple(n for n in seen.best.names if not beside or EFFECTS[n].late is None)
+    names = *beside, *told
     search.begin_work(FIRST_SHARE * MOST_STEPS)
-    search.step(f"fitting {' and '.join((*beside, *told))}")
-    found = search.around((*beside, *told), start, [
+    search.step(f"fitting {' and '.join(names)}")
+    found = search.around(names, common if beside else first, [
         Hit.at(n, seen.best.of_effect(n)) for n in told])
-    return None if at_upper_end(found, told) else ((*beside, *told), found)
+    return None if at_upper_end(found, told) else (names, found)
+
+
+def _needs_uncommon(seen: Witness, trial: Trial) -> bool:
+    """Whether the set that explains nearly all of the force has an uncommon effect, lags apart,
+    and every common one in the place of it is clearly worse: of two friction laws, the best by a
+    hair is chance."""
+    own = [n for n in seen.best.names if n in trial.uncommon and EFFECTS[n].late is None]
+    return bool(own) and not seen.cannot_tell and seen.best.share >= NAMED_SHARE and all(
+        behind > BLOCK_MARGIN for n in own for rival, behind in seen.margins[n].items()
+        if rival in trial.search.library)
 
 
 def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence[str],
@@ -222,7 +232,7 @@ def _leaves_less(wide: Trial, first: Fit, found: Judgement) -> bool:
 
 
 def may_stand_alone(search: Search, found: Fit, common: Fit) -> bool:
-    """Whether one uncommon effect comes near the noise and explains more than the best common one
-    does, its parameters paid for."""
+    """Whether effects come near the noise and explain more than the best common one does, their
+    parameters paid for."""
     return found.chi2 <= NEAR_NOISE * found.white.size \
         and search.score(found) <= search.score(common) - FURTHER

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -103,18 +104,41 @@ def test_noise_alone_is_no_gross_gap_of_a_finely_sampled_body(lag, gross):
     assert explaining.is_gross(bare, lag) == gross
 
 
-@pytest.mark.parametrize(("names", "left", "complete", "stands"), [
-    (("creep",), 1.05, True, True),
-    (("cogging",), 1.05, True, False),     # the search ended with it
-    (("creep",), 1.1, True, False),        # more than noise is left
-    (("creep",), 1.05, False, False),      # tests refute it
-    ((), 1.05, True, False)])
+@dataclass
+class Tried:
+    search: SearchTried
+    dropped: dict[str, str]
+
+
+@dataclass
+class SearchTried:
+    runs: list[SimpleNamespace]
+    barred: set[str]
+
+
+@pytest.mark.parametrize(("names", "left", "stands", "window", "taken"), [
+    (("creep",), 1.05, True, 0, True),
+    (("cogging",), 1.05, True, 0, False),     # the search ended with it
+    (("creep",), 1.1, True, 0, False),        # more than noise is left
+    (("creep",), 1.05, False, 0, False),      # its effects do not stand, though noise be left
+    (("creep",), 1.05, True, 9, False),       # of windows, another noise is left
+    ((), 1.05, True, 0, False)])
 def test_effects_of_a_part_that_come_near_the_noise_are_gone_on_from(
-        names, left, complete, stands, monkeypatch):
-    """The work of a search may end in the fits of an effect with many parameters."""
-    trial, ended = SimpleNamespace(), SimpleNamespace(names=("cogging",))
+        names, left, stands, window, taken, monkeypatch):
+    """The work of a search may end in the fits of an effect with many parameters; what it dropped
+    beside that one may be right."""
+    trial = Tried(SearchTried([SimpleNamespace(window=window)], {"creep"}), {"creep": "why"})
+    ended = SimpleNamespace(names=("cogging",))
     part = trial, SimpleNamespace(names=names, fit=leaving(left)), "graded"
-    monkeypatch.setattr(explaining, "to_noise", lambda _, names, *__: (names, "tested"))
-    monkeypatch.setattr(explaining, "verdict", lambda _: SimpleNamespace(complete=complete))
-    found = explaining._near_noise(trial, ended, part, (), False)
-    assert found == ((trial, names, "tested") if stands else None)
+
+    def to_noise(own, begun, *_):
+        assert (own.search.barred, own.dropped) == (set(), {})
+        own.dropped["hysteresis"] = "tried"
+        return begun, "tested"
+
+    monkeypatch.setattr(explaining, "to_noise", to_noise)
+    monkeypatch.setattr(explaining, "judge_hypothesis",
+                        lambda _: SimpleNamespace(stands=stands))
+    found = explaining._near_noise(ended, part, (), False)
+    assert found[1:] == ((names, "tested") if taken else part[1:])
+    assert (trial.search.barred, trial.dropped) == ({"creep"}, {"creep": "why"})

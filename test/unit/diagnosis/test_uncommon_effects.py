@@ -301,48 +301,79 @@ def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
     assert screened == [("anew", ("hysteresis",), earlier.fit), same.fit]
 
 
-FIRST, MOST = (SimpleNamespace(chi2=chi2, white=np.zeros(1000)) for chi2 in (1e5, 2e3))
+FIRST, MOST = (SimpleNamespace(ok=True, chi2=chi2, white=np.zeros(1000))
+               for chi2 in (1e5, 2e3))
 
 
-@pytest.mark.parametrize(("names", "share", "noisy", "ended", "begun"), [
-    (("gravity",), 0.99, False, False, ("gravity",)),
-    (("gravity",), 0.99, False, True, None),            # another effect in the limit
-    (("gravity",), 0.90, False, False, None),           # leaves more than an effect may
-    (("gravity",), 0.99, True, False, None),            # the force domain cannot tell
-    (("cubic_stiffness",), 0.99, False, False, None),   # a common one
-    (("creep", "gravity"), 0.99, False, False, ("creep", "gravity"))])
-def test_an_effect_begins_where_the_force_domain_saw_it(names, share, noisy, ended, begun,
+@pytest.mark.parametrize(("names", "share", "behind", "ended", "begun"), [
+    (("gravity",), 0.99, 5.0, False, ("gravity",)),
+    (("gravity",), 0.99, 5.0, True, None),             # another effect in the limit
+    (("gravity",), 0.90, 5.0, False, None),            # leaves more than an effect may
+    (("gravity",), 0.99, 2.9, False, None),            # a cubic spring does nearly as well
+    (("gravity",), 0.99, None, False, None),           # the force domain cannot tell
+    (("cubic_stiffness",), 0.99, 5.0, False, None),    # a common one
+    (("sensor_lag", "creep"), 0.99, 5.0, False, None), # of lags, forces know little
+    (("creep", "gravity"), 0.99, 5.0, False, ("creep", "gravity"))])
+def test_an_effect_begins_where_the_force_domain_saw_it(names, share, behind, ended, begun,
                                                         monkeypatch) -> None:
     """The response to a small force of a swing through half a circle promises little: a cubic
     spring was named in part."""
-    found, tried = begun_by_force(names, share, noisy, ended, (), FIRST, monkeypatch)
+    found, tried = begun_by_force(names, share, behind, ended, (), FIRST, monkeypatch)
     assert (None if found is None else found[0]) == begun
-    assert [h.parameters["weight"] for each in tried for h in each if h.name == "gravity"] == (
-        [0.4] if begun or ended else [])
+    assert [(start, h.parameters["weight"]) for start, hits in tried for h in hits
+            if h.name == "gravity"] == ([(FIRST, 0.4)] if begun or ended else [])
 
 
 @pytest.mark.parametrize(("usual", "common", "begun"), [
     ("coil_inductance", MOST, ("coil_inductance", "gravity")),  # a lag is beside all forces
-    ("coil_inductance", FIRST, ("gravity",)),                   # one that explains little
+    ("coil_inductance", FIRST, ("amplifier_bandwidth", "gravity")),  # one that explains little
     ("coulomb_friction", MOST, None)])                          # the gap has its name
 def test_an_effect_that_the_force_domain_saw_begins_beside_a_lag(usual, common, begun,
                                                                  monkeypatch) -> None:
     """Beside the inductance of a coil, a cable was named quadratic stiffness."""
-    found, _ = begun_by_force(("gravity",), 0.99, False, False, (usual,), common, monkeypatch)
+    found, tried = begun_by_force(("amplifier_bandwidth", "gravity"), 0.99, 5.0, False, (usual,),
+                                  common, monkeypatch)
     assert (None if found is None else found[0]) == begun
+    assert [start for start, _ in tried] == ([common] if begun else [])
 
 
-def begun_by_force(names, share, noisy, ended, usual, common, monkeypatch):
-    """What `_begun_by_force` finds, and the hits that it began with."""
+def begun_by_force(names, share, behind, ended, usual, common, monkeypatch):
+    """What `_begun_by_force` finds, and the fits and hits that it began with."""
     told = Explained(names, share, 0.01, share, {"stiffness": 68.0, "gravity.weight": 0.4}, {})
     tried = []
-    search = SimpleNamespace(step=lambda _: None, begin_work=lambda _: None,
-                             around=lambda own, _, hits: tried.append(hits))
+    search = SimpleNamespace(
+        step=lambda _: None, begin_work=lambda _: None,
+        around=lambda own, start, hits: tried.append((start, hits)))
     monkeypatch.setattr(uncommon, "at_upper_end", lambda *_: ended)
-    wide = SimpleNamespace(search=search,
-                           witness=SimpleNamespace(cannot_tell=noisy, best=told))
-    trial = SimpleNamespace(uncommon=("gravity", "cogging"))
+    margins = {n: {"cubic_stiffness": behind, "cogging": 0.1} for n in names}
+    wide = SimpleNamespace(search=search, witness=SimpleNamespace(
+        cannot_tell=behind is None, best=told, margins=margins))
+    trial = SimpleNamespace(uncommon=("gravity", "cogging", "sensor_lag"),
+                            search=SimpleNamespace(library=("cubic_stiffness",)))
     return uncommon._begun_by_force(trial, wide, FIRST, usual, common), tried
+
+
+@pytest.mark.parametrize(("ended", "complete", "taken"), [
+    (("creep", "gravity"), True, True),
+    (("gravity",), True, True),
+    (("creep", "gravity"), False, False),
+    (("creep", "cubic_stiffness"), True, False),   # common ones have a search of their own
+    (("creep", "gravity", "cogging"), True, False),
+    ((), True, False)])
+def test_the_first_look_ends_only_with_an_uncommon_effect(ended, complete, taken,
+                                                          monkeypatch) -> None:
+    begun = ("creep", "gravity"), SimpleNamespace(chi2=1000.0, white=np.zeros(1000))
+    search = SimpleNamespace(runs=[SimpleNamespace(window=0)], begin_work=lambda _: None,
+                             alone=lambda _: (("creep",), MOST), step=lambda _: None,
+                             alone_of=lambda *_: begun, score=lambda fit: fit.chi2)
+    wide = SimpleNamespace(search=search)
+    trial = SimpleNamespace(uncommon=("gravity", "cogging"), search=search,
+                            widened=lambda: wide)
+    monkeypatch.setattr(uncommon, "to_noise",
+                        lambda *_: (SimpleNamespace(names=ended), "evidence"))
+    monkeypatch.setattr(uncommon, "verdict", lambda _: SimpleNamespace(complete=complete))
+    found = uncommon._one_uncommon(trial, FIRST, (), False)
+    assert (found is not None) == taken
 
 
 @pytest.mark.parametrize(("common", "most"), [(1599.0, True), (1601.0, False)])
