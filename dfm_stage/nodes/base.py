@@ -12,6 +12,7 @@ import contextlib
 import importlib
 import json
 import os
+import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -139,6 +140,12 @@ def node_class(kind: str) -> type[LoopNode]:
                    "".join(map(str.capitalize, kind.split("_"))))
 
 
+STUCK_S = 3.0
+"""How long a process that ends may be kept by its middleware, s. Seldom, Fast DDS waits for ever
+for a callback of a participant that it closes; bags and devices are safe by then, and the system
+ends the process."""
+
+
 class LoopNode(EachSecond):
     """Base of the nodes on the loop of one axis.
 
@@ -153,6 +160,8 @@ class LoopNode(EachSecond):
     """By how much its process gives way to others, where it has the process to itself."""
     leaving_s = 0.0
     """How long a node that ends may wait until its last messages have arrived, s."""
+    ends_process = False
+    """Whether it is the last node of a process that ends with it."""
     listens_to = ""
     """What it subscribes to besides what the tables of `wiring` say, in words."""
     example = ""
@@ -334,6 +343,8 @@ class LoopNode(EachSecond):
         for receiver in self._receivers:
             receiver.leave()
         forget(self)
+        if self.ends_process:
+            signal.setitimer(signal.ITIMER_REAL, STUCK_S)
         super().destroy_node()
 
     def an_endpoint(self) -> Sequence[int]:

@@ -222,7 +222,9 @@ def _run(given: list[str], kinds: Callable[[], Sequence[Callable[[], LoopNode]]]
         return 2
     finally:
         for node in nodes:
+            node.ends_process = node is nodes[-1]
             node.destroy_node()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         if anew:
             for node in nodes:
                 node.realtime.give_back()

@@ -82,6 +82,19 @@ def test_an_ended_node_keeps_nothing_of_the_middleware(kind):
     assert done.stdout.split()[-2:] == ["0", "True"]
 
 
+def test_a_node_that_its_middleware_does_not_let_go_ends_all_the_same():
+    """Its harness was killed, and it kept a processor busy for ever in closing its participant."""
+    code = ("import ctypes, os, signal, sys, threading\nfrom rclpy.node import Node\n"
+            "stuck = ctypes.CDLL(None).pause\n"
+            "Node.destroy_node = lambda _: [stuck() for _ in iter(int, 1)]\n"
+            "from dfm_stage.nodes.encoder_driver import main\n"
+            "threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
+            "sys.argv = ['dfm_stage', 'encoder_driver']\nmain([])")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60.0,
+                          check=False)
+    assert done.returncode == -signal.SIGALRM
+
+
 def test_a_signal_before_a_node_can_answer_ends_it_quietly(tmp_path):
     for number in (signal.SIGINT, signal.SIGTERM):
         log = tmp_path / f"{number}.log"
