@@ -79,15 +79,16 @@ def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
         return None
     search.step("looking for uncommon effects, too")
     wide = trial.widened()
-    begun: tuple[Names, Fit] | None = wide.search.alone_of(trial.uncommon, first, common)
-    if begun is None or not may_stand_alone(search, begun[1], common):
-        begun = _begun_by_force(trial, wide, first, usual, common)
-    if begun is None or not may_stand_alone(search, begun[1], common):
-        return None
+    begun = wide.search.alone_of(trial.uncommon, first, common)
+    if not may_stand_alone(search, begun[1], common):
+        forced = _begun_by_force(trial, wide, first, usual, common)
+        if forced is None or not may_stand_alone(search, forced[1], common):
+            return None
+        begun = forced
     other = wide, *to_noise(wide, *begun, MOST_STEPS, warnings, split)
     names = other[1].names
-    own = len(names) <= len(begun[0]) and set(names) & set(trial.uncommon)
-    return other if own and verdict(other[2]).complete else None
+    stays = len(names) <= len(begun[0]) and set(names) & set(trial.uncommon)
+    return other if stays and verdict(other[2]).complete else None
 
 
 def _begun_by_force(trial: Trial, wide: Trial, first: Fit, usual: Names,

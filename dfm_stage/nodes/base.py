@@ -14,7 +14,7 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -144,6 +144,16 @@ STUCK_S = 3.0
 """How long a process that ends may be kept by its middleware, s. Seldom, Fast DDS waits for ever
 for a callback of a participant that it closes; bags and devices are safe by then, and the system
 ends the process."""
+
+
+@contextlib.contextmanager
+def _ended_if_stuck() -> Iterator[None]:
+    """Have the system end this process (SIGALRM) where what is done takes longer than STUCK_S."""
+    before = signal.setitimer(signal.ITIMER_REAL, STUCK_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, *before)
 
 
 class LoopNode(EachSecond):
@@ -343,9 +353,8 @@ class LoopNode(EachSecond):
         for receiver in self._receivers:
             receiver.leave()
         forget(self)
-        if self.ends_process:
-            signal.setitimer(signal.ITIMER_REAL, STUCK_S)
-        super().destroy_node()
+        with _ended_if_stuck() if self.ends_process else contextlib.nullcontext():
+            super().destroy_node()
 
     def an_endpoint(self) -> Sequence[int]:
         """Return the global identifier of one of this node's endpoints.

@@ -224,7 +224,6 @@ def _run(given: list[str], kinds: Callable[[], Sequence[Callable[[], LoopNode]]]
         for node in nodes:
             node.ends_process = node is nodes[-1]
             node.destroy_node()
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
         if anew:
             for node in nodes:
                 node.realtime.give_back()
