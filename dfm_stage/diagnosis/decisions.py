@@ -109,6 +109,10 @@ LONG_BLOCKS = decision(
     "LONG_BLOCKS", 8, "1", meaning="Blocks that set intervals where a remainder stays, three of "
     "the former each.", set_on="44 intervals of the measured-like corpus, seed 30001, beside a "
     "remainder of at most 3 %: 35 hold the physical value, 31 with 24 blocks")
+REMAINDER_TERMS = decision(
+    "REMAINDER_TERMS", 10, "1", meaning="Independent terms of what is left: intervals allow for "
+    "as much hidden behind a parameter as one of them has.",
+    set_on="derivation: there are ten polynomials up to the third degree in position and velocity")
 SHORTEST_BLOCK = decision(
     "SHORTEST_BLOCK", 100, "samples", meaning="Shortest block.",
     set_on="derivation: some periods of the motion of a stage that is sampled fast enough")

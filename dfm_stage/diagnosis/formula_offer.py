@@ -17,7 +17,7 @@ from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.formula_search import RESAMPLES, Found, Regression, search
 from dfm_stage.diagnosis.formula_terms import Over, formula_from
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
-from dfm_stage.diagnosis.margins import margin_between, power, score_by_blocks
+from dfm_stage.diagnosis.margins import margin_between, power, score_with_remainder
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.search_decisions import LEAST_STEPS
@@ -152,7 +152,7 @@ def _offer(f: _Fitted, name: str, lag: int, gap: float) -> Offer:
     """What is told of a formula; `gap` is the held-out power above the noise without any."""
     use = f.fit.model.effect(f.formula.name)
     assert use is not None  # noqa: S101 (it was fitted)
-    quantities = f.fit.quantities_over(*score_by_blocks(f.fit))
+    quantities = f.fit.quantities_over(*score_with_remainder(f.fit))
     values = {n: float(f"{v:.9g}") for n, v in use.parameters.items()}
     taken = power(f.proposal.without.residuals, lag) - power(f.left.residuals, lag)
     found = f.proposal.found

@@ -36,11 +36,13 @@ from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import (
     Constancy,
+    Score,
     Signal,
     constancy,
     margin_between,
     power,
     score_by_blocks,
+    score_with_remainder,
 )
 from dfm_stage.diagnosis.missing_force import missing_force
 from dfm_stage.diagnosis.next_experiment import propose
@@ -63,8 +65,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     """Do all that every verdict needs.
 
     `warnings` are those of the records; `split` says that parts of these are held out, `graded`
-    that the effects leave a remainder: then blocks set the intervals, as they do where what is
-    left has a colour.
+    that the effects leave a remainder: then blocks and the remainder set the intervals; blocks
+    alone where what is left has a colour.
     """
     search = trial.search
     runs, weight = search.runs, search.weights[0][0]
@@ -75,9 +77,8 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     fitted_given = predict(search.model, runs, search.weights, search.noise)
     seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
     retuned = _of_model(trial, h.bare, seen[1], judged)
-    by_blocks = graded or has_colour(h.fit, quiet)
-    extended = _of_model(trial, h.fit, seen[2], judged, by_blocks) if h.fit is not h.bare else \
-        replace(retuned, held_out=_errors(seen[2], judged))
+    extended = replace(retuned, held_out=_errors(seen[2], judged)) if h.fit is h.bare else \
+        _of_model(trial, h.fit, seen[2], judged, _score(h.fit, quiet, graded))
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
                           description=retuned.description or extended.description)
@@ -216,21 +217,30 @@ def has_colour(found: Fit, quiet: float) -> bool:
 
 
 def _of_model(trial: Trial, found: Fit, seen: Prediction, judged: Judged,
-              by_blocks: bool = False) -> ModelEvidence:
+              score: Score | None = None) -> ModelEvidence:
     fitted = Errors(found.rms, found.chi2, found.white.size,
                     power(found.residuals, judged.lag))
     if not found.ok:
         return ModelEvidence(fitted, _errors(seen, judged))
-    evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found, by_blocks),
+    evidence = ModelEvidence(fitted, _errors(seen, judged), _values(found, score),
                              trial.findings(found))
     return replace(evidence, description=describe(trial.search.runs, found.residuals)
                    if evidence.remainder else None)
 
 
-def _values(found: Fit, by_blocks: bool) -> dict[str, Quantity]:
+def _score(found: Fit, quiet: float, graded: bool) -> Score | None:
+    """The score's covariance that sets intervals, where what is left is no white noise."""
+    if not found.ok:
+        return None
+    if graded:
+        return score_with_remainder(found)
+    return score_by_blocks(found) if has_colour(found, quiet) else None
+
+
+def _values(found: Fit, score: Score | None) -> dict[str, Quantity]:
     """Free parameters: the intervals about the values that the model has."""
     values = found.model.parameters()
-    told = found.quantities_over(*score_by_blocks(found)) if by_blocks else found.quantities
+    told = found.quantities if score is None else found.quantities_over(*score)
     return {n: replace(q, value=float(values.get(n, q.value))) for n, q in told.items()}
 
 

@@ -23,14 +23,18 @@ from dfm_stage.diagnosis.decisions import (
     LONG_BLOCKS,
     LONGEST_VELOCITY,
     NOISE_IN_VELOCITY,
+    REMAINDER_TERMS,
     SAYS_NOTHING,
     SHORTEST_BLOCK,
     SIZE_GROUPS,
     SIZES_APART,
 )
 from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.identification.weights import high_band_rms
 
 Signal = Literal["position", "velocity", "acceleration"]
+Score = tuple[Array, float]
+"""The covariance (n, n) of the score of a fit's unknowns, and its degrees of freedom."""
 
 
 def judged_signal(residual: Array, lag: int) -> Array:
@@ -180,7 +184,7 @@ def _apart(sizes: Array, groups: Lines) -> float:
         float(np.mean(sizes[groups == 0])), 1e-300)
 
 
-def score_by_blocks(found: Fit) -> tuple[Array, float]:
+def score_by_blocks(found: Fit) -> Score:
     """The middle (n, n) of the sandwich covariance with blocks as clusters, and its degrees of
     freedom: it covers parameters that drift.
 
@@ -205,6 +209,23 @@ def score_by_blocks(found: Fit) -> tuple[Array, float]:
     moved = np.array([gram @ np.linalg.pinv(gram - own, rcond=RANK, hermitian=True) @ score
                       for own, score in zip(grams, scores, strict=True)]) * norms
     return moved.T @ moved * (count - 1.0) / count, float(max(count - 1, 1))
+
+
+def score_with_remainder(found: Fit) -> Score:
+    """The same where the fit leaves more than noise.
+
+    Blocks show how the hidden part of what is missing varies. What is alike in all of them they
+    cannot show: a force that follows from the motion has few independent terms, and the parameters
+    have taken up some of these. As much is allowed for in each direction as one term of what is
+    left has.
+    """
+    middle, dof = score_by_blocks(found)
+    noise = sum((high_band_rms(part) / w.sigma) ** 2 * float(w.polynomial @ w.polynomial)
+                * (part.size - w.order) for parts, ws in zip(
+                    found.residuals, found.weights, strict=True)
+                for part, w in zip(parts, ws, strict=True))
+    hidden = max(found.chi2 - noise, 0.0) / REMAINDER_TERMS
+    return middle + hidden * (found.jacobian.T @ found.jacobian), dof
 
 
 RANK = 1e-10

@@ -25,6 +25,7 @@ from dfm_stage.diagnosis.search_decisions import (
     LEAST_STEPS,
     MOST_STEPS,
     NEAR_NOISE,
+    SHORT_LIST_GAIN,
 )
 from dfm_stage.diagnosis.verdict import (
     explained_share,
@@ -47,8 +48,9 @@ def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: b
     found = explained(trial, first, warnings, split)
     said = verdict(found[2])
     relatives = _relatives(trial, found[1]) if said.complete else set()
+    others = relatives or (len(found[1].names) > 1 and _kin(trial, found[1]))
     coloured = is_coloured_noise(found[2])
-    if not trial.uncommon or (said.complete and not relatives and not coloured):
+    if not trial.uncommon or (said.complete and not others and not coloured):
         return found
     trial.search.step("looking for uncommon effects, too")
     wide = trial.widened()
@@ -154,9 +156,14 @@ def _relatives(trial: Trial, h: Hypothesis) -> set[str]:
     as one of its effects, those of its class that have fewer parameters than all together, and
     those of its class that what is left looks like."""
     many = sum(len(EFFECTS[own].parameters) for own in h.names)
-    kin = [n for n in trial.uncommon if any(shares_class(n, own) for own in h.names)]
+    kin = _kin(trial, h)
     return {n for n in trial.uncommon if any(n in EFFECTS[own].twins for own in h.names)} | {
         n for n in kin if len(EFFECTS[n].parameters) < many} | _seen_in_what_is_left(trial, h, kin)
+
+
+def _kin(trial: Trial, h: Hypothesis) -> list[str]:
+    """The uncommon effects that share a class with one that was found."""
+    return [n for n in trial.uncommon if any(shares_class(n, own) for own in h.names)]
 
 
 def _seen_in_what_is_left(trial: Trial, h: Hypothesis, names: Sequence[str]) -> set[str]:
@@ -177,42 +184,64 @@ def _weighed(search: Search, h: Hypothesis) -> Fit:
 def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
                  warnings: Sequence[str], split: bool) -> Judgement:
     """What was found to leave only noise, or what explains as much with fewer parameters, or
-    clearly more: one of its `relatives` in the place of all, or one in the place of one."""
-    h, search = found[1], wide.search
+    clearly more: one of its `relatives` in the place of all, or one of its class in the place of
+    one or of several. An effect that is spared may cost what a further one must bring."""
+    own, h, _ = found
+    search = wide.search
     search.begin_work(LEAST_STEPS)
-    alone = {n for n in relatives if any(shares_class(n, own) for own in h.names)}
-    begun: dict[Names, Fit] = {}
-    if alone:
-        _, hits = search.screened(first, (), sorted(alone))
-        begun = {(hit.name,): search.fitted((hit.name,), first, [hit])
-                 for hit in best_of_each(hits)}
-    for own in h.names:
-        for twin in sorted(relatives & EFFECTS[own].twins.keys()):
-            names = tuple(twin if n == own else n for n in h.names)
-            begun[names] = search.in_place_of(own, twin, names, h.fit)
-    search.reweigh(found[0].search.weights, found[0].search.noise)
-    fits = {names: search.fitted(names, each) for names, each in begun.items() if each.ok}
+    begun = _begun_alone(search, first, h, relatives)
+    for name in h.names:
+        for twin in sorted(relatives & EFFECTS[name].twins.keys()):
+            names = tuple(twin if n == name else n for n in h.names)
+            begun[names] = search.in_place_of(name, twin, names, h.fit)
+    search.reweigh(own.search.weights, own.search.noise)
+    least = _weighed(search, h)
+    tried = [(names, search.fitted(names, each)) for names, each in begun.items() if each.ok]
     if len(h.names) > 1:
-        fits.update(_in_place_of_one(search, h, alone))
-    least = search.score(_weighed(search, h))
-    fits = {names: each for names, each in fits.items() if each.ok and search.score(each) <= (
-        least if len(each.system.free) < len(h.fit.system.free) else least - MARGIN)}
+        tried += _in_place_of_one(search, h.names, least, _kin(own, h))
+    tried += [search.pruned(*each) for each in tried if each[1].ok]
+    fits = {names: each for names, each in tried if set(names) & set(own.uncommon)
+            and _is_preferred(search, names, each, h.names, least)}
     if not fits:
         return found
-    names = min(fits, key=lambda each: search.score(fits[each]))
+    names = min(fits, key=lambda each: search.score(fits[each]) + FURTHER * len(each))
     other = wide, *to_noise(wide, names, fits[names], MOST_STEPS, warnings, split)
     return other if len(other[1].names) <= len(names) and verdict(other[2]).complete else found
 
 
-def _in_place_of_one(search: Search, h: Hypothesis, kin: set[str]) -> Iterator[tuple[Names, Fit]]:
-    """Fits of what was found with an effect of `kin` in the place of the one of its class."""
-    for own in h.names:
-        rest = tuple(n for n in h.names if n != own)
-        wanted = {n for n in kin if shares_class(n, own) and n not in EFFECTS[own].twins}
-        if wanted and (without := search.fitted(rest, h.fit)).ok:
-            _, hits = search.screened(without, rest, sorted(wanted))
-            for hit in best_of_each(hits):
-                yield (*rest, hit.name), search.fitted((*rest, hit.name), without, [hit])
+def _is_preferred(search: Search, names: Names, each: Fit, found: Names, least: Fit) -> bool:
+    """Whether effects are preferred to those found, which leave the `least`: fewer effects by
+    what a further one must bring, fewer parameters at the same score, others by a margin."""
+    if len(names) < len(found):
+        further = search.further(found, least)
+        return each.chi2 <= least.chi2 + further * (len(found) - len(names))
+    fewer = len(each.system.free) < len(least.system.free)
+    return search.score(each) <= search.score(least) - (0.0 if fewer else MARGIN)
+
+
+def _begun_alone(search: Search, first: Fit, h: Hypothesis,
+                 relatives: set[str]) -> dict[Names, Fit]:
+    """Fits of each relative of its class in the place of all that was found."""
+    alone = {n for n in relatives if any(shares_class(n, own) for own in h.names)}
+    if not alone:
+        return {}
+    _, hits = search.screened(first, (), sorted(alone))
+    return {(hit.name,): search.fitted((hit.name,), first, [hit]) for hit in best_of_each(hits)}
+
+
+def _in_place_of_one(search: Search, names: Names, least: Fit,
+                     kin: Sequence[str]) -> Iterator[tuple[Names, Fit]]:
+    """Fits of what was found with an effect of `kin` in the place of the one of its class: those
+    that promise as much as the best."""
+    for own in names:
+        rest = tuple(n for n in names if n != own)
+        wanted = [n for n in kin if shares_class(n, own) and n not in EFFECTS[own].twins]
+        if wanted and (without := search.fitted(rest, least)).ok:
+            _, hits = search.screened(without, rest, wanted)
+            best = best_of_each(hits)
+            for hit in best:
+                if hit.gain > SHORT_LIST_GAIN * best[0].gain:
+                    yield (*rest, hit.name), search.fitted((*rest, hit.name), without, [hit])
 
 
 def _may_explain(wide: Trial, found: Judgement) -> bool:

@@ -25,6 +25,7 @@ from dfm_stage.diagnosis.margins import (
     power,
     powers,
     score_by_blocks,
+    score_with_remainder,
     velocity_lag,
 )
 from dfm_stage.diagnosis.observation import Observation
@@ -183,7 +184,8 @@ def hand_made(target, columns, motion, order=0, current=None):
     system = SimpleNamespace(runs=[run], free=names, count=len(names), drifts=False,
                              unknowns=[SimpleNamespace(name=n, run=None) for n in names])
     return SimpleNamespace(system=system, residuals=[residuals], white=white, jacobian=-rows,
-                           weights=((*(SimpleNamespace(order=n) for n in weights),),), ok=True)
+                           weights=((*(Weight(np.eye(1, n + 1)[0], 1.0, "") for n in weights),),),
+                           chi2=float(white @ white), ok=True)
 
 
 def swings(seed=0, blocks=24):
@@ -274,6 +276,58 @@ def test_a_measured_current_takes_part_in_the_score():
                                               current=(noise[1], x[:, None])))
         ratios.append(float(middle[0, 0]) / (2.0 * float(x @ x)))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
+
+
+def half_widths(found, score):
+    """Halves of the 95 % intervals of the parameters (n,)."""
+    middle, dof = score
+    bread = np.linalg.inv(found.jacobian.T @ found.jacobian)
+    return stats.t.ppf(0.975, dof) * np.sqrt(np.diag(bread @ middle @ bread))
+
+
+@pytest.mark.parametrize("missing", ["two sines", "noise"])
+def test_what_hides_alike_in_all_blocks_is_in_the_intervals(missing):
+    """Friction, a spring, a damper beside a force drawn from all other polynomials up to the third
+    degree: it moves each by the same in every block, and blocks alone miss that."""
+    time, rng = np.arange(24 * BLOCK), np.random.default_rng(5)
+    x = np.sin(0.031 * time) + 0.7 * np.sin(0.0523 * time + 1.0)
+    if missing == "noise":
+        x = np.convolve(rng.standard_normal(time.size), np.hanning(60), "same")
+        x /= np.std(x)
+    v = np.gradient(x) / np.std(np.gradient(x))
+    terms = [x**i * v**j for i in range(4) for j in range(4 - i) if i + j > 1]
+    terms = np.column_stack([t / np.sqrt(np.mean(t**2)) for t in terms])
+    columns = np.column_stack((np.sign(v), x, v, np.ones(x.size)))
+    held = []
+    for _ in range(100):
+        target = 3.0 * columns[:, 0] + 0.3 * terms @ rng.standard_normal(terms.shape[1])
+        found = hand_made(target + 0.05 * rng.standard_normal(x.size), columns, x)
+        off = np.abs(np.linalg.lstsq(columns, target, rcond=None)[0] - [3.0, 0.0, 0.0, 0.0])
+        held.append([off < half_widths(found, score(found))
+                     for score in (score_by_blocks, score_with_remainder)])
+    blocks, remainder = np.mean(held, axis=0)
+    assert np.mean(blocks) < 0.35
+    assert np.mean(remainder) > 0.7
+    assert remainder[0] > 0.9
+
+
+@pytest.mark.parametrize("polynomial", [[1.0], [1.0, -0.995]])
+def test_noise_hides_nothing(polynomial):
+    """In a position and in its change."""
+    ratios = []
+    for seed in range(100):
+        x, rng = swings(seed)
+        sigma = 0.05 * float(np.linalg.norm(polynomial))
+        noise = 0.05 * rng.standard_normal(x.size)
+        columns = np.convolve(x, polynomial, "valid")[:, None] / sigma
+        order = len(polynomial) - 1
+        found = hand_made(np.convolve(3.0 * x + noise, polynomial, "valid") / sigma, columns,
+                          x[order:], order)
+        found.residuals = [[noise]]
+        found.weights = ((Weight(np.array(polynomial), sigma, ""),),)
+        ratios.append(float(half_widths(found, score_with_remainder(found))[0]
+                            / half_widths(found, score_by_blocks(found))[0]))
+    assert np.median(ratios) < 1.5
 
 
 # -- on real fits --------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,13 +10,15 @@ import pytest
 
 from benchmarks.corpus.measured import make_case, measured_plan
 from dfm_stage.diagnosis import DiagnosisError, diagnose, hypothesis, uncommon
+from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.hypothesis import Trial
 from dfm_stage.diagnosis.observation import observe
+from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search, explains_most
 from dfm_stage.diagnosis.uncommon import may_stand_alone
 from dfm_stage.diagnosis.witness import Explained
 from dfm_stage.identification import Run, fit_model
-from dfm_stage.model import Model, Simulator, model_from_dict
+from dfm_stage.model import EFFECTS, Model, Simulator, model_from_dict
 from dfm_stage.model.registry import ALL, library_of
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
@@ -255,7 +258,10 @@ class Twins:
         return None, []
 
     def score(self, found: SimpleNamespace) -> float:
-        return 1e4 * found.rms**2 + 12.0 * len(found.system.free)
+        return found.chi2 + 12.0 * len(found.system.free)
+
+    def further(self, *_: object) -> float:
+        return 60.0
 
     def in_place_of(self, *_: object) -> SimpleNamespace:
         return fit_of(2.0, 5)
@@ -263,9 +269,30 @@ class Twins:
     def fitted(self, *_: object) -> SimpleNamespace:
         return fit_of(1.0 if self.weights == "tight" else 2.0, 5)
 
+    def pruned(self, names: Names, found: SimpleNamespace) -> tuple[Names, SimpleNamespace]:
+        return names, found
+
+
+class Curve(Twins):
+    """A search in which one Stribeck curve does what two laws of friction do."""
+
+    def __init__(self, rms: float) -> None:
+        super().__init__()
+        self.rms = rms
+
+    def screened(self, *_: object) -> tuple[None, list[Hit]]:
+        return None, [replace(Hit.at("stribeck_friction", EFFECTS["stribeck_friction"].defaults),
+                              gain=1e4)]
+
+    def fitted(self, *_: object) -> SimpleNamespace:
+        return fit_of(self.rms, 9)
+
+    def pruned(self, names: Names, found: SimpleNamespace) -> tuple[Names, SimpleNamespace]:
+        return tuple(n for n in names if n != "quadratic_damping"), found
+
 
 def fit_of(rms: float, free: int) -> SimpleNamespace:
-    return SimpleNamespace(ok=True, rms=rms, weights="tight",
+    return SimpleNamespace(ok=True, chi2=1e4 * rms**2, weights="tight",
                            system=SimpleNamespace(free=range(free)))
 
 
@@ -280,11 +307,29 @@ def test_a_twin_is_compared_by_the_weights_of_what_was_found(monkeypatch, names,
     monkeypatch.setattr(uncommon, "to_noise",
                         lambda _, names, *__: (SimpleNamespace(names=names), None))
     monkeypatch.setattr(uncommon, "verdict", lambda _: SimpleNamespace(complete=True))
-    own = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1))
+    own = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1),
+                          uncommon=("sensor_mount",))
     found = own, SimpleNamespace(names=names, fit=fit_of(rms, 7)), None
     wide = SimpleNamespace(search=Twins())
     other = uncommon._one_for_all(wide, None, found, {"sensor_mount"}, (), split=False)
     assert other[1].names == taken
+
+
+@pytest.mark.parametrize(("rms", "taken"), [
+    (1.0, ("saturation", "stribeck_friction")),      # two more parameters, one effect less
+    (1.0032, ("saturation", "coulomb_friction", "quadratic_damping"))])  # two effects fit better
+def test_one_in_the_place_of_two_may_cost_what_a_further_effect_must_bring(
+        rms, taken, monkeypatch) -> None:
+    monkeypatch.setattr(uncommon, "to_noise",
+                        lambda _, names, *__: (SimpleNamespace(names=names), None))
+    monkeypatch.setattr(uncommon, "verdict", lambda _: SimpleNamespace(complete=True))
+    own = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1),
+                          uncommon=("stribeck_friction",))
+    found = own, SimpleNamespace(names=("saturation", "coulomb_friction", "quadratic_damping"),
+                                 fit=fit_of(1.0, 7)), None
+    wide = SimpleNamespace(search=Curve(rms))
+    other = uncommon._one_for_all(wide, None, found, set(), (), split=False)
+    assert sorted(other[1].names) == sorted(taken)
 
 
 def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
