@@ -30,6 +30,7 @@ from dfm_stage.diagnosis.decisions import (
     SIZES_APART,
 )
 from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.search_decisions import NEAR_NOISE
 from dfm_stage.identification.weights import high_band_rms
 
 Signal = Literal["position", "velocity", "acceleration"]
@@ -217,14 +218,14 @@ def score_with_remainder(found: Fit) -> Score:
     Blocks show how the hidden part of what is missing varies. What is alike in all of them they
     cannot show: a force that follows from the motion has few independent terms, and the parameters
     have taken up some of these. As much is allowed for in each direction as one term of what is
-    left has.
+    left has, beyond what may be noise.
     """
     middle, dof = score_by_blocks(found)
     noise = sum((high_band_rms(part) / w.sigma) ** 2 * float(w.polynomial @ w.polynomial)
                 * (part.size - w.order) for parts, ws in zip(
                     found.residuals, found.weights, strict=True)
                 for part, w in zip(parts, ws, strict=True))
-    hidden = max(found.chi2 - noise, 0.0) / REMAINDER_TERMS
+    hidden = max(found.chi2 - NEAR_NOISE * noise, 0.0) / REMAINDER_TERMS
     return middle + hidden * (found.jacobian.T @ found.jacobian), dof
 
 
