@@ -86,5 +86,5 @@ def late_splits(model: Model, free: tuple[str, ...]) -> list[Parameters]:
         return []
     rest = (1.0 - MOST_TO_ONE) / (len(unit) - 1)
     limits = {n: model.parameter(n) for n in unit}
-    return [{n: min(max((MOST_TO_ONE if n == most else rest) * whole * u, limits[n].low),
-                    limits[n].high) for n, u in unit.items()} for most in unit]
+    return [{n: limits[n].inside((MOST_TO_ONE if n == most else rest) * whole * u)
+             for n, u in unit.items()} for most in unit]

@@ -204,8 +204,7 @@ class Fits:
     def _once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               base: Parameters) -> Fit:
         model, later = self._with(start.model, names, hits)
-        given = {n: min(max(v, model.parameter(n).low), model.parameter(n).high)
-                 for n, v in base.items() if n in self.free}
+        given = {n: model.parameter(n).inside(v) for n, v in base.items() if n in self.free}
         if given:
             other = model.with_parameters(given)
             if self._fit(other, (), start, iterations=0).chi2 < self._fit(
@@ -457,4 +456,4 @@ def _rescaled(hit: Hit, by: float) -> Hit:
 def inside(name: str, parameters: dict[str, float]) -> dict[str, float]:
     """Parameters moved inside their limits."""
     limits = {p.name: p for p in EFFECTS[name].parameters}
-    return {n: min(max(v, limits[n].low), limits[n].high) for n, v in parameters.items()}
+    return {n: limits[n].inside(v) for n, v in parameters.items()}

@@ -28,6 +28,7 @@ from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.kernel import along
 from dfm_stage.model.kernel.hooks import address
 from dfm_stage.model.linear import linear_part
+from dfm_stage.model.parameter import BASE_BY_NAME
 from dfm_stage.transforms import longer_length
 
 CONTINUED = 400
@@ -253,8 +254,8 @@ class Terms:
         kept = linear.mass if linear.mass > 0.0 else model.base["mass"]
         self.needed: dict[int, Complex] = {}
         self.bare = Model("bare", model.sample_period, drive=model.drive, base={
-            "mass": kept, "damping": max(linear.damping, 0.0),
-            "stiffness": max(linear.stiffness, 0.0)})
+            name: BASE_BY_NAME[name].inside(value) for name, value in (
+                ("mass", kept), ("damping", linear.damping), ("stiffness", linear.stiffness))})
 
     def parts(self, name: str,
               parameters: Mapping[str, float]) -> Callable[[RunForces], Array] | None:

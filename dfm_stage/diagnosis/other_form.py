@@ -66,6 +66,6 @@ def _reshaped(use: EffectUse) -> Iterator[dict[str, float]]:
         return
     for name, value in use.parameters.items():
         limits = use.effect.parameter(name)
-        for other in (min(max(factor * value, limits.low), limits.high) for factor in FACTORS):
+        for other in (limits.inside(factor * value) for factor in FACTORS):
             if name not in use.effect.sizes and other != value:
                 yield {**use.parameters, name: other}

@@ -348,7 +348,7 @@ def _starting_model(source: Source, model: Model | None, transfer: TransferFunct
         values = base_values(plant, mass)
         if plant.modes[0].stiffness == 0.0:
             del values["stiffness"]
-        values = {n: min(max(v, LIMITS[n].low), LIMITS[n].high) for n, v in values.items()}
+        values = {n: LIMITS[n].inside(v) for n, v in values.items()}
         current = source.axis.input_unit == "A"
         start = Model("identified", source.sample_period, base={"mass": mass, **values},
                       drive="current" if current else "voltage",
@@ -386,7 +386,7 @@ def _allowed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
     """Keep of `values` what the model has, inside its limits."""
     own = {**model.parameters(), "force_constant": 1.0}
     limits = {n: model.parameter(n) for n in values if n in own}
-    return {n: min(max(values[n], p.low), p.high) for n, p in limits.items()}
+    return {n: p.inside(values[n]) for n, p in limits.items()}
 
 
 def _paper_rows(fit: ModelFit) -> tuple[PaperRow, ...]:

@@ -75,6 +75,10 @@ class Parameter:
                                  f"[{self.low:g}, {self.high:g}]{unit}")
         return number
 
+    def inside(self, value: float) -> float:
+        """`value`, or the limit that it is beyond."""
+        return min(max(value, self.low), self.high)
+
 
 BASE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("mass", 1.0, "kg", "moving mass", 1e-6, 1e6),

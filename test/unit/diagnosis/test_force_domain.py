@@ -60,6 +60,14 @@ def test_white_noise_is_measured_beside_a_motion_and_a_drift():
     assert math.sqrt(found) == pytest.approx(1e-7, rel=0.1)
 
 
+@pytest.mark.parametrize("mass", [1e-20, 0.0, -1.0, 1e20])
+def test_what_is_fitted_in_the_force_domain_may_be_no_stage(mass):
+    """A column that was late by a sample left an inertia of 4e-6 of the true one, below what a
+    model may have, and the diagnosis ended in an error."""
+    run, linear = RunForces(SINE, 1.0), Linear(mass, 1e20, -1.0)
+    assert Terms([run], believed(), linear, HELD).bare.base["mass"] > 0.0
+
+
 @pytest.mark.parametrize("name", [n for n, e in EFFECTS.items() if e.force is not None])
 def test_a_smooth_force_is_the_hook_along_the_motion(name):
     effect = EFFECTS[name]
