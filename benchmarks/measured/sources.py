@@ -343,12 +343,65 @@ def ball_on_beam(folder: Path) -> dict[str, Columns]:
             for part, cut in (("first_half", slice(0, 500)), ("second_half", slice(500, 1000)))}
 
 
+def steel_link(folder: Path) -> dict[str, Columns]:
+    """Voltage; wanted and measured angle of the hub (degrees)."""
+    volts, angle = (np.asarray(_matlab(folder / f"data_{name}.mat", f"data_{name}"), float)
+                    for name in ("vm", "theta"))
+    return {part: {"time_s": volts[cut, 0], "input_v": volts[cut, 1],
+                   "position_rad": np.radians(angle[cut, 2]),
+                   "reference_rad": np.radians(angle[cut, 1])}
+            for part, cut in (("first", slice(0, 1600)), ("last", slice(1600, 2500)))}
+
+
+def belt_drive(folder: Path) -> dict[str, Columns]:
+    """Columns: sample, time, wanted count, counts of drive and load, drive (V)."""
+    text = (folder / "6.6_data.m").read_text("latin-1").partition("[")[2].partition("]")[0]
+    data = np.array([row.split() for row in text.split(";") if row.strip()], float)
+    counts_per_rad = 2546.5
+    return {part: _timed(data[-1, 1] / data[-1, 0], input_v=data[cut, 5],
+                         position_rad=data[cut, 3] / counts_per_rad,
+                         reference_rad=data[cut, 2] / counts_per_rad)
+            for part, cut in (("first", slice(0, 3953)), ("last", slice(3953, None)))}
+
+
+def disc_motor(folder: Path) -> dict[str, Columns]:
+    """Duty, wanted and measured counts (2000 a turn). The duty stands as volts."""
+    data = scipy.io.loadmat(folder / "MotorIDinert.mat", squeeze_me=True, struct_as_record=False)
+    entries = {e.Name: np.asarray(e.Data, float)
+               for e in data["MotorData"].Data.MeasuredData}
+    return {part: _timed(5e-3, input_v=entries[f"data{key}/Duty"],
+                         position_rad=np.pi / 1000.0 * entries[f"data{key}/Position"],
+                         reference_rad=np.pi / 1000.0 * entries[f"data{key}/Ref"])
+            for part, key in (("sine_0_3_hz", 3), ("sine_0_8_hz", 8), ("sine_0_1_hz", 1),
+                              ("sine_0_5_hz", 5), ("sine_1_hz", 10))}
+
+
+def stepper_pendulum(folder: Path) -> dict[str, Columns]:
+    """Angle (degrees), from just after the first turning point on. Every fifth sample."""
+    parts = {}
+    for number, first in ((1, 252), (2, 150), (3, 144)):
+        path = folder / f"pendulum_free_swing_data_{number:02d}.txt"
+        angle = np.loadtxt(path, skiprows=2)[first::5]
+        parts[f"run_{number}"] = _timed(5e-3, input_Nm=np.zeros(angle.size),
+                                        position_rad=np.radians(angle))
+    return parts
+
+
+def hand_pendulum(folder: Path) -> dict[str, Columns]:
+    """Time and angle (rad), from just after the release on. Every tenth sample."""
+    time, angle = (np.asarray(_matlab(folder / "cdip_pend_data.mat", name), float)[4200::10]
+                   for name in ("t", "theta"))
+    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
+                   "position_rad": angle[cut]}
+            for part, cut in (("large", slice(0, 4580)), ("small", slice(4580, None)))}
+
+
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
     silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
     aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
     swing_up, two_masses, one_mass, relay_cart, dry_pendulum, flexible_link, linear_guide,
     struck_beam, crane_cart, walker_leg, rod_pendulum, sprung_carts, ruler_arm, piezo_actuator,
-    ball_on_beam)}
+    ball_on_beam, steel_link, belt_drive, disc_motor, stepper_pendulum, hand_pendulum)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:
