@@ -105,6 +105,20 @@ BLOCKS = decision(
     "BLOCKS", 24, "1", meaning="Blocks into which all records together are cut where their spread "
     "is the uncertainty.", set_on="derivation: Student's t with 23 degrees of freedom is within "
     "6 % of the normal's, and blocks stay long")
+SWINGS = "four recorded pendulums: hand_pendulum, dry_pendulum, rod_pendulum, stepper_pendulum"
+SWINGS_A_BLOCK = decision(
+    "SWINGS_A_BLOCK", 4, "1", meaning="Swings at least in a block of the balance of energy.",
+    set_on="derivation: neighbouring full swings share a half")
+FEWEST_SWING_BLOCKS = decision(
+    "FEWEST_SWING_BLOCKS", 5, "1", meaning="Blocks of swings without which the balance of energy "
+    "tells nothing.", set_on="derivation: Student's t with four degrees of freedom")
+SWING_OVER_NOISE = decision(
+    "SWING_OVER_NOISE", 10.0, "1", meaning="Largest speed of a swing over the noise of the speed "
+    "from which it takes part.", set_on="derivation: its energy is known to a few percent")
+BRAKES_MISSED = decision(
+    "BRAKES_MISSED", 0.1, "1", meaning="Part of the braking force of free swings that viscous "
+    "damping must miss for another brake to be told.",
+    set_on="derivation: a spring is known to some percent. " + SWINGS + " miss 0.2 to 0.5")
 LONG_BLOCKS = decision(
     "LONG_BLOCKS", 8, "1", meaning="Blocks that set intervals where a remainder stays, three of "
     "the former each.", set_on="44 intervals of the measured-like corpus, seed 30001, beside a "

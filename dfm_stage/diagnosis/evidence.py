@@ -266,6 +266,19 @@ class Offer:
 
 
 @dataclass(frozen=True)
+class Braking:
+    """What brakes free swings beside viscous damping: the size of each effect with its interval
+    over blocks of swings, SI, and by how many block standard errors held-out swings are worse
+    without it. `missed` is the part (RMS) of the braking force that viscous damping alone misses
+    in held-out swings, `left` the one that is missed with all of them."""
+
+    sizes: Mapping[str, Quantity]
+    missed: float
+    left: float
+    margins: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Accepted:
     """Formulas that the user has added to the model, and what the model leaves without them: as
     given, and with its own parameters re-estimated."""
@@ -292,7 +305,8 @@ class Evidence:
     `witness` is what the force domain says by itself, `surface` the force that is still missing,
     where that is clear of the noise. `graded` says that the effects were found by
     how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
-    held-out powers are compared. `heard` says that the force domain alone bears the effects out.
+    held-out powers are compared. `heard` says that the force domain alone bears the effects out,
+    `braking` which of them the energy of free swings bears out.
     `formulas` are offered for what no effect explains. `form_hidden` are forces among the
     effects of which the records do not show whether they stand in for another form.
     """
@@ -320,6 +334,7 @@ class Evidence:
     graded: bool = False
     witness: Mapping[str, Any] | None = None
     heard: Heard | None = None
+    braking: Braking | None = None
     surface: Surface | None = None
     form_hidden: tuple[str, ...] = ()
     formulas: tuple[Offer, ...] = ()

@@ -216,11 +216,12 @@ def _by_force(e: Evidence, heard: Heard) -> Verdict:
     found = tuple(Found(name, heard.members[name], min(share, 1.0), 0.0,
                         min(share / heard.predictable, 1.0))
                   for name, share in sorted(heard.added.items(), key=lambda each: -each[1]))
+    found += tuple(_found(e, x, (x.name,)) for x in e.effects if x.name not in heard.added)
     undecided = tuple(m for f in found for m in f.members if len(f.members) > 1)
     in_part = not _is_its_form(e)
     kind: Kind = "partial" if in_part else "ambiguous" if undecided else "named"
     return Verdict(kind, Reason.GRADED, found, undecided, (),
-                   tuple(rejections(e, set(heard.added))), True, "extended", "extended")
+                   tuple(rejections(e, {f.name for f in found})), True, "extended", "extended")
 
 
 def _takes_the_gap(e: Evidence) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dfm_stage.diagnosis.decisions import FIRST, FITTED_SHARE, MARGIN, OTHER_FORM, PARTIAL_SHARE
-from dfm_stage.diagnosis.evidence import DropReason, Evidence, Offer, Proposal
+from dfm_stage.diagnosis.evidence import Braking, DropReason, Evidence, Offer, Proposal
 from dfm_stage.diagnosis.rejections import Rejected, Rejection
 from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import (
@@ -147,6 +147,9 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
     yield (f"held-out RMS {format_quantity(seen.without.held_out.rms, e.unit)} without it, "
            f"{format_quantity(e.extended.held_out.rms, e.unit)} with it")
     yield f"{EFFECTS[found.name].meaning}: {EFFECTS[found.name].equation}"
+    if e.braking is not None and found.name in e.braking.sizes:
+        yield from _of_swings(e.braking, found.name)
+        return
     if e.heard is not None:
         yield f"{e.heard.added[found.name]:.0%} of the missing force is lost without it"
         yield from (f"{name} in its place is {m:.1f} block standard errors behind in force"
@@ -168,6 +171,15 @@ def effect_evidence(e: Evidence, found: Found) -> Iterator[str]:
         lost = f"{rival.margin:.1f} block standard errors" if e.graded else \
             f"{rival.cost:.0f} in chi-square"
         yield f"{rival.name} in its place costs {lost}"
+
+
+def _of_swings(braking: Braking, name: str) -> Iterator[str]:
+    """What the energy of free swings says of an effect that brakes them."""
+    yield (f"of the force that brakes the swings, viscous damping alone misses "
+           f"{braking.missed:.0%}, and what is named here {braking.left:.0%}: by the energy lost "
+           "from swing to swing, whatever the spring")
+    yield (f"held-out swings are braked otherwise without it by {braking.margins[name]:.1f} block "
+           "standard errors")
 
 
 def warnings(e: Evidence, v: Verdict) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from dfm_stage.diagnosis.braked import braked
 from dfm_stage.diagnosis.candidates import shown_by_none
 from dfm_stage.diagnosis.decisions import FEW_SAMPLES, STRETCHES_FITTED, STRETCHES_HELD
 from dfm_stage.diagnosis.errors import DiagnosisError
@@ -181,7 +182,7 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     if has_fast_mode(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)
     if not verdict(found[2]).complete:
-        found = _clearest(found, warnings, split)
+        found = braked(_clearest(found, warnings, split), warnings, split)
     trial, hypothesis, evidence = found
     search = trial.search
     models = {"given": search.model, "retuned": hypothesis.bare.model,

@@ -1,0 +1,121 @@
+"""The balance of energy of free swings, against equations that are integrated here."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis.free_swing import braking, swings
+from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.model import Model
+from dfm_stage.recording import AxisRecord, Provenance, Record
+
+PERIOD, NATURAL = 0.01, 2.0 * math.pi   # 100 Hz, swings of one second
+
+
+def swing(seed, *, start=1.2, seconds=40.0, noise=3e-4, spring=np.sin, **brakes):
+    """A pendulum of inertia 1 that is let go, in readings of 100 Hz; `brakes` are viscous, dry,
+    square and by_position."""
+    b = {"viscous": 0.0, "dry": 0.0, "square": 0.0, "by_position": 0.0, **brakes}
+
+    def motion(_, state):
+        x, v = state
+        brake = b["viscous"] + b["square"] * abs(v) + b["by_position"] * x * x
+        return v, -NATURAL**2 * spring(x) - brake * v - b["dry"] * math.tanh(v / 1e-3)
+
+    time = PERIOD * np.arange(round(seconds / PERIOD))
+    found = solve_ivp(motion, (0.0, seconds), (start, 0.0), t_eval=time, rtol=1e-8, atol=1e-9,
+                      max_step=0.02)
+    x = found.y[0] + noise * np.random.default_rng(seed).standard_normal(time.size)
+    return Observation(f"swing {seed}", np.zeros(time.size), x, PERIOD)
+
+
+def softening(wrong=1.0):
+    """The model that a diagnosis finds of a pendulum: a spring and its cubic term."""
+    model = Model("m", PERIOD, {"mass": 1.0, "damping": 0.01, "stiffness": wrong * NATURAL**2})
+    return model.with_effect("cubic_stiffness", {"k3": -NATURAL**2 / 6.0})
+
+
+@pytest.mark.parametrize(("brakes", "names"), [
+    ({"viscous": 0.05}, set()),
+    ({"viscous": 0.03, "dry": 0.15}, {"coulomb_friction"}),
+    ({"dry": 0.25}, {"coulomb_friction"}),
+    ({"viscous": 0.01, "square": 0.02}, {"quadratic_damping"}),
+    ({"dry": 0.1, "square": 0.02}, {"coulomb_friction", "quadratic_damping"})])
+def test_what_brakes_is_told_from_swing_to_swing(brakes, names):
+    told = braking([swing(1, **brakes), swing(2, start=0.8, **brakes)], softening())
+    assert set(told.sizes if told else ()) == names
+    for name, size in told.sizes.items() if told else ():
+        true = brakes["dry" if name == "coulomb_friction" else "square"]
+        assert size.value == pytest.approx(true, rel=0.1)
+
+
+def test_a_spring_that_is_wrong_by_some_percent_hides_no_friction():
+    """In a balance of forces its error is many times the friction."""
+    runs = [swing(1, viscous=0.02, dry=0.1), swing(2, start=0.7, viscous=0.02, dry=0.1)]
+    for wrong in (0.97, 1.03):
+        told = braking(runs, softening(wrong))
+        assert set(told.sizes) == {"coulomb_friction"}
+        assert told.sizes["coulomb_friction"].value == pytest.approx(0.1, rel=0.1)
+        assert told.left < 0.2 * told.missed
+
+
+def test_a_wrong_spring_brakes_nothing():
+    """Viscous damping in a linear model of a pendulum misses some percent."""
+    linear = Model("m", PERIOD, {"mass": 1.0, "damping": 0.01, "stiffness": NATURAL**2})
+    for seed in range(5):
+        assert braking([swing(seed, start=0.8, viscous=0.05)], linear) is None
+
+
+def test_intervals_hold_the_friction_beside_the_right_spring():
+    pendulum = Model("m", PERIOD, {"mass": 1.0, "damping": 0.01}).with_effect(
+        "gravity", {"weight": NATURAL**2, "length": 1.0, "tilt": 0.0})
+    held = 0
+    for seed in range(20):
+        told = braking([swing(seed, seconds=25.0, viscous=0.03, dry=0.12)], pendulum)
+        low, high = told.sizes["coulomb_friction"].ci95
+        held += low < 0.12 < high
+    assert held >= 17
+
+
+def test_a_swing_loses_its_friction_times_its_path():
+    """A closed form: of dry friction alone, the mean braking force of every swing is that."""
+    rows = swings(swing(1, noise=1e-6, dry=0.1, spring=lambda x: x), Model(
+        "m", PERIOD, {"mass": 1.0, "damping": 0.0, "stiffness": NATURAL**2}))
+    assert len(rows) > 30
+    np.testing.assert_allclose(rows[:, 0], 0.1, rtol=0.02)
+
+
+def test_noise_and_few_swings_tell_nothing():
+    rng = np.random.default_rng(1)
+    still = Observation("still", np.zeros(4000), 1e-3 * rng.standard_normal(4000), PERIOD)
+    assert braking([still], softening()) is None
+    assert braking([swing(1, seconds=4.0, dry=0.1)], softening()) is None
+
+
+def recorded(run):
+    """The same as a record of an angle without an input."""
+    return Record(PERIOD * np.arange(run.output.size), PERIOD, {"x": AxisRecord(
+        run.input, run.output, position_unit="rad", input_unit="Nm")}, Provenance(run.name, "csv"))
+
+
+@pytest.mark.parametrize(("dry", "names"), [
+    (0.1, {"cubic_stiffness", "coulomb_friction"}), (0.0, {"cubic_stiffness"})])
+def test_a_diagnosis_names_the_friction_of_a_swing_beside_its_spring(dry, names):
+    """Of a spring that softens by more than a cube. The friction is 0.3 % of its force."""
+    first, last = (recorded(swing(
+        seed, start=start, seconds=25.0, viscous=0.05 - 0.3 * dry, dry=dry,
+        spring=lambda x: x - x**3 / 6.0 - 0.02 * x**5)) for seed, start in ((1, 1.0), (2, 0.8)))
+    model = Model("m", PERIOD, {"mass": 1.0, "damping": 0.03, "stiffness": NATURAL**2,
+                                "force_constant": 1.0}, position_unit="rad")
+    told = diagnose([first], model, holdout=[last])
+    assert set(told.names) == names
+    assert told.verdict in ("named", "partial")
+    for effect in told.effects:
+        if effect.name == "coulomb_friction":
+            assert effect.parameters["force"].value == pytest.approx(dry, rel=0.15)
+            assert any("whatever the spring" in line for line in effect.evidence)
