@@ -17,8 +17,8 @@ from dfm_stage.model import EFFECTS
 
 
 def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
-    """What was found to leave a remainder of free swings, with what the energy of these says that
-    brakes them: sizes as there, and as the force domain has them, all else fitted to the motion. As
+    """What was found to leave a remainder of free swings, with what brakes them by their energy.
+    Sizes are as there, and as the force domain has them; all else is fitted to the motion. As
     found where nothing new brakes, or where held-out records are predicted worse with it."""
     trial, h, before = found
     said, search = verdict(before), trial.search
@@ -26,7 +26,7 @@ def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     if not (said.effects and said.remainder) or any(run.driven or run.order for run in runs):
         return found
     search.step("balancing the energy of free swings")
-    told = _new(braking(runs, h.fit.model), h, search.library)
+    told = _new(braking(runs, h.fit.model, search.library), h)
     if told is None:
         return found
     model = h.fit.model
@@ -49,11 +49,11 @@ def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
                                  judged=before.judged)
 
 
-def _new(told: Braking | None, h: Hypothesis, library: Sequence[str]) -> Braking | None:
-    """Of what brakes, the effects of the library of which no kind was found before."""
+def _new(told: Braking | None, h: Hypothesis) -> Braking | None:
+    """Of what brakes, the effects of which the model has none of the kind."""
     if told is None:
         return None
-    names = [n for n in told.sizes if n in library and not any(
+    names = [n for n in told.sizes if not any(
         n == own.name or shares_class(n, own.name) for own in h.fit.model.effects)]
     return replace(told, sizes={n: told.sizes[n] for n in names}) if names else None
 

@@ -33,27 +33,32 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.quantity import Quantity, interval
 from dfm_stage.model import EFFECTS, Model
 
-BRAKES = ("coulomb_friction", "quadratic_damping")
-"""Effects that brake, as their columns of `swings` are ordered."""
 GRID = 2001
 """Points of the potential between the ends of the travel."""
 Potential = Callable[[float], float]
 
 
-def braking(runs: Sequence[Observation], model: Model) -> Braking | None:
-    """What brakes the free swings of some runs beside viscous damping; None where nothing clearly
-    does, or where there are few. `model` has the spring, and effects that depend on position; the
-    intervals do not cover an error of these."""
-    each = [rows for run in runs if len(rows := swings(run, model)) >= SWINGS_A_BLOCK]
+def braking(runs: Sequence[Observation], model: Model,
+            library: Sequence[str]) -> Braking | None:
+    """What of a library brakes the free swings of some runs beside viscous damping; None where
+    nothing clearly does, or where there are few. `model` has the spring, and effects that depend
+    on position; the intervals do not cover an error of these."""
+    brakes = {n: power for n in library if (power := EFFECTS[n].brakes) is not None}
+    each = [rows for run in runs if len(
+        rows := swings(run, model, (1, *brakes.values()))) >= SWINGS_A_BLOCK]
     if sum(map(len, each)) < SWINGS_A_BLOCK * FEWEST_SWING_BLOCKS:
         return None
     edges, _ = block_edges([len(rows) for rows in each], BLOCKS, SWINGS_A_BLOCK)
     blocks = Blocks(np.concatenate(each), edges, np.ones(edges.size - 1))
-    viscous = _fitted(blocks, ())
-    names: tuple[str, ...] = BRAKES
-    found, margins = _fitted(blocks, names), dict[str, float]()
+    place = {n: 2 + k for k, n in enumerate(brakes)}
+
+    def fitted(names: Sequence[str]) -> Solution:
+        return blocks.fit([1, *(place[n] for n in names)], 0)
+
+    names, viscous = tuple(brakes), fitted(())
+    found, margins = fitted(names), dict[str, float]()
     while names:
-        rest = {n: _fitted(blocks, tuple(m for m in names if m != n)) for n in names}
+        rest = {n: fitted([m for m in names if m != n]) for n in names}
         margins = {n: _margin(found, rest[n]) if size > 0.0 else 0.0
                    for n, size in zip(names, found.coefficients[1:], strict=True)}
         weakest = min(names, key=lambda n: margins[n])
@@ -70,9 +75,9 @@ def braking(runs: Sequence[Observation], model: Model) -> Braking | None:
         names, found.coefficients[1:], errors, strict=True)}, missed, left, margins)
 
 
-def swings(run: Observation, model: Model) -> Array:
-    """Of each full swing (M, 4) of a run: mean braking force, mean speed along the path, one, and
-    mean square of that speed. Swings that hardly stand out of the noise are left out."""
+def swings(run: Observation, model: Model, powers: Sequence[int]) -> Array:
+    """Of each full swing (M, 1 + len(powers)) of a run: mean braking force, and means along the
+    path of these powers of the speed. Swings that hardly stand out of the noise are left out."""
     t, period = RunForces(run, WIDTHS[0]).trajectory, run.sample_period
     at = np.flatnonzero(np.diff(np.sign(t.v)) != 0.0)
     until = t.v[at] / (t.v[at] - t.v[at + 1])        # samples, to where the speed is zero
@@ -85,9 +90,9 @@ def swings(run: Observation, model: Model) -> Array:
         if peak > SWING_OVER_NOISE * t.speed_noise:
             path = float(np.sum(np.abs(np.diff(turning[k:k + 3]))))
             lost = potential(turning[k]) - potential(turning[k + 2])
-            works = [float(np.sum(speed[first:last] ** power)) * period for power in (2, 3)]
-            found.append([lost / path, works[0] / path, 1.0, works[1] / path])
-    return np.array(found).reshape(-1, 2 + len(BRAKES))
+            works = [float(np.sum(speed[first:last] ** (1 + p))) * period for p in powers]
+            found.append([lost / path, *(work / path for work in works)])
+    return np.array(found).reshape(-1, 1 + len(powers))
 
 
 def _potential(model: Model, x: Array) -> Potential:
@@ -101,11 +106,6 @@ def _potential(model: Model, x: Array) -> Potential:
     steps = 0.5 * (force[1:] + force[:-1]) * np.diff(grid)
     energy = np.concatenate(([0.0], np.cumsum(steps)))
     return lambda at: float(np.interp(at, grid, energy))
-
-
-def _fitted(blocks: Blocks, names: Sequence[str]) -> Solution:
-    """The braking force by viscous damping and what `names` give."""
-    return blocks.fit([1, *(2 + BRAKES.index(n) for n in names)], 0)
 
 
 def _margin(better: Solution, worse: Solution) -> float:

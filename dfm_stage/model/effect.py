@@ -229,6 +229,9 @@ class Effect:
     twins: Mapping[str, Callable[[Mapping[str, float]], Parameters]] = field(default_factory=dict)
     """Effects that are the same motion in a limit, with their parameters there from ours: a
     linear screen seldom leads from one to the other."""
+    brakes: int | None = None
+    """The power of the speed that, times the first parameter, is its force against the motion;
+    None where it is no such force."""
     doubt: Callable[[Mapping[str, float]], str | None] | None = None
     """Why values (SI, of a stage that moves in m) are none that a machine has, in a few words;
     None where they may be."""

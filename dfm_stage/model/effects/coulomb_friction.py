@@ -28,4 +28,5 @@ EFFECT = Effect(
                          "motion far beyond the pre-sliding distance",
                          "sub-micrometre motion around rest, slow reversals"),),
     adds_to="dry_friction",
+    brakes=0,
 )

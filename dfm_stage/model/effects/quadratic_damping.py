@@ -29,4 +29,5 @@ EFFECT = Effect(
     classes=(Equivalence(("quadratic_damping", "damping"), "one amplitude of a single sine",
                          "a ring-down, or the same sine at another amplitude"),),
     force=force,
+    brakes=2,
 )

@@ -11,9 +11,11 @@ from scipy.integrate import solve_ivp
 from dfm_stage.diagnosis import diagnose
 from dfm_stage.diagnosis.free_swing import braking, swings
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.model import Model
+from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model.registry import library_of
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
+LIBRARY = library_of(None)
 PERIOD, NATURAL = 0.01, 2.0 * math.pi   # 100 Hz, swings of one second
 
 
@@ -47,7 +49,7 @@ def softening(wrong=1.0):
     ({"viscous": 0.01, "square": 0.02}, {"quadratic_damping"}),
     ({"dry": 0.1, "square": 0.02}, {"coulomb_friction", "quadratic_damping"})])
 def test_what_brakes_is_told_from_swing_to_swing(brakes, names):
-    told = braking([swing(1, **brakes), swing(2, start=0.8, **brakes)], softening())
+    told = braking([swing(1, **brakes), swing(2, start=0.8, **brakes)], softening(), LIBRARY)
     assert set(told.sizes if told else ()) == names
     for name, size in told.sizes.items() if told else ():
         true = brakes["dry" if name == "coulomb_friction" else "square"]
@@ -58,7 +60,7 @@ def test_a_spring_that_is_wrong_by_some_percent_hides_no_friction():
     """In a balance of forces its error is many times the friction."""
     runs = [swing(1, viscous=0.02, dry=0.1), swing(2, start=0.7, viscous=0.02, dry=0.1)]
     for wrong in (0.97, 1.03):
-        told = braking(runs, softening(wrong))
+        told = braking(runs, softening(wrong), LIBRARY)
         assert set(told.sizes) == {"coulomb_friction"}
         assert told.sizes["coulomb_friction"].value == pytest.approx(0.1, rel=0.1)
         assert told.left < 0.2 * told.missed
@@ -68,7 +70,7 @@ def test_a_wrong_spring_brakes_nothing():
     """Viscous damping in a linear model of a pendulum misses some percent."""
     linear = Model("m", PERIOD, {"mass": 1.0, "damping": 0.01, "stiffness": NATURAL**2})
     for seed in range(5):
-        assert braking([swing(seed, start=0.8, viscous=0.05)], linear) is None
+        assert braking([swing(seed, start=0.8, viscous=0.05)], linear, LIBRARY) is None
 
 
 def test_intervals_hold_the_friction_beside_the_right_spring():
@@ -76,7 +78,7 @@ def test_intervals_hold_the_friction_beside_the_right_spring():
         "gravity", {"weight": NATURAL**2, "length": 1.0, "tilt": 0.0})
     held = 0
     for seed in range(20):
-        told = braking([swing(seed, seconds=25.0, viscous=0.03, dry=0.12)], pendulum)
+        told = braking([swing(seed, seconds=25.0, viscous=0.03, dry=0.12)], pendulum, LIBRARY)
         low, high = told.sizes["coulomb_friction"].ci95
         held += low < 0.12 < high
     assert held >= 17
@@ -85,16 +87,16 @@ def test_intervals_hold_the_friction_beside_the_right_spring():
 def test_a_swing_loses_its_friction_times_its_path():
     """A closed form: of dry friction alone, the mean braking force of every swing is that."""
     rows = swings(swing(1, noise=1e-6, dry=0.1, spring=lambda x: x), Model(
-        "m", PERIOD, {"mass": 1.0, "damping": 0.0, "stiffness": NATURAL**2}))
+        "m", PERIOD, {"mass": 1.0, "damping": 0.0, "stiffness": NATURAL**2}), [0])
     assert len(rows) > 30
-    np.testing.assert_allclose(rows[:, 0], 0.1, rtol=0.02)
+    np.testing.assert_allclose(rows, [[0.1, 1.0]] * len(rows), rtol=0.02)
 
 
 def test_noise_and_few_swings_tell_nothing():
     rng = np.random.default_rng(1)
     still = Observation("still", np.zeros(4000), 1e-3 * rng.standard_normal(4000), PERIOD)
-    assert braking([still], softening()) is None
-    assert braking([swing(1, seconds=4.0, dry=0.1)], softening()) is None
+    assert braking([still], softening(), LIBRARY) is None
+    assert braking([swing(1, seconds=4.0, dry=0.1)], softening(), LIBRARY) is None
 
 
 def recorded(run):
@@ -119,3 +121,13 @@ def test_a_diagnosis_names_the_friction_of_a_swing_beside_its_spring(dry, names)
         if effect.name == "coulomb_friction":
             assert effect.parameters["force"].value == pytest.approx(dry, rel=0.15)
             assert any("whatever the spring" in line for line in effect.evidence)
+
+
+@pytest.mark.parametrize("name", [n for n in LIBRARY if EFFECTS[n].brakes is not None])
+def test_what_is_said_to_brake_does(name):
+    effect = EFFECTS[name]
+    for v in (-0.3, 0.2):
+        if effect.force is not None:
+            assert effect.force(0.1, v, 0.0, (2.0,)) == pytest.approx(
+                -2.0 * abs(v) ** effect.brakes * math.copysign(1.0, v))
+    assert effect.force is not None or (effect.adds_to, effect.brakes) == ("dry_friction", 0)
