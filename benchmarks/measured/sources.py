@@ -396,12 +396,31 @@ def hand_pendulum(folder: Path) -> dict[str, Columns]:
             for part, cut in (("large", slice(0, 4580)), ("small", slice(4580, None)))}
 
 
+def arm_pendulum(folder: Path) -> dict[str, Columns]:
+    """Time and angle (rad), from after the release on. Every tenth sample."""
+    time, angle = (np.asarray(_matlab(folder / "adip_pend_data.mat", name), float)[2700::10]
+                   for name in ("t", "theta2"))
+    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
+                   "position_rad": angle[cut]}
+            for part, cut in (("large", slice(0, 5862)), ("small", slice(5862, None)))}
+
+
+def second_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle from upright, velocity. From a turning point at 2.7 rad on, as the angle
+    from hanging."""
+    data = np.loadtxt(folder / "test1pend2.csv", delimiter=",")[198:]
+    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
+                   "position_rad": data[cut, 1] - np.pi}
+            for part, cut in (("first", slice(0, 4360)), ("rest", slice(4360, None)))}
+
+
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
     silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
     aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
     swing_up, two_masses, one_mass, relay_cart, dry_pendulum, flexible_link, linear_guide,
     struck_beam, crane_cart, walker_leg, rod_pendulum, sprung_carts, ruler_arm, piezo_actuator,
-    ball_on_beam, steel_link, belt_drive, disc_motor, stepper_pendulum, hand_pendulum)}
+    ball_on_beam, steel_link, belt_drive, disc_motor, stepper_pendulum, hand_pendulum,
+    arm_pendulum, second_pendulum)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:
