@@ -406,8 +406,8 @@ def arm_pendulum(folder: Path) -> dict[str, Columns]:
 
 
 def second_pendulum(folder: Path) -> dict[str, Columns]:
-    """Columns: time, angle from upright, velocity. From a turning point at 2.7 rad on, as the angle
-    from hanging."""
+    """Columns: time, angle from upright, velocity. From a turning point at 2.7 rad on, as the
+    angle from hanging."""
     data = np.loadtxt(folder / "test1pend2.csv", delimiter=",")[198:]
     return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
                    "position_rad": data[cut, 1] - np.pi}

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from dfm_stage.diagnosis.alike import shares_class
-from dfm_stage.diagnosis.evidence import Braking
+from dfm_stage.diagnosis.decisions import BLOCK_MARGIN
 from dfm_stage.diagnosis.explaining import Judgement
 from dfm_stage.diagnosis.fit import fit
 from dfm_stage.diagnosis.free_swing import braking
 from dfm_stage.diagnosis.gather import gather, with_witness
-from dfm_stage.diagnosis.hypothesis import Hypothesis
+from dfm_stage.diagnosis.margins import margin_between
 from dfm_stage.diagnosis.verdict import verdict
-from dfm_stage.model import EFFECTS
+from dfm_stage.model import EFFECTS, Model
 
 
 def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
@@ -22,12 +22,13 @@ def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     found where nothing new brakes, or where held-out records are predicted worse with it."""
     trial, h, before = found
     said, search = verdict(before), trial.search
-    runs = [replace(run, window=0) for run in (*search.runs, *trial.held)]
-    if not (said.effects and said.remainder) or any(run.driven or run.order for run in runs):
+    runs, held = ([replace(run, window=0) for run in each] for each in (search.runs, trial.held))
+    if not (said.effects and said.remainder) or any(
+            run.driven or run.order for run in (*runs, *held)):
         return found
     search.step("balancing the energy of free swings")
-    told = _new(braking(runs, h.fit.model, search.library), h)
-    if told is None:
+    told = braking(runs, held, h.fit.model, search.library)
+    if told is None or any(_is_of_a_kind(n, h.fit.model) for n in told.sizes):
         return found
     model = h.fit.model
     for name, size in told.sizes.items():
@@ -39,23 +40,23 @@ def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
                  noise=search.noise)
     if not fitted.ok:
         return found
-    other = Hypothesis((*h.names, *told.sizes), fitted, h.bare, h.rivals)
-    after = with_witness(gather(trial, other, warnings, split, graded=True), trial.witness)
-    if after.extended.held_out.power > before.extended.held_out.power:
+    without, left = (trial.predicted(each.model).residuals for each in (h.fit, fitted))
+    if margin_between(without, left, before.judged.lag) < BLOCK_MARGIN:
         return found
+    other = replace(h, names=(*h.names, *told.sizes), fit=fitted)
+    after = with_witness(gather(trial, other, warnings, split, graded=True), trial.witness)
+    rivals = {x.name: x.rivals for x in before.effects}
     known |= {n: {_size(n): size} for n, size in told.sizes.items()}
-    effects = tuple(replace(x, parameters=known.get(x.name, x.parameters)) for x in after.effects)
+    effects = tuple(replace(x, parameters=known.get(x.name, x.parameters),
+                            rivals=rivals.get(x.name, ())) for x in after.effects)
     return trial, other, replace(after, effects=effects, heard=before.heard, braking=told,
                                  judged=before.judged)
 
 
-def _new(told: Braking | None, h: Hypothesis) -> Braking | None:
-    """Of what brakes, the effects of which the model has none of the kind."""
-    if told is None:
-        return None
-    names = [n for n in told.sizes if not any(
-        n == own.name or shares_class(n, own.name) for own in h.fit.model.effects)]
-    return replace(told, sizes={n: told.sizes[n] for n in names}) if names else None
+def _is_of_a_kind(name: str, model: Model) -> bool:
+    """Whether the model has an effect of the same class, or one with a memory, which may brake."""
+    return any(name == use.name or shares_class(name, use.name) or use.effect.memory
+               for use in model.effects)
 
 
 def _size(name: str) -> str:

@@ -14,6 +14,7 @@ mean braking force. Dry friction is a constant in it, and drags grow with the sp
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from dfm_stage.diagnosis.decisions import (
     BLOCKS,
     BRAKES_MISSED,
     FEWEST_SWING_BLOCKS,
+    SMALL_PART_MISSED,
     SWING_OVER_NOISE,
     SWINGS_A_BLOCK,
 )
@@ -35,69 +37,112 @@ from dfm_stage.model import EFFECTS, Model
 
 GRID = 2001
 """Points of the potential between the ends of the travel."""
-Potential = Callable[[float], float]
+FADES = (0.25, 0.5, 1.0, 2.0)
+"""Speeds, over the RMS speed, from which a brake may fade: a brake that fades, and one that grows
+with the square of position, are compared with what is told, and not told."""
+Law = Callable[[Array, Array], Array]
+"""A force against the motion over its size, of position and speed (without its sign)."""
 
 
-def braking(runs: Sequence[Observation], model: Model,
+@dataclass(frozen=True)
+class Swings:
+    """Full swings of a run: mean braking force (M,), and the mean along the path of each of some
+    laws (M, K)."""
+
+    force: Array
+    laws: Array
+
+
+def braking(runs: Sequence[Observation], held: Sequence[Observation], model: Model,
             library: Sequence[str]) -> Braking | None:
-    """What of a library brakes the free swings of some runs beside viscous damping; None where
-    nothing clearly does, or where there are few. `model` has the spring, and effects that depend
-    on position; the intervals do not cover an error of these."""
+    """What of a library brakes the free swings of the fitted `runs`, and of those `held` out,
+    beside viscous damping; None where nothing clearly does, where another law does it better,
+    or where there are few swings.
+
+    `model` has the spring, and effects that depend on position; the intervals do not cover an
+    error of these.
+    """
     brakes = {n: power for n in library if (power := EFFECTS[n].brakes) is not None}
-    each = [rows for run in runs if len(
-        rows := swings(run, model, (1, *brakes.values()))) >= SWINGS_A_BLOCK]
-    if sum(map(len, each)) < SWINGS_A_BLOCK * FEWEST_SWING_BLOCKS:
+    laws = [_power(1), *map(_power, brakes.values()), *_others(runs)]
+    found = [(swings(run, model, laws), run in runs) for run in (*runs, *held)]
+    found = [(each, fitted) for each, fitted in found if each.force.size >= SWINGS_A_BLOCK]
+    if not any(fitted for _, fitted in found):
         return None
-    edges, _ = block_edges([len(rows) for rows in each], BLOCKS, SWINGS_A_BLOCK)
-    blocks = Blocks(np.concatenate(each), edges, np.ones(edges.size - 1))
-    place = {n: 2 + k for k, n in enumerate(brakes)}
+    edges, owner = block_edges([each.force.size for each, _ in found], BLOCKS, SWINGS_A_BLOCK)
+    blocks = Blocks(np.concatenate([np.column_stack((each.force, each.laws))
+                                    for each, _ in found]), edges,
+                    [found[k][1] for k in owner])
+    if blocks.fitted.sum() < FEWEST_SWING_BLOCKS:
+        return None
+    return _judged(blocks, list(brakes), range(2 + len(brakes), 1 + len(laws)))
+
+
+def _judged(blocks: Blocks, brakes: Sequence[str], others: Sequence[int]) -> Braking | None:
+    """Which of `brakes`, the columns after the force and viscous damping, are told; none where one
+    of the columns `others` in their place predicts better."""
 
     def fitted(names: Sequence[str]) -> Solution:
-        return blocks.fit([1, *(place[n] for n in names)], 0)
+        return blocks.fit([1, *(2 + brakes.index(n) for n in names)], 0)
 
     names, viscous = tuple(brakes), fitted(())
     found, margins = fitted(names), dict[str, float]()
     while names:
         rest = {n: fitted([m for m in names if m != n]) for n in names}
-        margins = {n: _margin(found, rest[n]) if size > 0.0 else 0.0
-                   for n, size in zip(names, found.coefficients[1:], strict=True)}
+        sizes = _sizes(names, found, int(blocks.fitted.sum()))
+        margins = {n: _margin(found, rest[n]) if _is_above_zero(sizes[n]) else 0.0 for n in names}
         weakest = min(names, key=lambda n: margins[n])
         if margins[weakest] >= BLOCK_MARGIN:
             break
         names, found = tuple(n for n in names if n != weakest), rest[weakest]
-    force = float(np.sqrt(np.mean(np.concatenate(each)[:, 0] ** 2)))
-    missed = float(np.sqrt(viscous.errors @ blocks.sizes / blocks.sizes.sum())) / force
-    if not names or missed < BRAKES_MISSED:
+    missed, left = _part(blocks, viscous), _part(blocks, found)
+    worse = any(_margin(found, blocks.fit([1, k], 0)) < 0.0 for k in others)
+    if not names or worse or missed < BRAKES_MISSED or left > SMALL_PART_MISSED * missed:
         return None
-    errors = jackknife(found.left_out)[1:]
-    left = float(np.sqrt(found.errors @ blocks.sizes / blocks.sizes.sum())) / force
-    return Braking({n: _size(n, float(v), float(e), blocks.count) for n, v, e in zip(
-        names, found.coefficients[1:], errors, strict=True)}, missed, left, margins)
+    return Braking(_sizes(names, found, int(blocks.fitted.sum())), missed, left, margins)
 
 
-def swings(run: Observation, model: Model, powers: Sequence[int]) -> Array:
-    """Of each full swing (M, 1 + len(powers)) of a run: mean braking force, and means along the
-    path of these powers of the speed. Swings that hardly stand out of the noise are left out."""
+def swings(run: Observation, model: Model, laws: Sequence[Law]) -> Swings:
+    """The full swings of a run, without those that hardly stand out of the noise."""
     t, period = RunForces(run, WIDTHS[0]).trajectory, run.sample_period
     at = np.flatnonzero(np.diff(np.sign(t.v)) != 0.0)
+    at = at[at >= run.skip]
     until = t.v[at] / (t.v[at] - t.v[at + 1])        # samples, to where the speed is zero
     turning = t.x[at] + 0.5 * t.v[at] * until * period
-    potential, speed = _potential(model, t.x), np.abs(t.v)
-    found = []
+    middle = np.median(0.25 * (turning[:-2] + 2.0 * turning[1:-1] + turning[2:])) \
+        if at.size > 2 else 0.0                      # the reading where the spring is at rest
+    turning = turning - middle
+    potential = _potential(model, float(np.max(np.abs(turning), initial=0.0)))
+    speed, works = np.abs(t.v), np.array([law(t.x - middle, np.abs(t.v)) for law in laws])
+    works = np.column_stack((np.zeros(len(laws)), np.cumsum(works * speed, axis=1) * period))
+    force, means = [], []
     for k in range(at.size - 2):
-        first, middle, last = at[k:k + 3] + 1
-        peak = min(np.max(speed[first:middle]), np.max(speed[middle:last]))
-        if peak > SWING_OVER_NOISE * t.speed_noise:
-            path = float(np.sum(np.abs(np.diff(turning[k:k + 3]))))
-            lost = potential(turning[k]) - potential(turning[k + 2])
-            works = [float(np.sum(speed[first:last] ** (1 + p))) * period for p in powers]
-            found.append([lost / path, *(work / path for work in works)])
-    return np.array(found).reshape(-1, 1 + len(powers))
+        first, half, last = at[k:k + 3] + 1
+        peak = min(np.max(speed[first:half]), np.max(speed[half:last]))
+        path = float(np.sum(np.abs(np.diff(turning[k:k + 3]))))
+        if peak > SWING_OVER_NOISE * t.speed_noise and path > 0.0:
+            force.append((potential(turning[k]) - potential(turning[k + 2])) / path)
+            means.append((works[:, last] - works[:, first]) / path)
+    return Swings(np.array(force), np.array(means).reshape(-1, len(laws)))
 
 
-def _potential(model: Model, x: Array) -> Potential:
+def _power(power: int) -> Law:
+    return lambda _, v: v**power
+
+
+def _others(runs: Sequence[Observation]) -> list[Law]:
+    """Laws that are not told."""
+    speed = float(np.sqrt(np.mean([np.mean(np.gradient(run.output, run.sample_period) ** 2)
+                                   for run in runs])))
+    return [*(_fading(factor * speed) for factor in FADES), lambda x, v: x * x * v]
+
+
+def _fading(from_speed: float) -> Law:
+    return lambda _, v: v / (1.0 + (v / from_speed) ** 2)
+
+
+def _potential(model: Model, reach: float) -> Callable[[float], float]:
     """The potential (J) of the model's spring, and of its effects in a stage that stands."""
-    grid = np.linspace(float(np.min(x)), float(np.max(x)), GRID)
+    grid = np.linspace(-reach, reach, GRID)
     force = model.base.get("stiffness", 0.0) * grid
     for use in model.effects:
         if use.effect.force is not None:
@@ -114,6 +159,19 @@ def _margin(better: Solution, worse: Solution) -> float:
     return mean / max(error, 1e-12)
 
 
-def _size(name: str, value: float, error: float, blocks: int) -> Quantity:
-    unit = EFFECTS[name].parameters[0].unit
-    return Quantity(value, unit, interval(value, error, blocks - 1))
+def _part(blocks: Blocks, found: Solution) -> float:
+    """What a fit misses of the braking force of held-out blocks, RMS over RMS."""
+    missed = np.sqrt(found.errors @ blocks.sizes / blocks.sizes.sum())
+    return float(missed / blocks.norms[0])
+
+
+def _sizes(names: Sequence[str], found: Solution, blocks: int) -> dict[str, Quantity]:
+    """With intervals over the fitted blocks."""
+    errors = jackknife(found.left_out)[1:]
+    return {n: Quantity(float(v), EFFECTS[n].parameters[0].unit, interval(
+        float(v), float(e), blocks - 1))
+        for n, v, e in zip(names, found.coefficients[1:], errors, strict=True)}
+
+
+def _is_above_zero(size: Quantity) -> bool:
+    return size.ci95 is not None and size.ci95[0] > 0.0

@@ -203,7 +203,7 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
     explained = explained_share(e)
     kind: Kind = "unknown"
     if explained >= PARTIAL_SHARE and not _base_at_zero(e):
-        in_part = not _is_its_form(e) or _at_zero(e, "damping")
+        in_part = not _is_its_form(e) or (e.braking is None and _at_zero(e, "damping"))
         kind = "partial" if in_part else "ambiguous" if undecided else "named"
     if kind == "unknown":
         return Verdict(kind, Reason.GRADED, rejected=tuple(rejections(e, set())), remainder=True)

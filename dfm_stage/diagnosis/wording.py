@@ -177,7 +177,7 @@ def _of_swings(braking: Braking, name: str) -> Iterator[str]:
     """What the energy of free swings says of an effect that brakes them."""
     yield (f"of the force that brakes the swings, viscous damping alone misses "
            f"{braking.missed:.0%}, and what is named here {braking.left:.0%}: by the energy lost "
-           "from swing to swing, whatever the spring")
+           "from swing to swing")
     yield (f"held-out swings are braked otherwise without it by {braking.margins[name]:.1f} block "
            "standard errors")
 
