@@ -19,7 +19,7 @@ from dfm_stage.model import EFFECTS, Model
 def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     """What was found to leave a remainder of free swings, with what brakes them by their energy.
     Sizes are as there, and as the force domain has them; all else is fitted to the motion. As
-    found where nothing new brakes, or where held-out records are predicted worse with it."""
+    found where nothing new brakes, or held-out blocks are not clearly predicted better."""
     trial, h, before = found
     said, search = verdict(before), trial.search
     runs, held = ([replace(run, window=0) for run in each] for each in (search.runs, trial.held))
@@ -28,7 +28,7 @@ def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
         return found
     search.step("balancing the energy of free swings")
     told = braking(runs, held, h.fit.model, search.library)
-    if told is None or any(_is_of_a_kind(n, h.fit.model) for n in told.sizes):
+    if told is None or any(_may_brake_for(n, h.fit.model) for n in told.sizes):
         return found
     model = h.fit.model
     for name, size in told.sizes.items():
@@ -53,10 +53,11 @@ def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
                                  judged=before.judged)
 
 
-def _is_of_a_kind(name: str, model: Model) -> bool:
-    """Whether the model has an effect of the same class, or one with a memory, which may brake."""
+def _may_brake_for(name: str, model: Model) -> bool:
+    """Whether the model has an effect of the same class, or one whose force no position tells: a
+    memory, a further mode, a linear formula."""
     return any(name == use.name or shares_class(name, use.name) or use.effect.memory
-               for use in model.effects)
+               or use.effect.stamp is not None for use in model.effects)
 
 
 def _size(name: str) -> str:
