@@ -64,7 +64,7 @@ def braking(runs: Sequence[Observation], held: Sequence[Observation], model: Mod
     """
     brakes = {n: power for n in library if (power := EFFECTS[n].brakes) is not None}
     laws = [_power(1), *map(_power, brakes.values()), *_others(runs)]
-    found = [(swings(run, model, laws), run in runs) for run in (*runs, *held)]
+    found = [(swings(run, model, laws), k < len(runs)) for k, run in enumerate((*runs, *held))]
     found = [(each, fitted) for each, fitted in found if each.force.size >= SWINGS_A_BLOCK]
     if not any(fitted for _, fitted in found):
         return None

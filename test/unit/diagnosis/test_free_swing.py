@@ -116,6 +116,8 @@ def test_held_out_swings_are_predicted_and_not_fitted():
     assert both.sizes["coulomb_friction"].value == pytest.approx(
         alone.sizes["coulomb_friction"].value, rel=1e-6)
     assert braking([fitted], [swing(2, viscous=0.1)], softening(), LIBRARY) is None
+    part = replace(other, name=fitted.name)  # as of a record that is split by time
+    assert braking([fitted], [part], softening(), LIBRARY) == both
 
 
 def test_without_a_spring_there_is_no_energy_to_lose():
