@@ -119,7 +119,7 @@ BRAKES_MISSED = decision(
     "BRAKES_MISSED", 0.05, "1", meaning="Part of the braking force of free swings that viscous "
     "damping must miss for another brake to be told.",
     set_on="derivation: a spring is known to some percent. " + SWINGS + " and arm_pendulum miss "
-    "0.1 to 0.5; of 168 simulated swings with viscous damping alone, wrong springs, a drift or "
+    "0.1 to 0.4; of 168 simulated swings with viscous damping alone, wrong springs, a drift or "
     "coarse steps, none tells a brake")
 SMALL_PART_MISSED = decision(
     "SMALL_PART_MISSED", 0.5, "1", meaning="Part of what viscous damping misses of it that may be "

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dfm_stage.arrays import Array
-from dfm_stage.diagnosis.blocks import Blocks, Solution, block_edges, jackknife, log_ratio
+from dfm_stage.diagnosis.blocks import Blocks, Solution, block_edges, jackknife
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     BLOCKS,
@@ -31,6 +31,7 @@ from dfm_stage.diagnosis.decisions import (
 )
 from dfm_stage.diagnosis.evidence import Braking
 from dfm_stage.diagnosis.force_domain import WIDTHS, RunForces
+from dfm_stage.diagnosis.margins import margin
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.quantity import Quantity, interval
 from dfm_stage.model import EFFECTS, Model
@@ -89,13 +90,14 @@ def _judged(blocks: Blocks, brakes: Sequence[str], others: Sequence[int]) -> Bra
     while names:
         rest = {n: fitted([m for m in names if m != n]) for n in names}
         sizes = _sizes(names, found, int(blocks.fitted.sum()))
-        margins = {n: _margin(found, rest[n]) if _is_above_zero(sizes[n]) else 0.0 for n in names}
+        margins = {n: margin(rest[n].errors, found.errors) if _is_above_zero(sizes[n]) else 0.0
+                   for n in names}
         weakest = min(names, key=lambda n: margins[n])
         if margins[weakest] >= BLOCK_MARGIN:
             break
         names, found = tuple(n for n in names if n != weakest), rest[weakest]
     missed, left = _part(blocks, viscous), _part(blocks, found)
-    worse = any(_margin(found, blocks.fit([1, k], 0)) < 0.0 for k in others)
+    worse = any(margin(blocks.fit([1, k], 0).errors, found.errors) < 0.0 for k in others)
     if not names or worse or missed < BRAKES_MISSED or left > SMALL_PART_MISSED * missed:
         return None
     return Braking(_sizes(names, found, int(blocks.fitted.sum())), missed, left, margins)
@@ -151,12 +153,6 @@ def _potential(model: Model, reach: float) -> Callable[[float], float]:
     steps = 0.5 * (force[1:] + force[:-1]) * np.diff(grid)
     energy = np.concatenate(([0.0], np.cumsum(steps)))
     return lambda at: float(np.interp(at, grid, energy))
-
-
-def _margin(better: Solution, worse: Solution) -> float:
-    """By how many standard errors over blocks."""
-    mean, error = log_ratio(better.errors, worse.errors)
-    return mean / max(error, 1e-12)
 
 
 def _part(blocks: Blocks, found: Solution) -> float:

@@ -61,7 +61,8 @@ NEAR_NOISE = _search("NEAR_NOISE", 1.15, "1", "Chi-square a sample up to which u
                      "are tested before several common ones are looked for, and up to "
                      "which a search begins with effects that explain a part; power left over "
                      "that of its high frequencies, above which it has a colour; held-out "
-                     "power over the noise, above which there is more than noise in it.",
+                     "power over the noise, above which there is more than noise in it, and "
+                     "beyond which intervals allow for what a remainder hides.",
                      "simulation: the high frequencies of 4000 samples of white noise tell its "
                      "power within 7.5 %, one standard deviation; this is two")
 TWIN_ABOVE = _search("TWIN_ABOVE", 1.01, "1", "Chi-square a sample above which the twin of an "
