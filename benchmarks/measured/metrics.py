@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from benchmarks.measured.sources import Array, Columns
+from benchmarks.measured.columns import Array, Columns
 from dfm_stage.model import Model, Simulator
 
 FINER = 8

@@ -9,29 +9,15 @@ every n-th sample and changes units; it never filters.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import scipy.io
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Columns = dict[str, Array]
-Reader = Callable[[Path], dict[str, Columns]]
+from benchmarks.measured.columns import Array, Columns, Reader, matlab, timed
+from benchmarks.measured.free_swings import FREE_SWINGS
 
 STANDARD_GRAVITY = 9.80665
-
-
-def _timed(period: float, **columns: Array) -> Columns:
-    """Columns with even time stamps."""
-    size = len(next(iter(columns.values())))
-    return {"time_s": period * np.arange(size),
-            **{name: np.asarray(values, float) for name, values in columns.items()}}
-
-
-def _matlab(path: Path, name: str) -> NDArray[np.object_] | Array:
-    return np.asarray(scipy.io.loadmat(path, squeeze_me=True)[name])
 
 
 def _shared(path: Path) -> Columns:
@@ -58,7 +44,7 @@ def motor_bench(folder: Path) -> dict[str, Columns]:
     for part in "ab":
         with np.load(folder / f"motor_bench_multisine{part.upper()}.npz") as data:
             first = int(data["period"])
-            parts[part] = _timed(1.0 / float(data["fs"]), input_a=data["iq"][first:],
+            parts[part] = timed(1.0 / float(data["fs"]), input_a=data["iq"][first:],
                                  position_rad=data["theta_motor"][first:])
     return parts
 
@@ -67,14 +53,14 @@ def beam(folder: Path) -> dict[str, Columns]:
     """Eight seconds of the decay, from where the drive has stopped."""
     with np.load(folder / "decay.npz") as data:
         strain = data["strain"][12_600:20_600, 0]
-    return {"decay": {**_timed(1e-3, input_v=np.zeros(strain.size)), "strain": strain}}
+    return {"decay": {**timed(1e-3, input_v=np.zeros(strain.size)), "strain": strain}}
 
 
 def hsm150(folder: Path) -> dict[str, Columns]:
     """Columns of `data`: time, reference, angle, velocity, torque, measured torque, current."""
     parts = {}
     for name in ("pos_0.06_1", "neg_0.04_1", "pos_0.065_2", "neg_0.045_2"):
-        data = np.asarray(_matlab(folder / f"idf_{name}.mat", "data"), float)
+        data = np.asarray(matlab(folder / f"idf_{name}.mat", "data"), float)
         parts[name] = {"time_s": data[:, 0], "input_Nm": data[:, 4],
                        "position_rad": data[:, 2], "velocity_rad_s": data[:, 3]}
     return parts
@@ -85,7 +71,7 @@ def servo_motor(folder: Path) -> dict[str, Columns]:
     parts = {}
     for number in (1, 6):
         data = np.loadtxt(folder / f"data_S1_{number}.txt")
-        parts[f"gains_{number}"] = _timed(1e-3, input_Nm=data[:, 4], position_rad=data[:, 0],
+        parts[f"gains_{number}"] = timed(1e-3, input_Nm=data[:, 4], position_rad=data[:, 0],
                                           reference_rad=data[:, 2])
     return parts
 
@@ -107,8 +93,8 @@ def pendulum(folder: Path) -> dict[str, Columns]:
     path = folder / "SinglePendulumDataForParameterEstimation.mat"
     parts = {}
     for part, name in (("identification", "Y_id"), ("validation", "Y_vad")):
-        angle = np.concatenate([each[0] for each in _matlab(path, name)])[::4] - np.pi
-        parts[part] = _timed(4e-3, input_Nm=np.zeros(angle.size), position_rad=angle)
+        angle = np.concatenate([each[0] for each in matlab(path, name)])[::4] - np.pi
+        parts[part] = timed(4e-3, input_Nm=np.zeros(angle.size), position_rad=angle)
     return parts
 
 
@@ -117,7 +103,7 @@ def aero_pendulum(folder: Path) -> dict[str, Columns]:
     parts = {}
     for name in ("ident", "val"):
         data = np.loadtxt(folder / f"{name}_data.txt", delimiter=",", skiprows=1)
-        parts[name] = _timed(0.01, input_v=data[:, 1], position_rad=data[:, 0])
+        parts[name] = timed(0.01, input_v=data[:, 1], position_rad=data[:, 0])
     return parts
 
 
@@ -126,18 +112,18 @@ def harvester(folder: Path) -> dict[str, Columns]:
     parts = {}
     for level in (100, 150, 200):
         data = np.loadtxt(folder / f"amplitude_{level}mV.csv", delimiter=",")
-        parts[f"{level}mV"] = _timed(1.0 / 64.0, input_N=-STANDARD_GRAVITY * data[:, 1],
+        parts[f"{level}mV"] = timed(1.0 / 64.0, input_N=-STANDARD_GRAVITY * data[:, 1],
                                      velocity_m_s=data[:, 5])
     return parts
 
 
 def double_beam(folder: Path) -> dict[str, Columns]:
     """Decays number 1, 5, 9 (fitted) and 2, 6 (the source's test set), from 20 ms on."""
-    decays = _matlab(folder / "data.mat", "xData")
+    decays = matlab(folder / "data.mat", "xData")
     parts = {}
     for number in (1, 5, 9, 2, 6):
         velocity = np.asarray(decays[number - 1][1], float)[102:]
-        parts[f"blow_{number}"] = _timed(1.0 / 5120.0, input_N=np.zeros(velocity.size),
+        parts[f"blow_{number}"] = timed(1.0 / 5120.0, input_N=np.zeros(velocity.size),
                                          velocity_m_s=velocity)
     return parts
 
@@ -145,23 +131,23 @@ def double_beam(folder: Path) -> dict[str, Columns]:
 def robot_arm(folder: Path) -> dict[str, Columns]:
     """Columns: reaction torque, acceleration; halves as others split it."""
     data = np.loadtxt(folder / "robot_arm.dat")
-    return {part: _timed(0.01, input_N=data[cut, 0], acceleration_m_s2=data[cut, 1])
+    return {part: timed(0.01, input_N=data[cut, 0], acceleration_m_s2=data[cut, 1])
             for part, cut in (("first_half", slice(0, 512)), ("second_half", slice(512, 1024)))}
 
 
 def servo_link(folder: Path) -> dict[str, Columns]:
     """Samples 2127 to 3911 as the source selects them; the command stands meanwhile."""
     path = folder / "resultID.mat"
-    drive, tip = (np.asarray(_matlab(path, name), float)[2126:3911] for name in "uy")
-    return {part: _timed(3e-3, input_v=drive[cut], acceleration_m_s2=tip[cut])
+    drive, tip = (np.asarray(matlab(path, name), float)[2126:3911] for name in "uy")
+    return {part: timed(3e-3, input_v=drive[cut], acceleration_m_s2=tip[cut])
             for part, cut in (("ring_down", slice(0, 1250)), ("later", slice(1250, None)))}
 
 
 def geared_motor(folder: Path) -> dict[str, Columns]:
     """Voltage and speed; the current is left out."""
     path = folder / "aprbsResult.mat"
-    volts, speed = (np.asarray(_matlab(path, name), float) for name in "uy")
-    return {part: _timed(0.02, input_v=volts[cut], velocity_rad_s=speed[cut])
+    volts, speed = (np.asarray(matlab(path, name), float) for name in "uy")
+    return {part: timed(0.02, input_v=volts[cut], velocity_rad_s=speed[cut])
             for part, cut in (("first", slice(0, 3361)), ("last", slice(3361, None)))}
 
 
@@ -190,7 +176,7 @@ def _ecp(folder: Path, name: str) -> dict[str, Columns]:
     for number in range(1, 6):
         text = (folder / f"{name}_test{number}.csv").read_text("utf-8").split("[", 1)[1]
         data = np.array([line.split() for line in text.split("]")[0].split(";")], float)
-        parts[f"test_{number}"] = _timed(float(data[-1, 1]) / (len(data) - 1),
+        parts[f"test_{number}"] = timed(float(data[-1, 1]) / (len(data) - 1),
                                          input_v=data[:, -1], position_m=1e-6 * data[:, 3])
     return parts
 
@@ -214,15 +200,6 @@ def relay_cart(folder: Path) -> dict[str, Columns]:
         parts[f"at_{place}_cm"] = {"time_s": data[:, 0], "input_a": data[:, 1],
                                    "position_m": data[:, 2]}
     return parts
-
-
-def dry_pendulum(folder: Path) -> dict[str, Columns]:
-    """Columns: time, angle from upright, velocity. From a turning point at 2.4 rad on, near where
-    the source starts, as the angle from hanging."""
-    data = np.loadtxt(folder / "test1pend1.csv", delimiter=",")[779:]
-    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
-                   "position_rad": data[cut, 1] - np.pi}
-            for part, cut in (("first", slice(0, 6700)), ("rest", slice(6700, None)))}
 
 
 def flexible_link(folder: Path) -> dict[str, Columns]:
@@ -264,7 +241,7 @@ def struck_beam(folder: Path) -> dict[str, Columns]:
     for part, name in (("hard", "mec-t2"), ("soft", "mec-t3")):
         force, velocity = (np.loadtxt(folder / f"{name}-{what}.txt", skiprows=7,
                                       max_rows=10_000)[:, 1] for what in ("force", "velocity"))
-        parts[part] = _timed(1e-4, input_N=force, velocity_m_s=velocity)
+        parts[part] = timed(1e-4, input_N=force, velocity_m_s=velocity)
     return parts
 
 
@@ -293,22 +270,13 @@ def walker_leg(folder: Path) -> dict[str, Columns]:
                               ("sweep", slice(7560, 11_600)))}
 
 
-def rod_pendulum(folder: Path) -> dict[str, Columns]:
-    """Columns: time, angle (degrees), in thirds of 30 s."""
-    data = np.loadtxt(folder / "galileo_2024-07-19_15-25-54.csv", delimiter=",", skiprows=1)
-    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(1500),
-                   "position_rad": np.radians(data[cut, 1])}
-            for part, cut in (("large", slice(0, 1500)), ("small", slice(3000, 4500)),
-                              ("middle", slice(1500, 3000)))}
-
-
 def sprung_carts(folder: Path) -> dict[str, Columns]:
     """Voltage and speeds of both carts (mm/s). The driven one, every second sample."""
     parts = {}
     for part, name in (("square_low", "1_5"), ("sine_2_hz", "sine_2"), ("square_high", "2"),
                        ("sine_3_hz", "sine_3")):
         path = folder / f"velocity_response_{name}.mat"
-        time, volts, speed = (np.asarray(_matlab(path, column), float)[::2]
+        time, volts, speed = (np.asarray(matlab(path, column), float)[::2]
                               for column in ("t", "u", "v1"))
         parts[part] = {"time_s": time, "input_v": volts, "velocity_m_s": 1e-3 * speed}
     return parts
@@ -339,13 +307,13 @@ def ball_on_beam(folder: Path) -> dict[str, Columns]:
     """Columns: angle of the beam, position of the ball; halves as others split it. The angle
     stands as volts."""
     data = np.loadtxt(folder / "ball-and-beam.csv", delimiter=",", skiprows=1)
-    return {part: _timed(0.1, input_v=data[cut, 0], position_m=data[cut, 1])
+    return {part: timed(0.1, input_v=data[cut, 0], position_m=data[cut, 1])
             for part, cut in (("first_half", slice(0, 500)), ("second_half", slice(500, 1000)))}
 
 
 def steel_link(folder: Path) -> dict[str, Columns]:
     """Voltage; wanted and measured angle of the hub (degrees)."""
-    volts, angle = (np.asarray(_matlab(folder / f"data_{name}.mat", f"data_{name}"), float)
+    volts, angle = (np.asarray(matlab(folder / f"data_{name}.mat", f"data_{name}"), float)
                     for name in ("vm", "theta"))
     return {part: {"time_s": volts[cut, 0], "input_v": volts[cut, 1],
                    "position_rad": np.radians(angle[cut, 2]),
@@ -358,7 +326,7 @@ def belt_drive(folder: Path) -> dict[str, Columns]:
     text = (folder / "6.6_data.m").read_text("latin-1").partition("[")[2].partition("]")[0]
     data = np.array([row.split() for row in text.split(";") if row.strip()], float)
     counts_per_rad = 2546.5
-    return {part: _timed(data[-1, 1] / data[-1, 0], input_v=data[cut, 5],
+    return {part: timed(data[-1, 1] / data[-1, 0], input_v=data[cut, 5],
                          position_rad=data[cut, 3] / counts_per_rad,
                          reference_rad=data[cut, 2] / counts_per_rad)
             for part, cut in (("first", slice(0, 3953)), ("last", slice(3953, None)))}
@@ -369,58 +337,53 @@ def disc_motor(folder: Path) -> dict[str, Columns]:
     data = scipy.io.loadmat(folder / "MotorIDinert.mat", squeeze_me=True, struct_as_record=False)
     entries = {e.Name: np.asarray(e.Data, float)
                for e in data["MotorData"].Data.MeasuredData}
-    return {part: _timed(5e-3, input_v=entries[f"data{key}/Duty"],
+    return {part: timed(5e-3, input_v=entries[f"data{key}/Duty"],
                          position_rad=np.pi / 1000.0 * entries[f"data{key}/Position"],
                          reference_rad=np.pi / 1000.0 * entries[f"data{key}/Ref"])
             for part, key in (("sine_0_3_hz", 3), ("sine_0_8_hz", 8), ("sine_0_1_hz", 1),
                               ("sine_0_5_hz", 5), ("sine_1_hz", 10))}
 
 
-def stepper_pendulum(folder: Path) -> dict[str, Columns]:
-    """Angle (degrees), from just after the first turning point on. Every fifth sample."""
+def course_motor(folder: Path) -> dict[str, Columns]:
+    """Columns: time, voltage, speed (rad/s). Every fourth sample; sweeps and sine without the
+    first second, of the stairs those to 6 and 9 V."""
     parts = {}
-    for number, first in ((1, 252), (2, 150), (3, 144)):
-        path = folder / f"pendulum_free_swing_data_{number:02d}.txt"
-        angle = np.loadtxt(path, skiprows=2)[first::5]
-        parts[f"run_{number}"] = _timed(5e-3, input_Nm=np.zeros(angle.size),
-                                        position_rad=np.radians(angle))
+    for part, name, cut in (("sweep", "Chirp_Raw_1.mat", slice(2000, None, 4)),
+                            ("sine", "Sine_Raw.mat", slice(2000, None, 4)),
+                            ("sweep_again", "Chirp_Raw_4.mat", slice(2000, None, 4)),
+                            ("stairs", "Stair_Raw.mat", slice(18_000, 56_000, 4))):
+        data = scipy.io.loadmat(folder / name, squeeze_me=True, struct_as_record=False)["RawData"]
+        parts[part] = timed(2e-3, input_v=np.asarray(data.Input, float)[cut],
+                             velocity_rad_s=np.asarray(data.Velo, float)[cut])
     return parts
 
 
-def hand_pendulum(folder: Path) -> dict[str, Columns]:
-    """Time and angle (rad), from just after the release on. Every tenth sample."""
-    time, angle = (np.asarray(_matlab(folder / "cdip_pend_data.mat", name), float)[4200::10]
-                   for name in ("t", "theta"))
-    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
-                   "position_rad": angle[cut]}
-            for part, cut in (("large", slice(0, 4580)), ("small", slice(4580, None)))}
+def _joint(path: Path) -> Columns:
+    """Voltage, angle of the motor, and wanted angle. Every second sample."""
+    data = scipy.io.loadmat(path, squeeze_me=True)
+    return timed(4e-3, input_v=data["u"][::2], position_rad=data["Theta"][::2],
+                  reference_rad=data["r"][::2])
 
 
-def arm_pendulum(folder: Path) -> dict[str, Columns]:
-    """Time and angle (rad), from after the release on. Every tenth sample."""
-    time, angle = (np.asarray(_matlab(folder / "adip_pend_data.mat", name), float)[2700::10]
-                   for name in ("t", "theta2"))
-    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
-                   "position_rad": angle[cut]}
-            for part, cut in (("large", slice(0, 5862)), ("small", slice(5862, None)))}
+def joint_arm(folder: Path) -> dict[str, Columns]:
+    """The angle of the arm against the motor is left out."""
+    return {"long": _joint(folder / "Joint_SI_CL_40s_Data.mat"),
+            "short": _joint(folder / "Joint_SI_CL_Data.mat")}
 
 
-def second_pendulum(folder: Path) -> dict[str, Columns]:
-    """Columns: time, angle from upright, velocity. From a turning point at 2.7 rad on, as the
-    angle from hanging."""
-    data = np.loadtxt(folder / "test1pend2.csv", delimiter=",")[198:]
-    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
-                   "position_rad": data[cut, 1] - np.pi}
-            for part, cut in (("first", slice(0, 4360)), ("rest", slice(4360, None)))}
+def bare_joint(folder: Path) -> dict[str, Columns]:
+    """The first 60 % and the rest of one period of 40 s."""
+    data = _joint(folder / "Joint_SI_CL_40s_noarm_Data.mat")
+    return {part: {name: values[cut] for name, values in data.items()}
+            for part, cut in (("first", slice(0, 6000)), ("last", slice(6000, None)))}
 
 
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
-    silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
+    *FREE_SWINGS, silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
     aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
-    swing_up, two_masses, one_mass, relay_cart, dry_pendulum, flexible_link, linear_guide,
-    struck_beam, crane_cart, walker_leg, rod_pendulum, sprung_carts, ruler_arm, piezo_actuator,
-    ball_on_beam, steel_link, belt_drive, disc_motor, stepper_pendulum, hand_pendulum,
-    arm_pendulum, second_pendulum)}
+    swing_up, two_masses, one_mass, relay_cart, flexible_link, linear_guide, struck_beam,
+    crane_cart, walker_leg, sprung_carts, ruler_arm, piezo_actuator, ball_on_beam, steel_link,
+    belt_drive, disc_motor, course_motor, joint_arm, bare_joint)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:

@@ -13,8 +13,9 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from benchmarks.measured.columns import Columns
 from benchmarks.measured.records import MeasuredRecord
-from benchmarks.measured.sources import READERS, Columns, write_csv
+from benchmarks.measured.sources import READERS, write_csv
 from dfm_stage.model import Model, load_model
 
 LONGEST_S = 1800

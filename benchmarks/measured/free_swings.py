@@ -1,0 +1,112 @@
+"""The original files of free swings of pendulums, read as columns; see `sources`."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+from benchmarks.measured.columns import Columns, matlab, timed
+
+
+def dry_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle from upright, velocity. From a turning point at 2.4 rad on, near where
+    the source starts, as the angle from hanging."""
+    data = np.loadtxt(folder / "test1pend1.csv", delimiter=",")[779:]
+    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
+                   "position_rad": data[cut, 1] - np.pi}
+            for part, cut in (("first", slice(0, 6700)), ("rest", slice(6700, None)))}
+
+
+def rod_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle (degrees), in thirds of 30 s."""
+    data = np.loadtxt(folder / "galileo_2024-07-19_15-25-54.csv", delimiter=",", skiprows=1)
+    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(1500),
+                   "position_rad": np.radians(data[cut, 1])}
+            for part, cut in (("large", slice(0, 1500)), ("small", slice(3000, 4500)),
+                              ("middle", slice(1500, 3000)))}
+
+
+def stepper_pendulum(folder: Path) -> dict[str, Columns]:
+    """Angle (degrees), from just after the first turning point on. Every fifth sample."""
+    parts = {}
+    for number, first in ((1, 252), (2, 150), (3, 144)):
+        path = folder / f"pendulum_free_swing_data_{number:02d}.txt"
+        angle = np.loadtxt(path, skiprows=2)[first::5]
+        parts[f"run_{number}"] = timed(5e-3, input_Nm=np.zeros(angle.size),
+                                        position_rad=np.radians(angle))
+    return parts
+
+
+def hand_pendulum(folder: Path) -> dict[str, Columns]:
+    """Time and angle (rad), from just after the release on. Every tenth sample."""
+    time, angle = (np.asarray(matlab(folder / "cdip_pend_data.mat", name), float)[4200::10]
+                   for name in ("t", "theta"))
+    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
+                   "position_rad": angle[cut]}
+            for part, cut in (("large", slice(0, 4580)), ("small", slice(4580, None)))}
+
+
+def arm_pendulum(folder: Path) -> dict[str, Columns]:
+    """Time and angle (rad), from after the release on. Every tenth sample."""
+    time, angle = (np.asarray(matlab(folder / "adip_pend_data.mat", name), float)[2700::10]
+                   for name in ("t", "theta2"))
+    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
+                   "position_rad": angle[cut]}
+            for part, cut in (("large", slice(0, 5862)), ("small", slice(5862, None)))}
+
+
+def second_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle from upright, velocity. From a turning point at 2.7 rad on, as the
+    angle from hanging."""
+    data = np.loadtxt(folder / "test1pend2.csv", delimiter=",")[198:]
+    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
+                   "position_rad": data[cut, 1] - np.pi}
+            for part, cut in (("first", slice(0, 4360)), ("rest", slice(4360, None)))}
+
+
+def _rod_swing(path: Path, first: int, last: int | None = None) -> Columns:
+    """A free swing of a rod. Columns: angle of the rod, its speed twice, position of the
+    cart (cm), its speed twice, voltage, time (ms). As the angle from where the rod stands at the
+    end of the file."""
+    data = np.loadtxt(path, delimiter=",")
+    angle = data[:, 0] - np.median(data[-100:, 0])
+    return timed(0.01, input_Nm=np.zeros(angle[first:last].size), position_rad=angle[first:last])
+
+
+def long_rod(folder: Path) -> dict[str, Columns]:
+    """From the first turning point on, and a swing that a move of the cart has left, from after
+    the cart stands."""
+    return {"first": _rod_swing(folder / "swobodna.txt", 3520, 7720),
+            "rest": _rod_swing(folder / "swobodna.txt", 7720),
+            "after_a_move": _rod_swing(folder / "6v.txt", 380)}
+
+
+def short_rod(folder: Path) -> dict[str, Columns]:
+    """From the first turning point on, and swings that moves of the cart have left, from after
+    the cart stands."""
+    return {"large": _rod_swing(folder / "swobodna.txt", 820),
+            "after_12_v": _rod_swing(folder / "12v.txt", 530),
+            "after_10_v": _rod_swing(folder / "10v.txt", 435)}
+
+
+def sprung_pendulum(folder: Path) -> dict[str, Columns]:
+    """Time and angle (degrees) in an object that only its maker's program opens; its arrays stand
+    in the file as they are. From 4 s on, every tenth sample."""
+    path = folder / "pendulum_oscillation.mat"
+    raw = scipy.io.loadmat(path)["__function_workspace__"].tobytes()
+    size = 39_650
+    tag = struct.pack("<II", 9, 8 * size)
+    start = raw.index(tag) + len(tag)
+    time = np.frombuffer(raw, "<f8", size, start)
+    angle = np.frombuffer(raw, "<f8", size, raw.index(tag, start + 8 * size) + len(tag))
+    time, angle = time[4001::10], angle[4001::10]
+    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
+                   "position_rad": np.radians(angle[cut])}
+            for part, cut in (("first", slice(0, 2500)), ("rest", slice(2500, None)))}
+
+
+FREE_SWINGS = (dry_pendulum, rod_pendulum, stepper_pendulum, hand_pendulum, arm_pendulum,
+               second_pendulum, long_rod, short_rod, sprung_pendulum)
