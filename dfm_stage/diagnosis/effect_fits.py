@@ -20,6 +20,7 @@ from dfm_stage.diagnosis.decisions import (
 )
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.diagnosis.same_motion import most_alike
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search_decisions import (
     AROUND_STEPS,
@@ -38,7 +39,7 @@ from dfm_stage.diagnosis.search_decisions import (
 )
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.system import is_nonlinear, rounding_step, steps_taken
-from dfm_stage.identification.weights import Weight, Weights, velocity_weights, white_weights
+from dfm_stage.identification.weights import Weight, Weights, white_weights
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.conditions import Conditions
 from dfm_stage.model.effect import Parameters
@@ -121,7 +122,7 @@ class Fits:
 
     def weigh_at_first(self, found: Fit) -> None:
         """Weigh by what is left at high frequencies: there may be more than noise below."""
-        self.reweigh(first_weights(found), white_weights(found.residuals)[0][0].rms)
+        self.reweigh(first_weights(found), quiet_weights(found)[0][0].rms)
 
     def reweigh(self, weights: Weights, noise: float | None = None) -> None:
         """Compare fits by other weights from now on."""
@@ -253,12 +254,18 @@ class Fits:
 
     def in_place_of(self, name: str, twin: str, names: Names, current: Fit) -> Fit:
         """The fit of `names`, in which `twin` has taken the place of `name`, begun where the two
-        are the same motion (`Effect.twins`), beside the base that leaves least: that of `current`,
-        that without any effect, or that given."""
+        are the same motion (`Effect.twins`), or as nearly as they can be, beside the base that
+        leaves least: that of `current`, that without any effect, or that given."""
         use = current.model.effect(name)
         assert use is not None  # noqa: S101 (who calls has found it)
-        typical = next(iter(starts(twin, self.conditions(current.model))), EFFECTS[twin].defaults)
-        begin = Hit.at(twin, {**typical, **EFFECTS[name].twins[twin](use.parameters)})
+        at = self.conditions(current.model)
+        if twin in EFFECTS[name].twins:
+            typical = next(iter(starts(twin, at)), EFFECTS[twin].defaults)
+            begin = Hit.at(twin, {**typical, **EFFECTS[name].twins[twin](use.parameters)})
+        else:
+            gone = [each.name for each in current.model.effects
+                    if each.name not in names and self.model.effect(each.name) is None]
+            begin = Hit.at(twin, most_alike(twin, gone, current, self.runs, self.noise))
         bases = (current.model, self.fitted((), current).model, self.model)
         first = min((current.model.with_parameters(
             {n: v for n, v in each.base.items() if n in self.free}) for each in bases),
@@ -430,10 +437,22 @@ class Fits:
 
 
 def first_weights(found: Fit) -> Weights:
-    """White noise, in the output or, of the position of a stage without a spring, in the
-    velocity."""
-    weights = velocity_weights if found.system.drifts else white_weights
-    return weights(found.residuals)
+    """White noise in the output. The position of a stage without a spring integrates whatever
+    small force there is: its drift counts no more than its velocity."""
+    quiet = quiet_weights(found)
+    return tuple((ws[0].of_change(), *ws[1:]) for ws in quiet) if found.system.drifts else quiet
+
+
+def quiet_weights(found: Fit) -> Weights:
+    """White noise as strong as high frequencies are in what a fit leaves. In windows, in what was
+    measured where they are weaker there: states that begin anew make the model's motion jump."""
+    quiet, runs = white_weights(found.residuals), found.system.runs
+    if not any(run.window for run in runs):
+        return quiet
+    measured = white_weights([[signal[run.skip:] for signal in run.compared.values()]
+                              for run in runs])
+    return tuple(tuple(min(pair, key=lambda w: w.sigma) for pair in zip(*each, strict=True))
+                 for each in zip(quiet, measured, strict=True))
 
 
 def _halved(hit: Hit) -> Hit:

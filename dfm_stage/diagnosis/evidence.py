@@ -307,6 +307,7 @@ class Evidence:
     how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
     held-out powers are compared. `heard` says that the force domain alone bears the effects out,
     `braking` which of them the energy of free swings bears out.
+    `one_law` are laws of speed in whose place one that has no name does better.
     `formulas` are offered for what no effect explains. `form_hidden` are forces among the
     effects of which the records do not show whether they stand in for another form.
     """
@@ -337,6 +338,7 @@ class Evidence:
     braking: Braking | None = None
     surface: Surface | None = None
     form_hidden: tuple[str, ...] = ()
+    one_law: tuple[str, ...] = ()
     formulas: tuple[Offer, ...] = ()
     accepted: Accepted | None = None
     conventions: tuple[Mapping[str, Any], ...] = ()

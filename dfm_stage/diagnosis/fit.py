@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification.fit import Fit, rms, search
 from dfm_stage.identification.system import System
 from dfm_stage.identification.weights import Weights
 from dfm_stage.model import Model
 
-__all__ = ["Fit", "fit", "rms", "system_of"]
+__all__ = ["Fit", "fit", "rms", "system_of", "weighted_output"]
 
 STATES = ("position", "velocity")
 """Initial states that are estimated: what other modes held dies out in the lead-in."""
@@ -40,3 +43,14 @@ def fit(model: Model, runs: Sequence[Observation], free: Sequence[str], weights:
     system = system_of(model, runs, free, noise)
     return search(system, weights, system.started(dict(earlier or {})), iterations=iterations,
                   tolerance=tolerance, exact=exact, allowance=allowance)
+
+
+def weighted_output(model: Model, found: Fit, runs: Sequence[Observation], weights: Weights,
+                    noise: float) -> Array | None:
+    """The weighted output (N,) of a model at the values that a fit found for single runs, all runs
+    in a row; None where the motion escapes."""
+    system = system_of(model, runs, (), noise)
+    x = system.started(found.locals)
+    rows = [w.apply(signal[0]) for i, ws in enumerate(weights)
+            for signal, w in zip(system.signals(i, x[None, :]), ws, strict=True)]
+    return np.concatenate(rows) if all(np.all(np.isfinite(row)) for row in rows) else None

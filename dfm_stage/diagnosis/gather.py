@@ -18,6 +18,7 @@ from dfm_stage.diagnosis.decisions import (
     SCATTERING,
     STEP_GRID,
 )
+from dfm_stage.diagnosis.effect_fits import quiet_weights
 from dfm_stage.diagnosis.evidence import (
     Candidate,
     Comparison,
@@ -56,7 +57,6 @@ from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.identification.residuals import noise_floor_from_periods
-from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Model
 
 
@@ -71,7 +71,7 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     search = trial.search
     runs, weight = search.runs, search.weights[0][0]
     repeats = runs[0].periodicity
-    quiet = white_weights(h.fit.residuals)[0][0].rms if h.fit.ok else 0.0
+    quiet = quiet_weights(h.fit)[0][0].rms if h.fit.ok else 0.0
     judged = judged_in(h, quiet, trial.lag)
     given = trial.predicted(search.model)
     fitted_given = predict(search.model, runs, search.weights, search.noise)

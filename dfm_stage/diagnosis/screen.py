@@ -18,7 +18,7 @@ import numpy as np
 from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.candidates import shown_by_none, starts
 from dfm_stage.diagnosis.decisions import COARSER, FEWEST_CYCLES, STEP_GRID
-from dfm_stage.diagnosis.fit import Fit, system_of
+from dfm_stage.diagnosis.fit import Fit, system_of, weighted_output
 from dfm_stage.diagnosis.force_response import ForceResponse
 from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.search_decisions import (
@@ -78,10 +78,7 @@ class Screen:
         criterion = Criterion(system, weights, slopes=lambda i, x, exact: system.sensitivities(
             i, x, exact, light))
         jacobian = criterion.jacobian(base.x)
-        norms = np.linalg.norm(jacobian, axis=0)
-        seen = norms > UNSEEN_PART**2 * max(float(norms.max()), 1e-300)
-        left, values, _ = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
-        self.basis = np.asarray(left[:, values > SCREEN_RANK * values.max(initial=0.0)])
+        self.basis = span(jacobian)
         white = base.white
         self.residual = white - self.basis @ (self.basis.T @ white)
         self.edges = self._edges()
@@ -112,12 +109,7 @@ class Screen:
 
     def _outputs(self, model: Model) -> Array | None:
         """The weighted output (N,) of a model at the base's local values; None if impossible."""
-        system = system_of(model, self.runs, (), self.noise)
-        x = system.started(self.base.locals)
-        found = [[out[0] for out in system.signals(i, x[None, :])] for i in range(len(self.runs))]
-        if not all(np.all(np.isfinite(signal)) for run in found for signal in run):
-            return None
-        return self._weighted(found)
+        return weighted_output(model, self.base, self.runs, self.weights, self.noise)
 
     def _force_response(self) -> ForceResponse | None:
         """What small forces add to the motion of the model; None beside nonlinear effects."""
@@ -300,6 +292,14 @@ class Screen:
                 own[a:b] = column[a:b]
                 split.append(own)
         return np.asarray(np.array(split).T)
+
+
+def span(jacobian: Array) -> Array:
+    """Orthonormal columns (N, r) of what the parameters with these slopes (N, n) can do."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    seen = norms > UNSEEN_PART**2 * max(float(norms.max(initial=0.0)), 1e-300)
+    left, values, _ = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
+    return np.asarray(left[:, values > SCREEN_RANK * values.max(initial=0.0)])
 
 
 def _staircase(position: Array, residual: Array, step: float) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from dfm_stage.diagnosis.alike import at_upper_end, shares_class
+from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
     FIRST,
@@ -22,10 +23,8 @@ from dfm_stage.diagnosis.screen import Hit, best_of_each
 from dfm_stage.diagnosis.search import Search, explains_most
 from dfm_stage.diagnosis.search_decisions import (
     FIRST_SHARE,
-    LEAST_STEPS,
     MOST_STEPS,
     NEAR_NOISE,
-    SHORT_LIST_GAIN,
 )
 from dfm_stage.diagnosis.verdict import (
     explained_share,
@@ -70,8 +69,8 @@ def judged_among_all(trial: Trial, first: Fit, warnings: Sequence[str], split: b
 def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
                   split: bool) -> Judgement | None:
     """One uncommon effect that leaves only noise where no common one does by itself, or the set of
-    the force domain that does; a search for several common ones would end in more than noise, and
-    late."""
+    the force domain that does, or the one effect that takes its place in a search among all; a
+    search for several common ones would end in more than noise, and late."""
     search = trial.search
     if not trial.uncommon or search.runs[0].window or is_noise(first):
         return None
@@ -89,7 +88,8 @@ def _one_uncommon(trial: Trial, first: Fit, warnings: Sequence[str],
         begun = forced
     other = wide, *to_noise(wide, *begun, MOST_STEPS, warnings, split)
     names = other[1].names
-    stays = len(names) <= len(begun[0]) and set(names) & set(trial.uncommon)
+    alone = len(names) == 1 or set(names) & set(trial.uncommon)
+    stays = alone and len(names) <= len(begun[0])
     return other if stays and verdict(other[2]).complete else None
 
 
@@ -188,18 +188,19 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
     one or of several. An effect that is spared may cost what a further one must bring."""
     own, h, _ = found
     search = wide.search
-    search.begin_work(LEAST_STEPS)
+    search.begin_work(FIRST_SHARE * MOST_STEPS)
     begun = _begun_alone(search, first, h, relatives)
+    kin, at = _kin(own, h) if len(h.names) > 1 else [], search.conditions(search.model)
     for name in h.names:
-        for twin in sorted(relatives & EFFECTS[name].twins.keys()):
-            names = tuple(twin if n == name else n for n in h.names)
-            begun[names] = search.in_place_of(name, twin, names, h.fit)
+        alike = {n for n in kin if shares_class(n, name)} | relatives & EFFECTS[name].twins.keys()
+        for kindred in sorted(n for n in alike if not excluded(n, search.model, at, search.again)):
+            names = tuple(kindred if n == name else n for n in h.names)
+            begun[names] = search.in_place_of(name, kindred, names, h.fit)
     search.reweigh(own.search.weights, own.search.noise)
     least = _weighed(search, h)
     tried = [(names, search.fitted(names, each)) for names, each in begun.items() if each.ok]
-    if len(h.names) > 1:
-        tried += _in_place_of_one(search, h.names, least, _kin(own, h))
-    tried += [search.pruned(*each) for each in tried if each[1].ok]
+    most = least.chi2 + search.further(h.names, least) * (len(h.names) - 1)
+    tried += [search.pruned(*each) for each in tried if each[1].ok and each[1].chi2 <= most]
     fits = {names: each for names, each in tried if set(names) & set(own.uncommon)
             and _is_preferred(search, names, each, h.names, least)}
     if not fits:
@@ -227,21 +228,6 @@ def _begun_alone(search: Search, first: Fit, h: Hypothesis,
         return {}
     _, hits = search.screened(first, (), sorted(alone))
     return {(hit.name,): search.fitted((hit.name,), first, [hit]) for hit in best_of_each(hits)}
-
-
-def _in_place_of_one(search: Search, names: Names, least: Fit,
-                     kin: Sequence[str]) -> Iterator[tuple[Names, Fit]]:
-    """Fits of what was found with an effect of `kin` in the place of the one of its class: those
-    that promise as much as the best."""
-    for own in names:
-        rest = tuple(n for n in names if n != own)
-        wanted = [n for n in kin if shares_class(n, own) and n not in EFFECTS[own].twins]
-        if wanted and (without := search.fitted(rest, least)).ok:
-            _, hits = search.screened(without, rest, wanted)
-            best = best_of_each(hits)
-            for hit in best:
-                if hit.gain > SHORT_LIST_GAIN * best[0].gain:
-                    yield (*rest, hit.name), search.fitted((*rest, hit.name), without, [hit])
 
 
 def _may_explain(wide: Trial, found: Judgement) -> bool:

@@ -128,9 +128,10 @@ def verdict(e: Evidence) -> Verdict:
         classes = {x.name: _class(e, x) for x in e.effects}
         found = sorted((_found(e, x, classes[x.name]) for x in e.effects), key=lambda f: -f.loss)
         undecided = tuple(m for members in classes.values() for m in members if len(members) > 1)
-        return Verdict("ambiguous" if undecided else "named", outcome.reason, tuple(found),
+        kind: Kind = "partial" if e.one_law else "ambiguous" if undecided else "named"
+        return Verdict(kind, outcome.reason, tuple(found),
                        undecided, outcome.doubts, tuple(rejections(e, names)),
-                       e.extended.remainder, "extended", "extended")
+                       e.extended.remainder or bool(e.one_law), "extended", "extended")
     offset = _offset(e)
     rules: tuple[tuple[bool, Kind, Reason], ...] = (
         (e.retuned.remainder, "unknown", Reason.REMAINDER),

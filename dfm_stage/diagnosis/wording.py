@@ -94,12 +94,14 @@ def formula(offer: Offer) -> str:
             f"{offer.draws} draws)")
 
 
+ONE_LAW = ("{names} stand in for one law of speed, which no effect of the library has and which "
+           "does better")
 NO_FORMULA = ("no short formula of position, velocity and drive explains a real part of it on "
               "held-out records")
 
 
 def _verdict(e: Evidence, v: Verdict) -> str:
-    if v.kind in ("named", "partial") and e.graded:
+    if v.kind == "partial" or (v.kind == "named" and e.graded):
         return _part(e, v)
     if v.kind == "named":
         ratio = e.extended.held_out.rms / max(e.noise.floor[0], 1e-300)
@@ -128,7 +130,8 @@ def _part(e: Evidence, v: Verdict) -> str:
         they = "it explains" if len(v.effects) == 1 else "they explain"
         return (f"The model lacks {what}: {they} {how}; a remainder of "
                 f"{100.0 * max(1.0 - share, 0.0):.2g} % stays.")
-    rest = "the true force has another form" if other_form(e) else \
+    rest = ONE_LAW.format(names=_listed(e.one_law)) if e.one_law else \
+        "the true force has another form" if other_form(e) else \
         "the records do not show whether the true force has another form" if e.form_hidden else \
         "the rest is in no effect of the library"
     return f"A part of what is missing behaves like {what}: {how}; {rest}."

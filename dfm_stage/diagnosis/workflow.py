@@ -22,6 +22,7 @@ from dfm_stage.diagnosis.gather import with_next_experiment, with_surface
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import velocity_lag
 from dfm_stage.diagnosis.observation import Observation, alike, observe, split_by_time
+from dfm_stage.diagnosis.one_law import with_one_law
 from dfm_stage.diagnosis.other_convention import (
     by_other_conventions,
     clearer_kind,
@@ -181,7 +182,9 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     found = judged_among_all(trial, first, warnings, split)
     if has_fast_mode(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)
-    if not verdict(found[2]).complete:
+    if verdict(found[2]).complete:
+        found = with_one_law(found)
+    else:
         found = braked(_clearest(found, warnings, split), warnings, split)
     trial, hypothesis, evidence = found
     search = trial.search

@@ -61,12 +61,6 @@ def white_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
                  for parts in residuals)
 
 
-def velocity_weights(residuals: Sequence[Sequence[Array]]) -> Weights:
-    """As `white_weights` for a stage without a spring, whose position integrates whatever small
-    force there is: the output's drift counts no more than its velocity."""
-    return tuple((ws[0].of_change(), *ws[1:]) for ws in white_weights(residuals))
-
-
 def weights_of(residuals: Sequence[Sequence[Array]]) -> Weights:
     """Weights from residuals that hold nothing but noise."""
     return tuple(tuple(_autoregression(r, "residuals") for r in parts) for parts in residuals)

@@ -23,7 +23,6 @@ from dfm_stage.diagnosis.spectra import (
 from dfm_stage.identification.periods import Periodicity
 from dfm_stage.identification.weights import (
     high_band_rms,
-    velocity_weights,
     weights_of,
     white_weights,
 )
@@ -61,9 +60,9 @@ def test_the_weight_of_coloured_noise_makes_it_white_and_knows_its_rms():
     assert abs(float(white[1:] @ white[:-1]) / white.size) < 0.03
 
 
-def test_velocity_weights_hold_a_drift_to_be_next_to_nothing():
+def test_weights_of_the_change_hold_a_drift_to_be_next_to_nothing():
     drift = np.linspace(0.0, 100.0, SIZE)
-    weight = velocity_weights([[noise()]])[0][0]
+    weight = white_weights([[noise()]])[0][0].of_change()
     assert np.std(weight.apply(noise())) == pytest.approx(1.0, rel=0.1)
     assert np.std(weight.apply(drift)) < 0.03 * np.std(drift)
 

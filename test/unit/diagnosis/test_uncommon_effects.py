@@ -246,7 +246,11 @@ class Twins:
     """A search in which the twin of a second mode ends early by loose weights."""
 
     def __init__(self) -> None:
-        self.weights, self.noise = "loose", 1.0
+        self.weights, self.noise, self.again = "loose", 1.0, True
+        self.model = BELIEVED
+
+    def conditions(self, _: object) -> SimpleNamespace:
+        return SimpleNamespace(runs=())
 
     def begin_work(self, _: float) -> None:
         pass
@@ -332,6 +336,19 @@ def test_one_in_the_place_of_two_may_cost_what_a_further_effect_must_bring(
     assert sorted(other[1].names) == sorted(taken)
 
 
+def test_an_effect_that_cannot_be_a_candidate_takes_no_place(monkeypatch) -> None:
+    """One that the model has would lose the values given for it, and be named as missing."""
+    monkeypatch.setattr(uncommon, "to_noise",
+                        lambda _, names, *__: (SimpleNamespace(names=names), None))
+    monkeypatch.setattr(uncommon, "verdict", lambda _: SimpleNamespace(complete=True))
+    wide = SimpleNamespace(search=Twins())
+    wide.search.model = BELIEVED.with_effect("sensor_mount", {"frequency": 60.0,
+                                                              "damping_ratio": 0.02})
+    found = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1), uncommon=(
+        "sensor_mount",)), SimpleNamespace(names=("second_mode",), fit=fit_of(1.01, 7)), None
+    assert uncommon._one_for_all(wide, None, found, {"sensor_mount"}, (), split=False) is found
+
+
 def test_what_is_left_is_looked_at_under_the_weights_of_the_search() -> None:
     """A filter of the noise of another length left three samples more: the screen ended in an
     error."""
@@ -401,11 +418,12 @@ def begun_by_force(names, share, behind, ended, usual, common, monkeypatch):
 @pytest.mark.parametrize(("ended", "complete", "taken"), [
     (("creep", "gravity"), True, True),
     (("gravity",), True, True),
+    (("creep",), True, True),
     (("creep", "gravity"), False, False),
     (("creep", "cubic_stiffness"), True, False),   # common ones have a search of their own
     (("creep", "gravity", "cogging"), True, False),
     ((), True, False)])
-def test_the_first_look_ends_only_with_an_uncommon_effect(ended, complete, taken,
+def test_the_first_look_ends_only_with_an_uncommon_effect_or_a_single_one(ended, complete, taken,
                                                           monkeypatch) -> None:
     begun = ("creep", "gravity"), SimpleNamespace(chi2=1000.0, white=np.zeros(1000))
     search = SimpleNamespace(runs=[SimpleNamespace(window=0)], begin_work=lambda _: None,

@@ -1,0 +1,59 @@
+"""Several laws of speed found at once, and the one law that they may stand in for.
+
+A sum of drags and frictions bends to nearly any curve over speed. Where one curve of a family that
+no effect of the library has does better than several laws, the true force has another form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from dfm_stage.diagnosis.decisions import MARGIN
+from dfm_stage.diagnosis.explaining import Judgement
+from dfm_stage.diagnosis.search_decisions import LEAST_STEPS
+from dfm_stage.model import EFFECTS
+from dfm_stage.model.effect import Effect, reads
+from dfm_stage.model.formula import formula_of
+
+LAW = formula_of({
+    "name": "one_law_in_the_place_of_several",
+    "force": "-c * v / (1 + (v / s)**2)**q",
+    "parameters": {"c": {"value": 0.0, "unit": "N s/m", "range": [0.0, 1e9]},
+                   "s": {"value": 0.1, "unit": "m/s", "range": [1e-9, 1e6]},
+                   "q": {"value": 0.25, "unit": "1", "range": [-1.0, 0.5]}}})
+"""Viscous at low speed, a power 1 - 2 q of the speed at high speed: from dry friction (q = 1/2)
+over fluid dampers and drag (q = -1/2) to the cube, and never less at a higher speed. Ravindra and
+Mallik, Phys. Rev. E 49 (1994) 4950, for damping with a power of the speed."""
+
+
+def with_one_law(found: Judgement) -> Judgement:
+    """What was found to leave only noise, with the note that its laws of speed stand in for one:
+    where there are several, and one law by itself does better on fitted and held-out records
+    together, parameters paid for."""
+    trial, h, evidence = found
+    laws = tuple(n for n in h.names if _is_law_of_speed(EFFECTS[n]))
+    if len(laws) < 2:
+        return found
+    search = trial.search
+    search.begin_work(LEAST_STEPS)
+    search.step(f"fitting one law of speed in the place of {' and '.join(laws)}")
+    effect = LAW.effect()
+    EFFECTS.hold(effect)
+    names = (*(n for n in h.names if n not in laws), effect.name)
+    least = h.fit if h.fit.weights is search.weights else search.fitted(h.names, h.fit)
+    other = search.in_place_of(laws[0], effect.name, names, least)
+    if other.ok:
+        other = search.polished(names, other)
+    search.unfinished.pop(frozenset(names), None)  # it is no name to tell
+    seen, own = (trial.predicted(each.model).chi2 for each in (other, least))
+    better = search.score(other) + seen < search.score(least) + own - MARGIN
+    if not better or seen > own + MARGIN:
+        return found
+    return trial, h, replace(evidence, one_law=laws)
+
+
+def _is_law_of_speed(effect: Effect) -> bool:
+    """Whether an effect is a force against the motion that depends on speed alone."""
+    return effect.parity == "odd" and (effect.brakes is not None or any(
+        hook is not None and not reads(hook, 0) and not reads(hook, 2)
+        for hook in (effect.force, effect.friction)))
