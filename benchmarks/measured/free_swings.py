@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import scipy.io
 
-from benchmarks.measured.columns import Columns, matlab, timed
+from benchmarks.measured.columns import Array, Columns, matlab, timed
+
+
+def _cut(time: Array, angle: Array, parts: Mapping[str, slice]) -> dict[str, Columns]:
+    """Parts of a swing (rad) that nothing drives."""
+    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
+                   "position_rad": angle[cut]} for part, cut in parts.items()}
 
 
 def dry_pendulum(folder: Path) -> dict[str, Columns]:
     """Columns: time, angle from upright, velocity. From a turning point at 2.4 rad on, near where
     the source starts, as the angle from hanging."""
     data = np.loadtxt(folder / "test1pend1.csv", delimiter=",")[779:]
-    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
-                   "position_rad": data[cut, 1] - np.pi}
-            for part, cut in (("first", slice(0, 6700)), ("rest", slice(6700, None)))}
+    return _cut(data[:, 0], data[:, 1] - np.pi, {
+        "first": slice(0, 6700), "rest": slice(6700, None)})
 
 
 def rod_pendulum(folder: Path) -> dict[str, Columns]:
     """Columns: time, angle (degrees), in thirds of 30 s."""
     data = np.loadtxt(folder / "galileo_2024-07-19_15-25-54.csv", delimiter=",", skiprows=1)
-    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(1500),
-                   "position_rad": np.radians(data[cut, 1])}
-            for part, cut in (("large", slice(0, 1500)), ("small", slice(3000, 4500)),
-                              ("middle", slice(1500, 3000)))}
+    return _cut(data[:, 0], np.radians(data[:, 1]), {
+        "large": slice(0, 1500), "small": slice(3000, 4500), "middle": slice(1500, 3000)})
 
 
 def stepper_pendulum(folder: Path) -> dict[str, Columns]:
@@ -36,7 +40,7 @@ def stepper_pendulum(folder: Path) -> dict[str, Columns]:
         path = folder / f"pendulum_free_swing_data_{number:02d}.txt"
         angle = np.loadtxt(path, skiprows=2)[first::5]
         parts[f"run_{number}"] = timed(5e-3, input_Nm=np.zeros(angle.size),
-                                        position_rad=np.radians(angle))
+                                       position_rad=np.radians(angle))
     return parts
 
 
@@ -44,27 +48,22 @@ def hand_pendulum(folder: Path) -> dict[str, Columns]:
     """Time and angle (rad), from just after the release on. Every tenth sample."""
     time, angle = (np.asarray(matlab(folder / "cdip_pend_data.mat", name), float)[4200::10]
                    for name in ("t", "theta"))
-    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
-                   "position_rad": angle[cut]}
-            for part, cut in (("large", slice(0, 4580)), ("small", slice(4580, None)))}
+    return _cut(time, angle, {"large": slice(0, 4580), "small": slice(4580, None)})
 
 
 def arm_pendulum(folder: Path) -> dict[str, Columns]:
     """Time and angle (rad), from after the release on. Every tenth sample."""
     time, angle = (np.asarray(matlab(folder / "adip_pend_data.mat", name), float)[2700::10]
                    for name in ("t", "theta2"))
-    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
-                   "position_rad": angle[cut]}
-            for part, cut in (("large", slice(0, 5862)), ("small", slice(5862, None)))}
+    return _cut(time, angle, {"large": slice(0, 5862), "small": slice(5862, None)})
 
 
 def second_pendulum(folder: Path) -> dict[str, Columns]:
     """Columns: time, angle from upright, velocity. From a turning point at 2.7 rad on, as the
     angle from hanging."""
     data = np.loadtxt(folder / "test1pend2.csv", delimiter=",")[198:]
-    return {part: {"time_s": data[cut, 0], "input_Nm": np.zeros(len(data[cut])),
-                   "position_rad": data[cut, 1] - np.pi}
-            for part, cut in (("first", slice(0, 4360)), ("rest", slice(4360, None)))}
+    return _cut(data[:, 0], data[:, 1] - np.pi, {
+        "first": slice(0, 4360), "rest": slice(4360, None)})
 
 
 def _rod_swing(path: Path, first: int, last: int | None = None) -> Columns:
@@ -102,10 +101,8 @@ def sprung_pendulum(folder: Path) -> dict[str, Columns]:
     start = raw.index(tag) + len(tag)
     time = np.frombuffer(raw, "<f8", size, start)
     angle = np.frombuffer(raw, "<f8", size, raw.index(tag, start + 8 * size) + len(tag))
-    time, angle = time[4001::10], angle[4001::10]
-    return {part: {"time_s": time[cut], "input_Nm": np.zeros(time[cut].size),
-                   "position_rad": np.radians(angle[cut])}
-            for part, cut in (("first", slice(0, 2500)), ("rest", slice(2500, None)))}
+    return _cut(time[4001::10], np.radians(angle[4001::10]), {
+        "first": slice(0, 2500), "rest": slice(2500, None)})
 
 
 FREE_SWINGS = (dry_pendulum, rod_pendulum, stepper_pendulum, hand_pendulum, arm_pendulum,

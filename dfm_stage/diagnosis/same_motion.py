@@ -15,7 +15,7 @@ from dfm_stage.arrays import Array
 from dfm_stage.diagnosis.candidates import starts
 from dfm_stage.diagnosis.fit import Fit, weighted_output
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.screen import span
+from dfm_stage.diagnosis.screen import off, span
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.effect import Parameters
 
@@ -47,20 +47,15 @@ def most_alike(other: str, gone: Sequence[str], found: Fit, runs: Sequence[Obser
         return best[1]
     basis = span(found.jacobian[:, [
         u.name.partition(".")[0] not in gone for u in found.system.unknowns]])
-    wanted = _off(basis, whole - reduced + PART * found.white)
+    wanted = off(basis, whole - reduced + PART * found.white)
     for point in points:
         moved = output(found.model.with_effect(other, point))
         if moved is None:
             continue
-        change = _off(basis, moved - whole)
+        change = off(basis, moved - whole)
         size = float(change @ wanted) / max(float(change @ change), 1e-300)
         if size > 0.0 or not EFFECTS[other].one_sided:
             left = float(np.sum((wanted - size * change) ** 2))
             best = min(best, (left, EFFECTS[other].scaled(point, size / PART)),
                        key=lambda each: each[0])
     return best[1]
-
-
-def _off(basis: Array, column: Array) -> Array:
-    """A column (N,) without what some parameters can do."""
-    return np.asarray(column - basis @ (basis.T @ column))

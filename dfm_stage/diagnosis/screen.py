@@ -80,7 +80,7 @@ class Screen:
         jacobian = criterion.jacobian(base.x)
         self.basis = span(jacobian)
         white = base.white
-        self.residual = white - self.basis @ (self.basis.T @ white)
+        self.residual = off(self.basis, white)
         self.edges = self._edges()
         self.plain = self._outputs(self.model)
         self.at = self._conditions()
@@ -120,7 +120,7 @@ class Screen:
 
     def project(self, columns: Array) -> Array:
         """Take out of `columns` (N, c) what the free parameters can do."""
-        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+        return off(self.basis, columns)
 
     def hits(self, name: str, keep: int | None = 2) -> list[Hit]:
         """The best starting points of one effect, best first; all where `keep` is None."""
@@ -300,6 +300,11 @@ def span(jacobian: Array) -> Array:
     seen = norms > UNSEEN_PART**2 * max(float(norms.max(initial=0.0)), 1e-300)
     left, values, _ = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
     return np.asarray(left[:, values > SCREEN_RANK * values.max(initial=0.0)])
+
+
+def off(basis: Array, columns: Array) -> Array:
+    """`columns` (N,) or (N, c) without what a `basis` (N, r) of orthonormal columns can do."""
+    return np.asarray(columns - basis @ (basis.T @ columns))
 
 
 def _staircase(position: Array, residual: Array, step: float) -> float:
