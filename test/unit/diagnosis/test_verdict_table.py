@@ -70,6 +70,10 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "two effects, the larger found last": (
         found(effect("creep", without=left(2e-7)), FRICTION), "named",
         ("coulomb_friction", "creep"), Reason.AT_FLOOR),
+    "two laws of speed that stand in for one": (
+        replace(found(FRICTION, effect("quadratic_damping", without=left(2e-7))),
+                one_law=("coulomb_friction", "quadratic_damping")), "partial",
+        ("coulomb_friction", "quadratic_damping"), Reason.AT_FLOOR),
     "a delay that may be a lag": (
         found(effect("transport_delay", rival("amplifier_bandwidth", 1.0, 2.0))),
         "ambiguous", ("transport_delay",), Reason.AT_FLOOR),
@@ -308,6 +312,7 @@ def test_without_effects_there_is_nothing_to_doubt():
 
 
 @pytest.mark.parametrize(("met", "shown", "model", "remainder"), [
+    ("two laws of speed that stand in for one", "extended", "extended", True),
     ("Coulomb friction, clear", "extended", "extended", False),
     ("explains 97 % of the predictable gap, a remainder stays", "extended", "extended", True),
     ("comes near, but a line is left", "retuned", "given", True),
