@@ -9,6 +9,7 @@ movement beyond a limit (`limits.*`) is refused before it starts.
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -53,7 +54,7 @@ class Signals(NamedTuple):
     name: str
     reference: Reference
     excitation: Excitation
-    voltage: list[float]
+    voltage: memoryview
     bounds: Bounds
     open_loop: bool
 
@@ -63,10 +64,10 @@ class ActiveRun:
     """An experiment under way; `first_seq` is set by the first sample, `over_s` after the last."""
 
     name: str
-    position: list[float]
-    velocity: list[float]
-    acceleration: list[float]
-    voltage: list[float]
+    position: memoryview
+    velocity: memoryview
+    acceleration: memoryview
+    voltage: memoryview
     metadata: dict[str, Any]
     files: dict[str, str]
     outcome: Outcome
@@ -109,6 +110,7 @@ class TrajectoryGenerator(LoopNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._run: ActiveRun | None = None
+        self._asked_for: Any = None
         self._pending: Any = None
         self._sent_seq: int | None = None
         self._hold = 0.0
@@ -190,7 +192,7 @@ class TrajectoryGenerator(LoopNode):
         require_run_within(reference, replace(excitation, voltage=voltage), limits,
                            self._model(named) if named else None, open_loop=open_loop,
                            where=name if experiment else "")
-        return Signals(name, reference, excitation, voltage.tolist(), bounds, open_loop)
+        return Signals(name, reference, excitation, voltage.data, bounds, open_loop)
 
     def _model(self, name: str) -> Model:
         model = load_model(name)
@@ -199,8 +201,8 @@ class TrajectoryGenerator(LoopNode):
     def _make_run(self, experiment: str = "", goal: Any = None) -> ActiveRun:
         name, reference, excitation, voltage, bounds, open_loop = self._signals(
             self.settings.values, self.settings.given, experiment)
-        return ActiveRun(name, reference.position.tolist(), reference.velocity.tolist(),
-                         reference.acceleration.tolist(), voltage,
+        return ActiveRun(name, reference.position.data, reference.velocity.data,
+                         reference.acceleration.data, voltage,
                          {"experiment": name, "reference": reference.metadata(),
                           "excitation": excitation.metadata()}, self._files(excitation),
                          Outcome(reference.position, self._hold, bounds, open_loop), goal)
@@ -226,13 +228,47 @@ class TrajectoryGenerator(LoopNode):
     # Starting and stopping
 
     def _on_goal(self, goal: Any) -> None:
+        """Make the run of a goal, and begin it. In real time a thread makes it: a scan of 10 s at
+        5 kHz would hold up the loop for 50 samples."""
         try:
-            self._begin_run(goal.request.experiment, goal)
+            self._require_idle()
         except DfmError as error:
             self._conclude(goal, "abort", str(error))
+            return
+        self._asked_for = goal
+        if self.lockstep:
+            self._begin_made(goal, self._made(goal))
+        else:
+            threading.Thread(target=self._make_aside, args=(goal,), daemon=True).start()
+
+    def _make_aside(self, goal: Any) -> None:
+        made, executor = self._made(goal), self.executor
+        if executor is not None:
+            executor.create_task(self._begin_made, goal, made)
+
+    def _made(self, goal: Any) -> ActiveRun | Exception:
+        try:
+            return self._make_run(goal.request.experiment, goal)
+        except Exception as error:  # noqa: BLE001 (raised by the executor, not in a thread)
+            return error
+
+    def _begin_made(self, goal: Any, made: ActiveRun | Exception) -> None:
+        if self._asked_for is not goal:
+            self._conclude(goal, "canceled" if goal.is_cancel_requested else "abort",
+                           "stopped before it began")
+            return
+        self._asked_for = None
+        if isinstance(made, ActiveRun):
+            self._begin(made)
+        elif isinstance(made, DfmError):
+            self._conclude(goal, "abort", str(made))
+        else:
+            raise made
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        """Have the run end with its next sample."""
+        """Have the run end with its next sample, or not begin."""
+        if self._asked_for is goal:
+            self._asked_for = None
         if self._run is not None and self._run.goal is goal:
             self._run.cancelled = True
         return CancelResponse.ACCEPT
@@ -249,11 +285,19 @@ class TrajectoryGenerator(LoopNode):
 
         goal.execute(execute)
 
-    def _begin_run(self, experiment: str = "", goal: Any = None) -> int:
-        """Start a run; return its number of samples."""
+    def _require_idle(self) -> None:
         if self._run is not None:
             raise DfmError(f"{self._run.name} is still running; cancel it first")
-        self._run = run = self._make_run(experiment, goal)
+        if self._asked_for is not None:
+            raise DfmError("an experiment is about to begin; cancel it first")
+
+    def _begin_run(self) -> int:
+        """Start what the parameters say; return its number of samples."""
+        self._require_idle()
+        return self._begin(self._make_run())
+
+    def _begin(self, run: ActiveRun) -> int:
+        self._run = run
         self.warnings_active.pop("run", None)
         self.publish_config()
         self._answer_pending()
@@ -269,7 +313,8 @@ class TrajectoryGenerator(LoopNode):
             self._answer_ahead(pending)
 
     def _start_when_open(self) -> None:
-        if self._run is None and not self._reference.missing(["controller"]):
+        if (self._run is self._asked_for is None
+                and not self._reference.missing(["controller"])):
             self._autostart.cancel()
             self._begin_run()
 
@@ -277,6 +322,9 @@ class TrajectoryGenerator(LoopNode):
         return f"{self._begin_run()} samples"
 
     def _stop(self) -> str:
+        if self._asked_for is not None:
+            self._asked_for = None
+            return "stopped"
         if self._run is None:
             raise DfmError("nothing is running")
         self._end("abort", "stopped", asked_for=True)

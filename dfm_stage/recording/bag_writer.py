@@ -1,11 +1,11 @@
 """rosbag2-compatible MCAP bags, written from messages that are already serialised.
 
-Two threads share the work. The caller makes arrays of the messages it brings, and queues these.
-When they are enough for a chunk, and at least every `FLUSH_PERIOD_S` whether messages come or not,
-a thread of the writer lays them out (`chunk`), compresses them and hands them to the operating
-system in one call. All three leave the interpreter lock alone, so a control loop in the same
-process runs on. To make arrays does not, and the more at once, the longer the loop waits. A
-process killed at any moment loses what came after the last such call.
+Two threads share the work. The caller adds the messages it brings to arrays that are there. When
+they are enough for a chunk, and at least every `FLUSH_PERIOD_S` whether messages come or not, a
+thread of the writer lays them out (`chunk`), compresses them and hands them to the operating
+system. All three leave the interpreter lock alone, so a control loop in the same process runs on.
+Arrays are used again: memory that is new to the process costs the loop time, too. A process killed
+at any moment loses what came after the last chunk.
 
 The `mcap` library's own `Writer` compresses and writes inside `add_message`, in the caller's
 thread, at several times the cost per message; its record classes serve everything else here.
@@ -28,11 +28,11 @@ from mcap.records import Attachment, Channel, Schema
 
 from dfm_stage.files import write_whole
 from dfm_stage.recording.bag import DROPPED_KEY
-from dfm_stage.recording.chunk import Arrival, Chunk, Messages
-from dfm_stage.recording.chunk_kernels import number
+from dfm_stage.recording.chunk import Arrival, Layout, Messages, memory, unnumbered
 from dfm_stage.recording.errors import BagWriteError, writing
 from dfm_stage.recording.mcap_sink import McapSink
 from dfm_stage.recording.message_definitions import full_name
+from dfm_stage.recording.numba_tools import Ints
 from dfm_stage.recording.rosbag2_metadata import (
     METADATA_FILE,
     BagInformation,
@@ -44,6 +44,9 @@ from dfm_stage.recording.rosbag2_metadata import (
 FLUSH_PERIOD_S = 0.4
 CHUNK_BYTES = 1 << 20
 """Large chunks are quick to read."""
+_ROOM = 4
+"""Messages of a chunk that wait together have so many times its room, as their columns may take
+more than what they say. What is not needed of that is never touched."""
 
 _LATEST_NS = 2**64 - 1
 
@@ -99,16 +102,14 @@ class BagWriter:
             raise
         self._chunk_bytes = chunk_bytes
         self._backlog_limit = backlog_bytes
-        self._log_stamps = log_stamps
+        self._layout = Layout(log_stamps)
         self._topics: list[TopicEntry] = []
         self._stamped = [False]  # topics are numbered from 1
-        self._arrived = np.zeros(1, np.int64)
         self._schemas: dict[str, Schema] = {}
         self.message_count = self.lost = 0
         self._waiting_bytes = self._new_bytes = 0
         self.error: BagWriteError | None = None
-        self._chunk = Chunk()
-        self._chunk_size = 0
+        self._emptied: list[Messages] = []
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
         self._jobs: list[Callable[[], None] | Messages] = []
@@ -203,7 +204,7 @@ class BagWriter:
         if good:
             topics, data, log, publish, sequences = zip(*good, strict=True)
             times = np.array((log, publish, [each & 0xFFFFFFFF for each in sequences]), np.uint64)
-            self._accept(Messages.of(topics, data, np.ascontiguousarray(times.T).view(np.int64)))
+            self._accept(topics, data, times.view(np.int64).T)
         if refused is not None:
             raise refused
 
@@ -220,11 +221,11 @@ class BagWriter:
         """
         if not arrivals:
             return
-        messages = Messages.arrived(arrivals)
-        if messages.channels.min() < 1 or messages.channels.max() > len(self._topics):
+        topics, data, came_ns = zip(*arrivals, strict=True)
+        if min(topics) < 1 or max(topics) > len(self._topics):
             raise BagWriteError(f"{self.directory}: messages refused: one of their topics was not "
                                 "announced")
-        self._accept(messages)
+        self._accept(topics, data, unnumbered(came_ns))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file into the bag; it stands before every message written after this call."""
@@ -233,7 +234,6 @@ class BagWriter:
                                 data=data)
         with self._lock:
             self._check_open()
-            self._jobs.append(self._write_chunk)
             self._queue(lambda: self._sink.write_attachment(attachment))
 
     def flush(self) -> None:
@@ -246,7 +246,7 @@ class BagWriter:
         """
         done = threading.Event()
         with self._lock:
-            self._jobs += [self._write_chunk, done.set]
+            self._jobs.append(done.set)
             self._flush_now = True
             self._work.notify()
         while not done.wait(FLUSH_PERIOD_S) and self._thread.is_alive():
@@ -290,9 +290,10 @@ class BagWriter:
     def _queue(self, job: Callable[[], None]) -> None:
         self._jobs.append(lambda: self._do(job))
 
-    def _accept(self, messages: Messages) -> None:
+    def _accept(self, topics: Sequence[int], data: Sequence[bytes], times: Ints) -> None:
         """Queue messages, unless too many wait."""
-        count, size = messages.message_count, messages.memory
+        count, content = len(data), sum(map(len, data))
+        size = memory(count, content)
         with self._lock:
             full = self._waiting_bytes + size > self._backlog_limit
             if not self._closing:
@@ -302,53 +303,44 @@ class BagWriter:
             if full:
                 return
             self._waiting_bytes += size
-            self._new_bytes += messages.content
-            self._jobs.append(messages)
+            self._new_bytes += content
+            self._room_for(size).add(topics, data, times)
             if self._new_bytes >= self._chunk_bytes:
                 self._work.notify()
+
+    def _room_for(self, size: int) -> Messages:
+        """Return the messages at the end of the queue, with room for `size` bytes of memory."""
+        last = self._jobs[-1] if self._jobs else None
+        if not (isinstance(last, Messages) and last.size < self._chunk_bytes and last.fits(size)):
+            room = _ROOM * self._chunk_bytes
+            last = (Messages(size) if size > room else
+                    self._emptied.pop() if self._emptied else Messages(room))
+            self._jobs.append(last)
+        return last
 
     # In the writer's thread
 
     def _work_off(self, jobs: Sequence[Callable[[], None] | Messages]) -> None:
-        parts: list[Messages] = []
-        size = 0
         for job in jobs:
             if isinstance(job, Messages):
-                self._chunk_size += job.memory
-                parts.append(job)
-                size += job.content
-                if size >= self._chunk_bytes:
-                    self._lay_out(parts)
-                    self._write_chunk()
-                    size = 0
+                self._write_messages(job)
             else:
-                self._lay_out(parts)
                 job()
-        self._lay_out(parts)
-        self._write_chunk()
 
-    def _lay_out(self, parts: list[Messages]) -> None:
-        """Move messages into the chunk, all in one: after each step that needs no interpreter
-        lock it has to be waited for."""
-        if parts:
-            messages = Messages.joined(parts)
-            parts.clear()
-            self._arrived.resize(len(self._stamped), refcheck=False)
-            number(*messages, np.array(self._stamped, np.int64), self._log_stamps, self._arrived)
-            self._chunk.add(messages)
-
-    def _write_chunk(self) -> None:
-        chunk, self._chunk = self._chunk, Chunk()
-        size, self._chunk_size = self._chunk_size, 0
-        if not chunk.message_count:
-            return
+    def _write_messages(self, messages: Messages) -> None:
+        """Write messages as a chunk, and keep their arrays for those to come."""
+        count, size = messages.count, messages.memory
         try:
+            chunk = self._layout.chunk(messages, self._stamped)
             self._do(lambda: self._sink.write_chunk(chunk))
         finally:
             with self._lock:
                 self._waiting_bytes -= size
                 if self.error is not None:
-                    self.lost += chunk.message_count
+                    self.lost += count
+                if not self._emptied and messages.room == _ROOM * self._chunk_bytes:
+                    messages.clear()
+                    self._emptied.append(messages)
 
     def _do(self, job: Callable[[], None]) -> None:
         """Run a job of the sink, unless one failed before: no hole is followed by more data."""
@@ -365,25 +357,24 @@ class BagWriter:
                     self._work.wait(FLUSH_PERIOD_S)
                 jobs, self._jobs, self._new_bytes = self._jobs, [], 0
                 self._flush_now = False
-            before = self._sink.message_count
+            expected = self._sink.message_count + sum(
+                job.count for job in jobs if isinstance(job, Messages))
             try:
                 self._work_off(jobs)
             except Exception as error:  # noqa: BLE001 (whoever writes must hear of it)
-                self._fail(jobs, self._sink.message_count - before, error)
+                self._fail(jobs, expected - self._sink.message_count, error)
             with self._lock:
                 if self._closing and not self._jobs:
                     return
 
-    def _fail(self, jobs: Sequence[Callable[[], None] | Messages], written: int,
+    def _fail(self, jobs: Sequence[Callable[[], None] | Messages], lost: int,
               error: Exception) -> None:
-        """Write nothing more after an error that is not the disk's; what of `jobs` was not
-        `written` counts as lost, and who waits for a flush goes on."""
+        """Write nothing more after an error that is not the disk's; so many messages of `jobs` are
+        lost, and who waits for a flush goes on."""
         failed = BagWriteError(f"{self.file_path}: {type(error).__name__}: {error}")
         with self._lock:
             self.error = self.error or failed
-            self.lost += sum(job.message_count for job in jobs
-                             if isinstance(job, Messages)) - written
-        self._chunk, self._chunk_size = Chunk(), 0
+            self.lost += lost
         for job in jobs:
             if not isinstance(job, Messages):
                 job()

@@ -14,9 +14,9 @@ import zlib
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import lz4.frame
-import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -123,34 +123,33 @@ class McapSink:
                                             name=name))
 
     def write_chunk(self, chunk: Chunk) -> None:
-        """Compress and write one chunk and its message indexes, in one system call."""
-        indexes = dict(sorted(chunk.indexes.items()))
-        times = [np.frombuffer(index, dtype="<u8")[::2] for index in indexes.values()]
-        start_ns, end_ns = int(min(map(np.min, times))), int(max(map(np.max, times)))
+        """Compress and write one chunk and its message indexes."""
         records, compression = self._compress(chunk.records.data), self.compression.encode()
-        head = (_CHUNK_HEAD.pack(start_ns, end_ns, len(chunk.records),
+        head = (_CHUNK_HEAD.pack(chunk.start_ns, chunk.end_ns, len(chunk.records),
                                  zlib.crc32(chunk.records.data))
                 + struct.pack("<I", len(compression)) + compression
                 + struct.pack("<Q", len(records)))
         chunk_length = RECORD_HEAD.size + len(head) + len(records)
-        parts = [RECORD_HEAD.pack(Opcode.CHUNK, chunk_length - RECORD_HEAD.size), head, records]
+        parts: list[Any] = []
         index_offsets = {}
         position = self._end + chunk_length
-        for channel, index in indexes.items():
+        for channel, index in chunk.indexes.items():
             index_offsets[channel] = position
-            parts += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(index), channel, len(index)),
-                      index]
-            position += _INDEX_HEAD.size + len(index)
-        offset = self._append(b"".join(parts))
+            parts += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + index.nbytes, channel,
+                                       index.nbytes), index.data]
+            position += _INDEX_HEAD.size + index.nbytes
+        offset = self._append(RECORD_HEAD.pack(Opcode.CHUNK, chunk_length - RECORD_HEAD.size)
+                              + head, records, b"".join(parts))
         self._chunk_indexes.append(ChunkIndex(
-            message_start_time=start_ns, message_end_time=end_ns, chunk_start_offset=offset,
-            chunk_length=chunk_length, message_index_offsets=index_offsets,
+            message_start_time=chunk.start_ns, message_end_time=chunk.end_ns,
+            chunk_start_offset=offset, chunk_length=chunk_length,
+            message_index_offsets=index_offsets,
             message_index_length=position - offset - chunk_length, compression=self.compression,
             compressed_size=len(records), uncompressed_size=len(chunk.records)))
-        for channel, index in indexes.items():
-            self.counts[channel] += len(index) // 16
-        self.start_ns = min(self.start_ns, start_ns)
-        self.end_ns = max(self.end_ns, end_ns)
+        for channel, index in chunk.indexes.items():
+            self.counts[channel] += len(index)
+        self.start_ns = min(self.start_ns, chunk.start_ns)
+        self.end_ns = max(self.end_ns, chunk.end_ns)
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer."""
@@ -189,15 +188,19 @@ class McapSink:
             os.close(self._file)
             self._file = -1
 
-    def _append(self, data: bytes) -> int:
-        """Write all of `data` at the end; return its offset, or leave the file as it was."""
-        offset, view = self._end, memoryview(data)
+    def _append(self, *parts: bytes | bytearray) -> int:
+        """Write all parts at the end, one after the other; return their offset, or leave the file
+        as it was. They are not joined: that would hold the interpreter lock."""
+        offset = self._end
         try:
             with writing(self.path):
-                while view:
-                    os.lseek(self._file, self._end, os.SEEK_SET)
-                    view = view[os.write(self._file, view):]
-                    self._end = offset + len(data) - len(view)
+                for part in parts:
+                    view = memoryview(part)
+                    while view:
+                        os.lseek(self._file, self._end, os.SEEK_SET)
+                        written = os.write(self._file, view)
+                        self._end += written
+                        view = view[written:]
         except BagWriteError:
             self._end = offset
             with contextlib.suppress(OSError):

@@ -123,3 +123,72 @@ def test_what_the_amplifier_says_again_is_heard_and_not_read_again(make, monkeyp
         assert (node._output_off, len(read)) == (words, times)
         heard.append(node._output_heard_s)
     assert heard == sorted(set(heard))
+
+
+class Goal:
+    """What the generator uses of a goal handle."""
+
+    def __init__(self) -> None:
+        self.request = SimpleNamespace(experiment="")
+        self.is_cancel_requested, self.ended, self.said = False, "", ""
+
+    def execute(self, callback) -> None:
+        self.said = callback(self).message
+
+    def __getattr__(self, how: str):
+        return lambda: setattr(self, "ended", how)
+
+
+@pytest.fixture
+def aside(make, monkeypatch):
+    """A generator in real time, and what makes the runs that it was asked for."""
+    jobs, node = [], make(TrajectoryGenerator, **SINE, reference__amplitude_m=5e-3)
+    monkeypatch.setattr(trajectory_generator.threading, "Thread",
+                        lambda target, args, daemon: SimpleNamespace(
+                            start=lambda: jobs.append(lambda: node._begin_made(
+                                *args, node._made(*args)))))
+    return node, jobs
+
+
+def test_in_real_time_a_run_is_made_beside_the_loop_and_then_begins(aside):
+    node, jobs = aside
+    node._on_goal(first := Goal())
+    assert node._run is None
+    node._on_measurement(SimpleNamespace(seq=7, stamp_ns=0, position=0.0))
+    node._on_goal(second := Goal())
+    assert second.ended == "abort"
+    assert second.said == "an experiment is about to begin; cancel it first"
+    jobs.pop()()
+    assert node._run.goal is first
+    node._on_measurement(SimpleNamespace(seq=8, stamp_ns=0, position=0.0))
+    assert node._run.first_seq == 9
+
+
+@pytest.mark.parametrize(("by", "ended"), [("cancel", "canceled"), ("stop", "abort")])
+def test_a_run_that_is_given_up_while_it_is_made_does_not_begin(aside, by, ended):
+    node, jobs = aside
+    node._on_goal(goal := Goal())
+    if by == "cancel":
+        node._on_cancel(goal)
+        goal.is_cancel_requested = True
+    else:
+        assert node._stop() == "stopped"
+    node._on_goal(later := Goal())
+    jobs.pop(0)()
+    assert (node._run, goal.ended, goal.said) == (None, ended, "stopped before it began")
+    jobs.pop()()
+    assert node._run.goal is later
+
+
+def test_a_run_that_cannot_be_made_is_refused_and_an_error_of_ours_is_raised(aside, monkeypatch):
+    node, jobs = aside
+    node._on_goal(goal := Goal())
+    goal.request.experiment = "no_such_experiment"
+    jobs.pop()()
+    assert (node._run, goal.ended) == (None, "abort")
+    assert "no_such_experiment" in goal.said
+    monkeypatch.setattr(node, "_make_run", lambda *_: 1 / 0)
+    node._on_goal(Goal())
+    with pytest.raises(ZeroDivisionError):
+        jobs.pop()()
+    assert node._asked_for is None

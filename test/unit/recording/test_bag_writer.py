@@ -347,7 +347,7 @@ def test_any_error_of_the_writing_thread_is_told(tmp_path: Path,
 
     bag = BagWriter(tmp_path / "bag")
     topic = bag.add_topic("/a", "std_msgs/msg/Empty", [], "", "")
-    monkeypatch.setattr("dfm_stage.recording.bag_writer.number", no_memory)
+    monkeypatch.setattr("dfm_stage.recording.chunk.lay_out", no_memory)
     bag.write(topic, b"x", 1, 1, 1)
     with pytest.raises(BagWriteError, match="MemoryError: no memory"):
         bag.flush()
@@ -359,12 +359,12 @@ def test_messages_that_wait_count_with_all_the_memory_they_take(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Empty ones written one by one, while the disk stands still."""
     go_on = threading.Event()
-    monkeypatch.setattr(BagWriter, "_write_chunk", lambda _: go_on.wait(20.0))
+    monkeypatch.setattr(BagWriter, "_write_messages", lambda *_: go_on.wait(20.0))
     bag = BagWriter(tmp_path / "bag", backlog_bytes=1 << 20)
     topic = bag.add_topic("/a", "std_msgs/msg/Empty", [], "", "")
-    for k in range(5000):
+    for k in range(30_000):
         bag.write(topic, b"", k, k, k)
-    assert 5000 - bag.lost == pytest.approx((1 << 20) / 731, rel=0.01)
+    assert 30_000 - bag.lost == pytest.approx((1 << 20) / 40, rel=0.01)  # five columns of 8 bytes
     monkeypatch.undo()
     go_on.set()
     with pytest.raises(BagWriteError):
