@@ -1,4 +1,4 @@
-"""The original files of free swings of pendulums, read as columns; see `sources`."""
+"""The original files of free swings of pendulums and a sprung cart; see `sources`."""
 
 from __future__ import annotations
 
@@ -105,5 +105,28 @@ def sprung_pendulum(folder: Path) -> dict[str, Columns]:
         "first": slice(0, 2500), "rest": slice(2500, None)})
 
 
+def freed_cart(folder: Path) -> dict[str, Columns]:
+    """One column: position (cm). From the first turning point on, from where the cart stands at
+    the end of the file."""
+    parts = {}
+    for part, name, first in (("run_1", "Klow_Hand_2mass", 410),
+                              ("run_2", "Klow_hand_2mass2", 324),
+                              ("run_3", "Klow_hand_2mass3", 215)):
+        position = 0.01 * np.loadtxt(folder / f"{name}_data0000.txt")
+        position = position[first:] - np.median(position[-20:])
+        parts[part] = timed(5e-3, input_N=np.zeros(position.size), position_m=position)
+    return parts
+
+
+def leaf_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time of day, time, angle (degrees). From the second turning point on, from where
+    the pendulum stands at the end of the file. The lines arrive in bunches, 259.54 a second over
+    the whole file: even time stamps instead of theirs."""
+    degrees = np.loadtxt(folder / "100.txt", delimiter=",", skiprows=2, usecols=2)
+    angle = np.radians(degrees - np.median(degrees[-100:]))
+    return _cut(np.arange(angle.size) / 259.54, angle, {
+        "large": slice(245, 4245), "small": slice(4245, 9000)})
+
+
 FREE_SWINGS = (dry_pendulum, rod_pendulum, stepper_pendulum, hand_pendulum, arm_pendulum,
-               second_pendulum, long_rod, short_rod, sprung_pendulum)
+               second_pendulum, long_rod, short_rod, sprung_pendulum, freed_cart, leaf_pendulum)

@@ -16,6 +16,7 @@ import scipy.io
 
 from benchmarks.measured.columns import Array, Columns, Reader, matlab, timed
 from benchmarks.measured.free_swings import FREE_SWINGS
+from benchmarks.measured.motors import MOTORS
 
 STANDARD_GRAVITY = 9.80665
 
@@ -54,26 +55,6 @@ def beam(folder: Path) -> dict[str, Columns]:
     with np.load(folder / "decay.npz") as data:
         strain = data["strain"][12_600:20_600, 0]
     return {"decay": {**timed(1e-3, input_v=np.zeros(strain.size)), "strain": strain}}
-
-
-def hsm150(folder: Path) -> dict[str, Columns]:
-    """Columns of `data`: time, reference, angle, velocity, torque, measured torque, current."""
-    parts = {}
-    for name in ("pos_0.06_1", "neg_0.04_1", "pos_0.065_2", "neg_0.045_2"):
-        data = np.asarray(matlab(folder / f"idf_{name}.mat", "data"), float)
-        parts[name] = {"time_s": data[:, 0], "input_Nm": data[:, 4],
-                       "position_rad": data[:, 2], "velocity_rad_s": data[:, 3]}
-    return parts
-
-
-def servo_motor(folder: Path) -> dict[str, Columns]:
-    """Columns: angle, velocity (a difference of the angle), their references, torque command."""
-    parts = {}
-    for number in (1, 6):
-        data = np.loadtxt(folder / f"data_S1_{number}.txt")
-        parts[f"gains_{number}"] = timed(1e-3, input_Nm=data[:, 4], position_rad=data[:, 0],
-                                          reference_rad=data[:, 2])
-    return parts
 
 
 def quarter_drone(folder: Path) -> dict[str, Columns]:
@@ -141,14 +122,6 @@ def servo_link(folder: Path) -> dict[str, Columns]:
     drive, tip = (np.asarray(matlab(path, name), float)[2126:3911] for name in "uy")
     return {part: timed(3e-3, input_v=drive[cut], acceleration_m_s2=tip[cut])
             for part, cut in (("ring_down", slice(0, 1250)), ("later", slice(1250, None)))}
-
-
-def geared_motor(folder: Path) -> dict[str, Columns]:
-    """Voltage and speed; the current is left out."""
-    path = folder / "aprbsResult.mat"
-    volts, speed = (np.asarray(matlab(path, name), float) for name in "uy")
-    return {part: timed(0.02, input_v=volts[cut], velocity_rad_s=speed[cut])
-            for part, cut in (("first", slice(0, 3361)), ("last", slice(3361, None)))}
 
 
 def torque_pendulum(folder: Path) -> dict[str, Columns]:
@@ -332,30 +305,26 @@ def belt_drive(folder: Path) -> dict[str, Columns]:
             for part, cut in (("first", slice(0, 3953)), ("last", slice(3953, None)))}
 
 
-def disc_motor(folder: Path) -> dict[str, Columns]:
-    """Duty, wanted and measured counts (2000 a turn). The duty stands as volts."""
-    data = scipy.io.loadmat(folder / "MotorIDinert.mat", squeeze_me=True, struct_as_record=False)
-    entries = {e.Name: np.asarray(e.Data, float)
-               for e in data["MotorData"].Data.MeasuredData}
-    return {part: timed(5e-3, input_v=entries[f"data{key}/Duty"],
-                         position_rad=np.pi / 1000.0 * entries[f"data{key}/Position"],
-                         reference_rad=np.pi / 1000.0 * entries[f"data{key}/Ref"])
-            for part, key in (("sine_0_3_hz", 3), ("sine_0_8_hz", 8), ("sine_0_1_hz", 1),
-                              ("sine_0_5_hz", 5), ("sine_1_hz", 10))}
+def _stacked(folder: Path, name: str, count: int) -> Array:
+    """A run that its logger has cut into files."""
+    return np.vstack([np.loadtxt(folder / f"{name}_data{k:04d}.txt") for k in range(count)])
 
 
-def course_motor(folder: Path) -> dict[str, Columns]:
-    """Columns: time, voltage, speed (rad/s). Every fourth sample; sweeps and sine without the
-    first second, of the stairs those to 6 and 9 V."""
-    parts = {}
-    for part, name, cut in (("sweep", "Chirp_Raw_1.mat", slice(2000, None, 4)),
-                            ("sine", "Sine_Raw.mat", slice(2000, None, 4)),
-                            ("sweep_again", "Chirp_Raw_4.mat", slice(2000, None, 4)),
-                            ("stairs", "Stair_Raw.mat", slice(18_000, 56_000, 4))):
-        data = scipy.io.loadmat(folder / name, squeeze_me=True, struct_as_record=False)["RawData"]
-        parts[part] = timed(2e-3, input_v=np.asarray(data.Input, float)[cut],
-                             velocity_rad_s=np.asarray(data.Velo, float)[cut])
-    return parts
+def motor_cart(folder: Path) -> dict[str, Columns]:
+    """Columns: voltage, current (10 Hz), position (559 steps a cm). Without the first 2 s, where
+    the drive is off. The cart moves against the sign of the voltage: the position is turned
+    round."""
+    data = _stacked(folder, "rand_kmed_2mass", 4)
+    return {part: timed(5e-3, input_v=data[cut, 0], position_m=-data[cut, 2] / 55_900.0)
+            for part, cut in (("first", slice(400, 5200)), ("rest", slice(5200, None)))}
+
+
+def two_sprung_carts(folder: Path) -> dict[str, Columns]:
+    """Columns: current, position of the first and of the second cart (cm), voltage. Two bursts,
+    the position of the first cart turned round."""
+    data = _stacked(folder, "KhKm-noM-noM", 2)
+    return {part: timed(5e-3, input_a=data[cut, 0], position_m=-0.01 * data[cut, 1])
+            for part, cut in (("first", slice(900, 2900)), ("rest", slice(2900, None)))}
 
 
 def _joint(path: Path) -> Columns:
@@ -379,11 +348,11 @@ def bare_joint(folder: Path) -> dict[str, Columns]:
 
 
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (
-    *FREE_SWINGS, silverbox, emps, motor_bench, beam, hsm150, servo_motor, quarter_drone, pendulum,
-    aero_pendulum, harvester, double_beam, robot_arm, servo_link, geared_motor, torque_pendulum,
-    swing_up, two_masses, one_mass, relay_cart, flexible_link, linear_guide, struck_beam,
-    crane_cart, walker_leg, sprung_carts, ruler_arm, piezo_actuator, ball_on_beam, steel_link,
-    belt_drive, disc_motor, course_motor, joint_arm, bare_joint)}
+    *FREE_SWINGS, *MOTORS, silverbox, emps, motor_bench, beam, quarter_drone, pendulum,
+    aero_pendulum, harvester, double_beam, robot_arm, servo_link, torque_pendulum, swing_up,
+    two_masses, one_mass, relay_cart, flexible_link, linear_guide, struck_beam, crane_cart,
+    walker_leg, sprung_carts, ruler_arm, piezo_actuator, ball_on_beam, steel_link, belt_drive,
+    motor_cart, two_sprung_carts, joint_arm, bare_joint)}
 
 
 def write_csv(path: Path, columns: Columns) -> None:

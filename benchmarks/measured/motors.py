@@ -1,0 +1,139 @@
+"""The original files of motors and servos, alone or with what they turn; see `sources`."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+from benchmarks.measured.columns import Array, Columns, matlab, timed
+
+TACHO_RAD_S = 1000.0 / 3.0 * 2.0 * np.pi / 60.0
+"""Speed for one volt of a tachometer that gives 3 V at 1000 turns a minute."""
+
+
+def hsm150(folder: Path) -> dict[str, Columns]:
+    """Columns of `data`: time, reference, angle, velocity, torque, measured torque, current."""
+    parts = {}
+    for name in ("pos_0.06_1", "neg_0.04_1", "pos_0.065_2", "neg_0.045_2"):
+        data = np.asarray(matlab(folder / f"idf_{name}.mat", "data"), float)
+        parts[name] = {"time_s": data[:, 0], "input_Nm": data[:, 4],
+                       "position_rad": data[:, 2], "velocity_rad_s": data[:, 3]}
+    return parts
+
+
+def servo_motor(folder: Path) -> dict[str, Columns]:
+    """Columns: angle, velocity (a difference of the angle), their references, torque command."""
+    parts = {}
+    for number in (1, 6):
+        data = np.loadtxt(folder / f"data_S1_{number}.txt")
+        parts[f"gains_{number}"] = timed(1e-3, input_Nm=data[:, 4], position_rad=data[:, 0],
+                                         reference_rad=data[:, 2])
+    return parts
+
+
+def geared_motor(folder: Path) -> dict[str, Columns]:
+    """Voltage and speed; the current is left out."""
+    path = folder / "aprbsResult.mat"
+    volts, speed = (np.asarray(matlab(path, name), float) for name in "uy")
+    return {part: timed(0.02, input_v=volts[cut], velocity_rad_s=speed[cut])
+            for part, cut in (("first", slice(0, 3361)), ("last", slice(3361, None)))}
+
+
+def disc_motor(folder: Path) -> dict[str, Columns]:
+    """Duty, wanted and measured counts (2000 a turn). The duty stands as volts."""
+    data = scipy.io.loadmat(folder / "MotorIDinert.mat", squeeze_me=True, struct_as_record=False)
+    entries = {e.Name: np.asarray(e.Data, float)
+               for e in data["MotorData"].Data.MeasuredData}
+    return {part: timed(5e-3, input_v=entries[f"data{key}/Duty"],
+                        position_rad=np.pi / 1000.0 * entries[f"data{key}/Position"],
+                        reference_rad=np.pi / 1000.0 * entries[f"data{key}/Ref"])
+            for part, key in (("sine_0_3_hz", 3), ("sine_0_8_hz", 8), ("sine_0_1_hz", 1),
+                              ("sine_0_5_hz", 5), ("sine_1_hz", 10))}
+
+
+def course_motor(folder: Path) -> dict[str, Columns]:
+    """Columns: time, voltage, speed (rad/s). Every fourth sample; sweeps and sine without the
+    first second, of the stairs those to 6 and 9 V."""
+    parts = {}
+    for part, name, cut in (("sweep", "Chirp_Raw_1.mat", slice(2000, None, 4)),
+                            ("sine", "Sine_Raw.mat", slice(2000, None, 4)),
+                            ("sweep_again", "Chirp_Raw_4.mat", slice(2000, None, 4)),
+                            ("stairs", "Stair_Raw.mat", slice(18_000, 56_000, 4))):
+        data = scipy.io.loadmat(folder / name, squeeze_me=True, struct_as_record=False)["RawData"]
+        parts[part] = timed(2e-3, input_v=np.asarray(data.Input, float)[cut],
+                            velocity_rad_s=np.asarray(data.Velo, float)[cut])
+    return parts
+
+
+def furuta_base(folder: Path) -> dict[str, Columns]:
+    """Angle of the base, PWM in steps of 10/255 V. The noise has no PWM stored: its voltage is
+    the test signal."""
+    tests = scipy.io.loadmat(folder / "baseTest.mat", squeeze_me=True)["baseTest"]
+    signal = scipy.io.loadmat(folder / "testSignal.mat", squeeze_me=True)["testSignal"]
+    voltage = signal["signal"].item()[:, 0]
+    steps = 10.0 / 255.0 * tests[0]["PWM"]
+    return {part: timed(5e-3, input_v=drive, position_rad=test["baseAngle"])
+            for part, test, drive in (("noise_1", tests[1], voltage), ("steps", tests[0], steps))}
+
+
+def _tacho(path: Path, parts: Mapping[str, slice]) -> dict[str, Columns]:
+    """Voltage at the motor and voltage of its tachometer; the current is left out."""
+    data = scipy.io.loadmat(path, squeeze_me=True)
+    return {part: timed(0.01, input_v=data["motor"][cut],
+                        velocity_rad_s=TACHO_RAD_S * data["tacho"][cut])
+            for part, cut in parts.items()}
+
+
+def tacho_motor(folder: Path) -> dict[str, Columns]:
+    """Six of ten periods of 4 s, and the rest."""
+    return _tacho(folder / "03-03-10 motor5.mat", {
+        "first": slice(0, 2400), "rest": slice(2400, None)})
+
+
+def geared_arm(folder: Path) -> dict[str, Columns]:
+    """Five of eight periods of 10 s, and the rest."""
+    return _tacho(folder / "09-04-10 nygear3.mat", {
+        "first": slice(0, 5000), "rest": slice(5000, None)})
+
+
+def _trace(path: Path) -> dict[str, Array]:
+    """The variables of a controller's trace (XML), by the last word of their names."""
+    found = re.finditer(r'<TraceVariable [^>]*VarName="([^"]*)".*?<Values>([^<]*)<',
+                        path.read_text("utf-16"), re.DOTALL)
+    return {variable[1].rpartition(":")[2]: np.fromstring(variable[2], sep=",")
+            for variable in found}
+
+
+def servo_drive(folder: Path) -> dict[str, Columns]:
+    """Current (mA), speed and wanted speed (degrees/s). The axis turns evenly before and after
+    what is taken. The stamps of the controller jitter by 1.3 %: even ones instead."""
+    trace = _trace(folder / "JLoadWithoutFriction.trace")
+    return {part: timed(1e-3, input_a=1e-3 * trace["Current"][cut],
+                        velocity_rad_s=np.radians(trace["Velocity"][cut]),
+                        reference_rad_s=np.radians(trace["RefVelocity"][cut]))
+            for part, cut in (("first", slice(900, 3300)), ("rest", slice(3300, 5500)))}
+
+
+def servo_pendulum(folder: Path) -> dict[str, Columns]:
+    """Time, angle from hanging, wanted angle. The input is the duty (885 steps, its sign in 16
+    bits) times the measured supply. The time stamps are those of the logger."""
+    parts = {}
+    for part, name in (("square_400", "10h29m37"), ("sines_400", "10h29m14"),
+                       ("sines_200", "10h28m42"), ("square_800", "10h30m10")):
+        text = (folder / f"2026-01-15_{name}.json").read_text("utf-8")
+        time, load, supply, angle, wanted = (
+            np.array([float(entry[key]) for entry in json.loads(text)["entries"]])
+            for key in ("timestamp", "load", "input_volts", "position", "goal_position"))
+        duty = np.where(load > 32_767, load - 65_536, load) / 885.0
+        parts[part] = {"time_s": time - time[0], "input_v": np.clip(duty, -1.0, 1.0) * supply,
+                       "position_rad": angle, "reference_rad": wanted}
+    return parts
+
+
+MOTORS = (hsm150, servo_motor, geared_motor, disc_motor, course_motor, furuta_base, tacho_motor,
+          geared_arm, servo_drive, servo_pendulum)
