@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dfm_stage.diagnosis.decisions import FEWEST_CYCLES
 from dfm_stage.diagnosis.search_decisions import MOST_TO_ONE
+from dfm_stage.diagnosis.spectra import frequency_peaks
 from dfm_stage.identification.coordinates import late_parameters, lateness
 from dfm_stage.identification.run import Run
 from dfm_stage.model import EFFECTS, Model
@@ -16,6 +18,10 @@ from dfm_stage.model.effect import Parameters
 
 FREQUENCY = "frequency"
 """Parameter of what oscillates: a vibration, a mode."""
+HARMONICS = (2, 3)
+"""Multiples of its frequency at which a free motion shows an error of a force or of a reading that
+is even or odd over position: none of these lines is a vibration from outside. The line of the
+motion itself is that of the model, because the highest line may be a vibration."""
 
 
 def excluded(name: str, model: Model, at: Conditions, again: bool = False) -> str | None:
@@ -53,8 +59,8 @@ def shown_by_none(name: str, runs: Sequence[Run]) -> tuple[str, ...]:
 def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
     """Cycles that a sine makes in the longest run, or over the widest motion of one, which is the
     reading without what the sine itself adds; infinite for other effects. Where nothing drives the
-    stage, those that tell a vibration or a second mode from the stage's own motion: the beats
-    between them."""
+    stage, those that tell a second mode from the stage's own motion, or a vibration from that and
+    its HARMONICS: the beats between them."""
     wave = EFFECTS[name].wave
     free = FREQUENCY in EFFECTS[name].defaults and not any(r.driven for r in runs)
     if wave is None and not free:
@@ -66,9 +72,19 @@ def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
             known[f"{name}.{size}"] for size in EFFECTS[name].sizes)
         widest = max(float(np.ptp(r.output)) for r in runs) - 2.0 * amplitude
         return max(widest, 0.0) / max(value, 1e-300)
-    own = math.sqrt(model.base.get("stiffness", 0.0) / model.base["mass"]) / (2.0 * math.pi) \
-        if free else 0.0
-    return abs(value - own) * max(r.input.size * r.sample_period for r in runs)
+    alike = [0.0]
+    if free:
+        own = math.sqrt(model.base.get("stiffness", 0.0) / model.base["mass"]) / (2.0 * math.pi)
+        alike = [own, *(_harmonics(runs) if wave is not None else [])]
+    return min(abs(value - each) for each in alike) * max(
+        r.input.size * r.sample_period for r in runs)
+
+
+def _harmonics(runs: Sequence[Run]) -> list[float]:
+    """Frequencies (Hz) of the HARMONICS of each run's motion. A large swing is not as fast as the
+    model's small ones."""
+    return [n * peak for n in HARMONICS for r in runs for peak in frequency_peaks(
+        [r.output], r.sample_period, 1, FEWEST_CYCLES / (r.input.size * r.sample_period))]
 
 
 def late_splits(model: Model, free: tuple[str, ...]) -> list[Parameters]:

@@ -3,7 +3,8 @@
 A body without a spring, or one in dry friction, is carried away by forces that hardly show in its
 force balance; a fit of its motion then tells effects apart by where it drifts. The force balance
 does not drift. It names effects where these explain most of the force that is predictable on
-held-out blocks, and every other effect in their place explains clearly less.
+held-out blocks, and others in their place explain clearly less. Those of a common class, and one
+in the place of the main effect, may do as well: they are told in its class.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from dfm_stage.diagnosis.alike import shares_class
+from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
+    FEWEST_CYCLES,
     FURTHER_PART,
     LEAST_HEARD,
     LEAST_PREDICTABLE,
@@ -26,6 +29,7 @@ from dfm_stage.diagnosis.evidence import Evidence, Heard
 from dfm_stage.diagnosis.fit import Fit, fit
 from dfm_stage.diagnosis.gather import gather, with_witness
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
+from dfm_stage.diagnosis.verdict import most_unrelated
 from dfm_stage.diagnosis.verification import weights_like
 from dfm_stage.diagnosis.witness import Explained, Witness
 from dfm_stage.identification.quantity import Quantity, interval
@@ -34,7 +38,7 @@ from dfm_stage.model import EFFECTS
 
 def clear_force(seen: Witness) -> Heard | None:
     """What the force domain names; None where it does not see enough of the force, or does not
-    part it from other effects.
+    part it from several other effects.
 
     A second effect counts where the first leaves a substantial part without it, and where each
     explains something by itself: two that only do so together mend each other's errors. One that
@@ -53,14 +57,16 @@ def clear_force(seen: Witness) -> Heard | None:
         return None
     if len(names) < len(best.names):
         share = added[names[0]] = alone[names[0]]
-    level = {n: [m for m, behind in seen.margins[n].items() if _level(behind, n, m)]
-             for n in names}
+    level = {n: [m for m, behind in seen.margins[n].items()
+                 if m not in names and _level(behind, n, m)] for n in names}
+    main = max(names, key=lambda n: added[n])
     if share < FURTHER_PART * predictable or any(
-            not _related(m, names) for each in level.values() for m in each):
+            sum(not _related(m, names) for m in each) > most_unrelated(n == main)
+            for n, each in level.items()):
         return None
     told = seen.of(*names)
     assert told is not None  # noqa: S101 (it is the best set, or one of its members alone)
-    members = {n: (n, *(m for m in level[n] if m not in names and shares_class(m, n)))
+    members = {n: (n, *(m for m in level[n] if shares_class(m, n) or not _related(m, names)))
                for n in names}
     return Heard({n: added[n] for n in names}, share, predictable, members,
                  _sizes(told, seen.blocks), told.parameters, {n: seen.margins[n] for n in names})
@@ -85,8 +91,9 @@ def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Seq
     else fitted to the motion, begun from what the forces say of it, or as given where that is
     outside its limits.
 
-    None where that does not lower the held-out gap clearly, or where the forces balance only with
-    a mass outside its limits: then no size beside it is to be believed.
+    None where that does not lower the held-out gap clearly, where a vibration is not told from the
+    motion's own lines, or where the forces balance only with a mass outside its limits: then no
+    size beside it is to be believed.
     """
     search, names = trial.search, tuple(heard.added)
     search.step(f"fitting {' and '.join(names)}, which the force domain names")
@@ -103,7 +110,7 @@ def by_force(trial: Trial, bare: Fit, seen: Witness, heard: Heard, warnings: Seq
             for p, value in EFFECTS[name].defaults.items()}))
     free = [n for n in search.parameters(model) if n not in heard.sizes]
     found = fit(model, search.runs, free, search.weights, earlier=bare.locals, noise=search.noise)
-    if not found.ok:
+    if not found.ok or any(cycles(n, found.model, search.runs) < FEWEST_CYCLES for n in names):
         return None
     h = Hypothesis(names, found, bare)
     evidence = with_witness(gather(trial, h, warnings, split, graded=True), seen)
@@ -125,7 +132,7 @@ def _level(behind: float, name: str, rival: str) -> bool:
 
 
 def _related(rival: str, names: Sequence[str]) -> bool:
-    return rival in names or any(shares_class(rival, n) for n in names)
+    return any(shares_class(rival, n) for n in names)
 
 
 def _size(size: Quantity | None, known: Quantity, moved: float) -> Quantity:

@@ -143,7 +143,8 @@ class Fits:
         """The better of a fit and the one known of the same effects, remembered; one that failed
         is not, because others may begin elsewhere."""
         known = self.fits.get((frozenset(names), self.weighing), found)
-        return self.keep(names, found) if found.ok and found.chi2 <= known.chi2 else known
+        better = found.ok and found.chi2 <= known.chi2
+        return self.keep(names, found if better else known) if better or known.ok else known
 
     @property
     def not_compared(self) -> Names:
@@ -201,6 +202,20 @@ class Fits:
         found = self._weaker(hits, lambda weaker: self._once(names, start, weaker, base or {}))
         return self.keep(names, self._no_worse(
             found, names, hits, lambda fewer, weaker: self._once(names, fewer, weaker, {})))
+
+    def as_given(self, known: Fit) -> Fit:
+        """The model as given, with the initial states that bring it nearest to the records."""
+        near = self._fit(self.model, (), known)
+        return fit(self.model, self.runs, self.free, self.weights, earlier=near.locals,
+                   noise=self.noise, iterations=0)
+
+    def once_of(self, hit: Hit, bare: Fit, given: Fit) -> Fit:
+        """The better of the fits, as in `once`, of one effect that begin beside the base as it was
+        re-estimated and as it is `given`."""
+        names = (hit.name,)
+        self.once(names, bare, [hit])
+        return self._keep_better(names, self._weaker(
+            [hit], lambda weaker: self._once(names, given, weaker, {})))
 
     def _once(self, names: Sequence[str], start: Fit, hits: Sequence[Hit],
               base: Parameters) -> Fit:

@@ -61,6 +61,8 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
         *_found_before(trial, h, bare), *((bare, *each) for each in _proposed(search, seen))],
         _paid(seen))
     if not _proposes_alone(seen, search):
+        if not _takes_all(bare, found):
+            names, found = _as_given(search, bare, names, found)
         names, found = _further(search, names, found)
     return _standing(trial, names, found, bare, warnings, split)
 
@@ -171,7 +173,6 @@ def _largest(search: Search, bare: Fit, begins: Sequence[Begin],
     Sets with few parameters come first, and one that takes nearly all is the last: large ones
     become the small ones at an end of their range, and take the work of all that follow."""
     best: tuple[Names, Fit] = (), bare
-    above = bare.chi2 - bare.white.size
 
     def score(names: Names, found: Fit) -> float:
         return _score(names[:1] if frozenset(names) in paid else names, found)
@@ -183,9 +184,30 @@ def _largest(search: Search, bare: Fit, begins: Sequence[Begin],
         found = search.once(names, start, [Hit.at(n, p) for n, p in new.items()], base)
         if _usable(found, names) and score(names, found) < score(*best):
             best = names, found
-        if bare.chi2 - best[1].chi2 > FULL_SHARE * above:
+        if _takes_all(bare, best[1]):
             break
     return best
+
+
+def _takes_all(bare: Fit, found: Fit) -> bool:
+    """Whether a fit takes nearly all that is above the noise."""
+    return bare.chi2 - found.chi2 > FULL_SHARE * (bare.chi2 - bare.white.size)
+
+
+def _as_given(search: Search, bare: Fit, names: Names, found: Fit) -> tuple[Names, Fit]:
+    """What was found, or a single effect that does more, begun beside the base as it was given: a
+    large effect bends a base that is re-estimated without it, and no longer shows beside that."""
+    given = search.as_given(bare)
+    if not given.ok:
+        return names, found
+    search.step("screening beside the model as given")
+    _, hits = search.screened(given, ())
+    for hit in best_of_each(hits)[:SHORT_LIST]:
+        search.step(f"fitting {hit.name}, begun at the model as given")
+        other = search.once_of(hit, bare, given)
+        if _usable(other, (hit.name,)) and _score((hit.name,), other) < _score(names, found):
+            names, found = (hit.name,), other
+    return names, found
 
 
 def _added_parameters(begin: Begin) -> int:

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from dfm_stage.diagnosis.decisions import MARGIN
+from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, MARGIN, OTHER_FORM
+from dfm_stage.diagnosis.evidence import Judged
 from dfm_stage.diagnosis.explaining import Judgement
+from dfm_stage.diagnosis.fit import Fit
+from dfm_stage.diagnosis.hypothesis import Trial
+from dfm_stage.diagnosis.margins import margin_between, power
 from dfm_stage.diagnosis.search_decisions import LEAST_STEPS
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.effect import Effect, reads
@@ -27,13 +31,12 @@ Mallik, Phys. Rev. E 49 (1994) 4950, for damping with a power of the speed."""
 
 
 def with_one_law(found: Judgement) -> Judgement:
-    """What was found to leave only noise, with the note that its laws of speed stand in for one:
-    where there are several, and one law by itself does better on fitted and held-out records
-    together, parameters paid for."""
+    """What was found, with the note that its laws of speed stand in for one: where there are
+    several, and one law by itself does better on fitted and on held-out records."""
     trial, h, evidence = found
     laws = tuple(n for n in h.names if _is_law_of_speed(EFFECTS[n]))
-    if len(laws) < 2:
-        return found
+    if len(laws) < 2 or evidence.heard is not None or evidence.braking is not None:
+        return found   # their sizes are no part of the fit
     search = trial.search
     search.begin_work(LEAST_STEPS)
     search.step(f"fitting one law of speed in the place of {' and '.join(laws)}")
@@ -45,11 +48,26 @@ def with_one_law(found: Judgement) -> Judgement:
     if other.ok:
         other = search.polished(names, other)
     search.unfinished.pop(frozenset(names), None)  # it is no name to tell
-    seen, own = (trial.predicted(each.model).chi2 for each in (other, least))
-    better = search.score(other) + seen < search.score(least) + own - MARGIN
-    if not better or seen > own + MARGIN:
-        return found
-    return trial, h, replace(evidence, one_law=laws)
+    better = other.ok and (_takes_the_rest(trial, evidence.judged, other, search.polished(
+        h.names, least)) if evidence.graded else _likelier(trial, other, least))
+    return (trial, h, replace(evidence, one_law=laws)) if better else found
+
+
+def _likelier(trial: Trial, other: Fit, own: Fit) -> bool:
+    """Whether a fit in the place of one that leaves only noise is better by the margin, on fitted
+    and held-out records together, parameters paid for."""
+    score = trial.search.score
+    seen, before = (trial.predicted(each.model).chi2 for each in (other, own))
+    return score(other) + seen < score(own) + before - MARGIN and seen <= before + MARGIN
+
+
+def _takes_the_rest(trial: Trial, judged: Judged, other: Fit, own: Fit) -> bool:
+    """Whether a fit in the place of one that leaves a remainder takes much of that, on held-out
+    records clearly so: what is left then is an error of the laws' form."""
+    left, before = (trial.predicted(each.model).residuals for each in (other, own))
+    rest, whole = (power(each, judged.lag) - judged.noise_power for each in (left, before))
+    return other.chi2 < own.chi2 and rest < (1.0 - OTHER_FORM) * whole and margin_between(
+        before, left, judged.lag) > BLOCK_MARGIN
 
 
 def _is_law_of_speed(effect: Effect) -> bool:

@@ -204,7 +204,8 @@ def _graded(e: Evidence, names: set[str]) -> Verdict:
     explained = explained_share(e)
     kind: Kind = "unknown"
     if explained >= PARTIAL_SHARE and not _base_at_zero(e):
-        in_part = not _is_its_form(e) or (e.braking is None and _at_zero(e, "damping"))
+        in_part = not _is_its_form(e) or bool(e.one_law) or (
+            e.braking is None and _at_zero(e, "damping"))
         kind = "partial" if in_part else "ambiguous" if undecided else "named"
     if kind == "unknown":
         return Verdict(kind, Reason.GRADED, rejected=tuple(rejections(e, set())), remainder=True)
@@ -320,8 +321,14 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
         (x.force_share is not None and not x.in_best
          and (not _takes_all(e, x) if further else x.force_share < LEAST_HEARD),
          DropReason.UNHEARD),
-        (behind or len(unrelated) > (0 if further else 1), DropReason.RIVALS))
+        (behind or len(unrelated) > most_unrelated(not further), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
+
+
+def most_unrelated(is_main: bool) -> int:
+    """How many rivals of no common class may do as well as an effect that leaves a remainder: one
+    beside the main effect is told in its class, one more makes a guess of it."""
+    return 1 if is_main else 0
 
 
 def _least_part(x: EffectEvidence, further: bool) -> float:

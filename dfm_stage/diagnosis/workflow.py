@@ -182,10 +182,10 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     found = judged_among_all(trial, first, warnings, split)
     if has_fast_mode(found[1], verdict(found[2])):
         found = _simplest(found, warnings, split)
-    if verdict(found[2]).complete:
-        found = with_one_law(found)
-    else:
+    if not verdict(found[2]).complete:
         found = braked(_clearest(found, warnings, split), warnings, split)
+    if verdict(found[2]).kind in {"named", "ambiguous"}:
+        found = with_one_law(found)
     trial, hypothesis, evidence = found
     search = trial.search
     models = {"given": search.model, "retuned": hypothesis.bare.model,

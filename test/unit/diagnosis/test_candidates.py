@@ -30,6 +30,20 @@ def test_a_vibration_is_told_from_free_motion_by_their_beats(driven, frequency, 
         math.inf if driven else expected)
 
 
+@pytest.mark.parametrize(("frequency", "vibration", "mode"), [
+    (27.2, 0.4, 34.4), (18.5, 1.0, 17.0), (36.1, 18.2, 52.2), (10.9, 1.8, 1.8)])
+def test_a_vibration_is_told_from_the_harmonics_of_a_free_motion(frequency, vibration, mode):
+    """A softening spring swings at 9 Hz where its small swings have 10; a second mode at twice
+    that is no error of the form."""
+    swing = 3.0 + np.cos(2.0 * math.pi * 9.0 * 1e-3 * np.arange(2000))
+    run = Observation("run", np.zeros(2000), swing, 1e-3)
+    shaken = STAGE.with_effect("periodic_disturbance", {"frequency": frequency, "amplitude": 1.0})
+    assert cycles("periodic_disturbance", shaken, [run]) == pytest.approx(vibration, abs=0.4)
+    coupled = STAGE.with_effect("second_mode", {"share": 0.05, "frequency": frequency,
+                                                   "damping_ratio": 0.01})
+    assert cycles("second_mode", coupled, [run]) == pytest.approx(mode)
+
+
 @pytest.mark.parametrize(("amplitude", "expected"), [(1e-6, 9.99), (0.4e-3, 6.0), (2e-3, 0.0)])
 def test_an_error_of_the_reading_does_not_make_the_motion_across_it_wider(amplitude, expected):
     """Two millimetres are read. What the error itself may add to that is no motion."""

@@ -67,8 +67,7 @@ def test_what_explains_most_and_leads_all_is_named():
 
 
 @pytest.mark.parametrize("seen", [
-    said(FRICTION, cubic_stiffness=2.9),                  # level with a rival of another kind
-    said(FRICTION, eddy_current_damping=1.9),             # that has a parameter more
+    said(FRICTION, cubic_stiffness=2.9, back_emf=2.9),    # level with two of another kind
     said(explained(0.56, "coulomb_friction")),            # 0.59 of what is predictable
     said(explained(0.45, "coulomb_friction"), predictable=0.46),  # most cannot be predicted
     said(FRICTION, noise=0.6)])
@@ -76,8 +75,25 @@ def test_nothing_is_named_where_the_force_domain_is_not_clear(seen):
     assert clear_force(seen) is None
 
 
-def test_a_rival_with_more_parameters_needs_less_distance():
-    assert clear_force(said(FRICTION, eddy_current_damping=2.1)) is not None
+@pytest.mark.parametrize(("rival", "behind", "level"), [
+    ("cubic_stiffness", 2.9, True), ("cubic_stiffness", 3.1, False),
+    ("eddy_current_damping", 1.9, True),     # it has a parameter more
+    ("eddy_current_damping", 2.1, False)])
+def test_one_level_rival_of_another_kind_is_told_in_the_class_of_the_main_effect(
+        rival, behind, level):
+    """As where a fit of the motion leaves a remainder."""
+    heard = clear_force(said(FRICTION, **{rival: behind}))
+    assert heard is not None
+    assert heard.members == {"coulomb_friction": ("coulomb_friction", *([rival] * level))}
+
+
+def test_no_effect_beside_the_main_one_is_told_with_a_level_rival_of_another_kind():
+    both = explained(0.93, "force_offset", "coulomb_friction")
+    seen = said(both, explained(0.5, "force_offset"), explained(0.25, "coulomb_friction"))
+    for behind, names in ((3.1, ("force_offset", "coulomb_friction")), (2.9, None)):
+        heard = clear_force(replace(seen, margins={
+            "force_offset": {"creep": 1.9}, "coulomb_friction": {"back_emf": behind}}))
+        assert (None if heard is None else tuple(heard.added)) == names
 
 
 def test_a_level_rival_of_its_class_joins_it():
@@ -109,7 +125,7 @@ def test_rivals_of_an_effect_that_is_not_told_do_not_count():
     assert heard is not None
     assert heard.margins == {"force_offset": {"back_emf": 8.0}}
     assert clear_force(replace(seen, margins={
-        "force_offset": {"back_emf": 2.0}, "coulomb_friction": {}})) is None
+        "force_offset": {"back_emf": 2.0, "creep": 1.9}, "coulomb_friction": {}})) is None
 
 
 @pytest.fixture(scope="module")

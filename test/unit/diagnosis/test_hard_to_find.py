@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.signal import chirp, cont2discrete, dlsim
 
-from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis import diagnose, grading
 from dfm_stage.diagnosis.candidates import late_splits
 from dfm_stage.diagnosis.decisions import MARGIN
 from dfm_stage.diagnosis.fit import fit
@@ -396,3 +396,28 @@ def test_a_fit_goes_on_where_an_effect_has_grown_until_it_bends_the_slopes_of_th
         assert found.chi2 < 1.02 * found.white.size
         assert found.model.effect("cogging").parameters["amplitude"] == pytest.approx(0.3,
                                                                                       rel=1e-3)
+
+
+def test_a_vibration_that_bends_the_base_is_found_beside_the_base_as_given():
+    """It shakes a stage near its resonance: re-estimated, the stage rings by itself, and beside
+    that the vibration hardly shows. Damping that grows with deflection stays as a remainder."""
+    amplitude, hertz, feed = 2.0, 10.4, 0.1 * truth.multisine(1)
+    shaken = feed + amplitude / truth.GAIN * np.sin(
+        2.0 * np.pi * hertz * truth.PERIOD * np.arange(truth.SAMPLES))
+    position = truth.move(shaken, lambda x, v: -3e6 * x * x * v, damping=20.0)
+    model = truth.believed().with_parameters({"damping": 20.0})
+    search = Search(model, [observe(truth.record(feed, position, 31), model)],
+                    ("damping", "stiffness", "force_constant"), library=("periodic_disturbance",))
+    bare = search.begin()
+    _, hits = search.screened(bare, ())
+    begun = search.once(("periodic_disturbance",), bare, hits[:1])
+    names, found = grading._as_given(search, bare, (), bare)
+    assert names == ("periodic_disturbance",)
+    assert found.chi2 < 0.2 * begun.chi2
+    assert found.model.parameters()["periodic_disturbance.amplitude"] == pytest.approx(
+        amplitude, rel=0.1)
+    assert found.model.parameters()["periodic_disturbance.frequency"] == pytest.approx(
+        hertz, rel=1e-3)
+    assert search.once(names, bare) is found
+    worse = search.once_of(hits[0], bare, bare)
+    assert worse is found

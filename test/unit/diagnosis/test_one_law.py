@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from dfm_stage.diagnosis import diagnose, one_law
 from dfm_stage.diagnosis.decisions import MARGIN
-from dfm_stage.diagnosis.evidence import Errors, Evidence, ModelEvidence, Motion, Noise
+from dfm_stage.diagnosis.evidence import Errors, Evidence, Judged, ModelEvidence, Motion, Noise
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.registry import ALL, library_of
 from dfm_stage.recording import AxisRecord, Provenance, Record
@@ -65,20 +65,24 @@ def test_two_laws_that_are_there_are_named() -> None:
     assert set(found.names) == {"coulomb_friction", "quadratic_damping"}
 
 
-def stand_ins(names, chi2, free, held_out=0.0):
+def stand_ins(names, chi2, free, held_out=0.0, left=1.0, graded=False):
     """The laws that are noted to stand in for one that leaves `chi2` with `free` parameters, where
-    they leave 1000 with 8; of held-out records it leaves so much more."""
+    they leave 1000 with 8; of held-out records it leaves so much more, and `left` of the
+    residual."""
     least, law = (SimpleNamespace(chi2=c, ok=True, weights="w", model=c, system=SimpleNamespace(
         free=range(k))) for c, k in ((1000.0, 8), (chi2, free)))
     search = SimpleNamespace(
         weights="w", begin_work=lambda _: None, step=lambda _: None, unfinished={},
         in_place_of=lambda *_: law, polished=lambda _, found: found,
         score=lambda f: f.chi2 + 12.0 * len(f.system.free))
-    trial = SimpleNamespace(search=search, predicted=lambda model: SimpleNamespace(
-        chi2=900.0 + (held_out if model == chi2 else 0.0)))
+    rest = np.random.default_rng(1).standard_normal((2, 4000))
+    trial = SimpleNamespace(search=search, lag=0, predicted=lambda model: SimpleNamespace(
+        chi2=900.0 + (held_out if model == chi2 else 0.0),
+        residuals=[[left * rest[0] if model == chi2 else rest[1]]]))
     found = trial, SimpleNamespace(names=names, fit=least), Evidence(
         ("run",), "m", Noise(1.0, ""), Motion(1.0), *[ModelEvidence(Errors(1.0, 1.0, 1),
-                                                                    Errors(1.0, 1.0, 1))] * 3)
+                                                                    Errors(1.0, 1.0, 1))] * 3,
+        graded=graded, judged=Judged("position", None, 0.1, None))
     return one_law.with_one_law(found)[2].one_law
 
 
@@ -94,6 +98,14 @@ TWO = ("cubic_stiffness", "coulomb_friction", "eddy_current_damping")
     (("coulomb_friction", "directional_friction"), 500.0, 8, 0.0, ())])  # its sign is no speed
 def test_laws_stand_in_for_one_that_does_clearly_better(names, chi2, free, held_out, laws) -> None:
     assert stand_ins(names, chi2, free, held_out) == laws
+
+
+@pytest.mark.parametrize(("chi2", "left", "laws"), [
+    (900.0, 0.7, TWO[1:]),
+    (900.0, 0.9, ()),      # it takes but a fifth of the remainder of held-out records
+    (1010.0, 0.7, ())])    # fitted records do not bear it out
+def test_where_a_remainder_stays_held_out_blocks_decide(chi2, left, laws) -> None:
+    assert stand_ins(TWO, chi2, 9, left=left, graded=True) == laws
 
 
 def test_laws_of_speed_are_known_by_what_they_read() -> None:

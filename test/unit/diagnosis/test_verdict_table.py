@@ -74,6 +74,13 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
         replace(found(FRICTION, effect("quadratic_damping", without=left(2e-7))),
                 one_law=("coulomb_friction", "quadratic_damping")), "partial",
         ("coulomb_friction", "quadratic_damping"), Reason.AT_FLOOR),
+    "two laws of speed that stand in for one, and a remainder": (
+        replace(parts(0.97, coulomb_friction=0.4, quadratic_damping=0.3),
+                one_law=("coulomb_friction", "quadratic_damping")), "partial",
+        ("coulomb_friction", "quadratic_damping"), Reason.GRADED),
+    "the same, where no one law does better": (
+        parts(0.97, coulomb_friction=0.4, quadratic_damping=0.3), "named",
+        ("coulomb_friction", "quadratic_damping"), Reason.GRADED),
     "a delay that may be a lag": (
         found(effect("transport_delay", rival("amplifier_bandwidth", 1.0, 2.0))),
         "ambiguous", ("transport_delay",), Reason.AT_FLOOR),
