@@ -73,7 +73,8 @@ class Trial:
         default_factory=dict)
     """What was predicted, by the objects it depends on, which are kept so that no other has their
     identity."""
-    _found: dict[int, tuple[object, dict[str, tuple[Finding, ...]]]] = field(default_factory=dict)
+    _found: dict[tuple[int, bool], tuple[object, dict[str, tuple[Finding, ...]]]] = field(
+        default_factory=dict)
     """The same of what was found in the residuals of a fit."""
     _witnesses: dict[Names, Witness | None] = field(default_factory=dict)
     """What the force domain says of these records, by the effects that it judged."""
@@ -151,14 +152,15 @@ class Trial:
                 model, self.held, self.held_weights, self.search.noise)
         return self._predicted[key][-1]
 
-    def findings(self, found: Fit) -> dict[str, tuple[Finding, ...]]:
-        """What stands out in what a fit leaves of each run, by the run's name."""
-        key = id(found.residuals)   # a fit holds much more
+    def findings(self, found: Fit, ask_colour: bool = True) -> dict[str, tuple[Finding, ...]]:
+        """What stands out in what a fit leaves of each run, by the run's name; with the question,
+        which takes long, whether it is no more than colour of the noise."""
+        key = id(found.residuals), ask_colour   # a fit holds much more
         if key not in self._found:
             rounded = rounding_step(found.model) is not None
             noise = None if rounded else found.model.base.get("noise")
             self._found[key] = found.residuals, {
-                run.name: tuple(findings(run, parts[0], noise, found.model))
+                run.name: tuple(findings(run, parts[0], noise, found.model, ask_colour))
                 for run, parts in zip(self.search.runs, found.residuals, strict=True)}
         return self._found[key][1]
 

@@ -67,9 +67,10 @@ class Finding:
 
 
 def findings(run: Observation, residual: Array, known_noise: float | None,
-             model: Model | None = None) -> list[Finding]:
+             model: Model | None = None, ask_colour: bool = True) -> list[Finding]:
     """Look at what is left of one run's output (N - skip,) by a model with a linear part; without
-    one, all noise is taken to be white. There is nothing to find in what rounding leaves."""
+    one, or where nobody asks for its colour, all noise is taken to be white. There is nothing to
+    find in what rounding leaves."""
     spread = float(np.std(residual))
     if model is not None and spread <= HELD_OUT_FLOOR * rounding_rms(run, model):
         return []
@@ -78,8 +79,9 @@ def findings(run: Observation, residual: Array, known_noise: float | None,
     if known_noise:
         found.append(Finding("known_noise", spread / known_noise, EXCESS,
                              "RMS over the noise that the model gives"))
-    if model is not None and any(f.real for f in found) and run.record_size >= FEW_SAMPLES \
-            and all(share < FORETOLD_SHARE for share in foretold(run, residual, model)):
+    if ask_colour and model is not None and any(f.real for f in found) \
+            and run.record_size >= FEW_SAMPLES and all(
+                share < FORETOLD_SHARE for share in foretold(run, residual, model)):
         found = [replace(f, coloured=f.real) for f in found]
     white = _white(residual)
     found += [*_repeating(run, residual), _drift(residual), _line(residual),

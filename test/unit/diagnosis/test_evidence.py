@@ -143,6 +143,26 @@ def test_colour_is_what_exceeds_the_noise_of_high_frequencies(pole, drifts, colo
         assert has_colour(found, white_weights(left)[0][0].rms) is colour
 
 
+@pytest.fixture(scope="module")
+def stiff():
+    """A spring whose gap shows beside the noise of high frequencies."""
+    return searched(lambda x, v: -1e9 * x**3)
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_whether_a_gap_is_colour_is_asked_where_no_effect_explains_it(stiff, monkeypatch, stands):
+    """What an effect explains on held-out records is no colour of the noise."""
+    trial, _, h = stiff
+    monkeypatch.setattr(trial, "_found", {})
+    asked = []
+    monkeypatch.setattr("dfm_stage.diagnosis.remainder.foretold",
+                        lambda run, left, model: asked.append(model) or iter([0.0]))
+    monkeypatch.setattr(gathering, "judge_hypothesis", lambda _: SimpleNamespace(stands=stands))
+    e = gather(trial, h)
+    assert asked == ([] if stands else [h.bare.model])
+    assert e.retuned.findings["train"][0].coloured is not stands
+
+
 def test_blocks_set_the_intervals_of_what_leaves_a_colour(cubic, monkeypatch):
     trial, evidence, hypothesis = cubic
     monkeypatch.setattr(gathering, "has_colour", lambda *_: True)
