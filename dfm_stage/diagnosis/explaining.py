@@ -18,7 +18,7 @@ from dfm_stage.diagnosis.decisions import (
 from dfm_stage.diagnosis.effect_fits import Names
 from dfm_stage.diagnosis.evidence import DropReason, Evidence
 from dfm_stage.diagnosis.fit import Fit, rms
-from dfm_stage.diagnosis.gather import gather, with_confirmation, with_joint_fit
+from dfm_stage.diagnosis.gather import gather, with_colour, with_confirmation, with_joint_fit
 from dfm_stage.diagnosis.grading import graded
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.margins import judged_signal
@@ -143,7 +143,9 @@ def to_noise(trial: Trial, names: Names, found: Fit, steps: float, warnings: Seq
 def _judged(trial: Trial, h: Hypothesis, warnings: Sequence[str], split: bool) -> Evidence:
     """The evidence for what a search to the noise found, with a joint fit where that decides."""
     evidence = gather(trial, h, warnings, split)
-    return with_joint_fit(trial, h, evidence) if needs_joint_fit(evidence) else evidence
+    if needs_joint_fit(evidence):
+        evidence = with_joint_fit(trial, h, evidence)
+    return evidence if judge_hypothesis(evidence).stands else with_colour(trial, h, evidence)
 
 
 def _explaining(trial: Trial, h: Hypothesis, warnings: Sequence[str],

@@ -53,7 +53,6 @@ from dfm_stage.diagnosis.remainder import describe
 from dfm_stage.diagnosis.search import Rival, Search
 from dfm_stage.diagnosis.search_decisions import NEAR_NOISE
 from dfm_stage.diagnosis.spectra import lattice
-from dfm_stage.diagnosis.verdict import judge_hypothesis
 from dfm_stage.diagnosis.verification import Prediction, joint, predict
 from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.identification.quantity import Quantity
@@ -77,13 +76,13 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
     given = trial.predicted(search.model)
     fitted_given = predict(search.model, runs, search.weights, search.noise)
     seen = given, trial.predicted(h.bare.model), trial.predicted(h.fit.model)
-    retuned = _of_model(trial, h.bare, seen[1], judged, ask_colour=not h.names)
+    retuned = _of_model(trial, h.bare, seen[1], judged, ask_colour=graded or not h.names)
     extended = replace(retuned, held_out=_errors(seen[2], judged)) if h.fit is h.bare else \
         _of_model(trial, h.fit, seen[2], judged, _score(h.fit, quiet, graded))
     if not h.names:  # the same model, weighed anew where an effect was dropped
         retuned = replace(retuned, parameters=extended.parameters, findings=extended.findings,
                           description=retuned.description or extended.description)
-    evidence = Evidence(
+    return Evidence(
         tuple(r.record for r in _whole(runs)), runs[0].unit,
         Noise(weight.rms, weight.source, noise_floor_from_periods(
             h.fit.residuals[0][0], repeats.period) if repeats is not None else None,
@@ -102,9 +101,13 @@ def gather(trial: Trial, h: Hypothesis, warnings: Sequence[str] = (), split: boo
         graded=graded, conventions=tuple(
             r.convention.to_dict(r.record)
             for r in _whole([*runs, *(() if split else trial.held)])))
-    if h.names and not judge_hypothesis(evidence).stands:  # else the effects foretell what is left
-        evidence = replace(evidence, retuned=_of_model(trial, h.bare, seen[1], judged))
-    return evidence
+
+
+def with_colour(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
+    """Ask, too, whether the gap is mere colour of the noise, which `gather` does not where there
+    are effects that may leave only noise: what stands on held-out records is none."""
+    return evidence if not h.names else replace(evidence, retuned=_of_model(
+        trial, h.bare, trial.predicted(h.bare.model), evidence.judged))
 
 
 def _whole(runs: Sequence[Observation]) -> list[Observation]:

@@ -14,6 +14,7 @@ import pytest
 from scipy.signal import lfilter
 
 from dfm_stage.cli.diagnose_report import write_report
+from dfm_stage.diagnosis import explaining
 from dfm_stage.diagnosis import fit as fitting
 from dfm_stage.diagnosis import gather as gathering
 from dfm_stage.diagnosis.evidence import Evidence
@@ -157,8 +158,8 @@ def test_whether_a_gap_is_colour_is_asked_where_no_effect_explains_it(stiff, mon
     asked = []
     monkeypatch.setattr("dfm_stage.diagnosis.remainder.foretold",
                         lambda run, left, model: asked.append(model) or iter([0.0]))
-    monkeypatch.setattr(gathering, "judge_hypothesis", lambda _: SimpleNamespace(stands=stands))
-    e = gather(trial, h)
+    monkeypatch.setattr(explaining, "judge_hypothesis", lambda _: SimpleNamespace(stands=stands))
+    e = explaining._judged(trial, h, (), split=False)
     assert asked == ([] if stands else [h.bare.model])
     assert e.retuned.findings["train"][0].coloured is not stands
 
