@@ -143,8 +143,8 @@ class Fits:
         """The better of a fit and the one known of the same effects, remembered; one that failed
         is not, because others may begin elsewhere."""
         known = self.fits.get((frozenset(names), self.weighing), found)
-        better = found.ok and found.chi2 <= known.chi2
-        return self.keep(names, found if better else known) if better or known.ok else known
+        better = found if found.ok and found.chi2 <= known.chi2 else known
+        return self.keep(names, better) if better.ok else better
 
     @property
     def not_compared(self) -> Names:

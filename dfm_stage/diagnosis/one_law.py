@@ -36,7 +36,7 @@ def with_one_law(found: Judgement) -> Judgement:
     trial, h, evidence = found
     laws = tuple(n for n in h.names if _is_law_of_speed(EFFECTS[n]))
     if len(laws) < 2 or evidence.heard is not None or evidence.braking is not None:
-        return found   # their sizes are no part of the fit
+        return found   # sizes from a balance of force or energy are held in the fit
     search = trial.search
     search.begin_work(LEAST_STEPS)
     search.step(f"fitting one law of speed in the place of {' and '.join(laws)}")
