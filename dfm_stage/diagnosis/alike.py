@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit
@@ -56,3 +56,17 @@ def shares_class(first: str, second: str) -> bool:
     """Whether two effects stand in one equivalence class of the library."""
     return any(second in c.members for c in EFFECTS[first].classes) or any(
         first in c.members for c in EFFECTS[second].classes)
+
+
+def kinds(names: Iterable[str]) -> int:
+    """How many kinds of effect are among some: those of one equivalence class are one kind."""
+    found: list[set[str]] = []
+    for name in names:
+        alike = [each for each in found if any(shares_class(name, n) for n in each)]
+        found = [each for each in found if each not in alike] + [{name}.union(*alike)]
+    return len(found)
+
+
+def is_rarer(one: str, other: str) -> bool:
+    """Whether few machines have the one effect, and many the other."""
+    return EFFECTS[one].rare and not EFFECTS[other].rare

@@ -9,10 +9,10 @@ in the place of the main effect, may do as well: they are told in its class.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from dfm_stage.diagnosis.alike import shares_class
+from dfm_stage.diagnosis.alike import is_rarer, kinds, shares_class
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
@@ -61,15 +61,25 @@ def clear_force(seen: Witness) -> Heard | None:
                  if m not in names and _level(behind, n, m)] for n in names}
     main = max(names, key=lambda n: added[n])
     if share < FURTHER_PART * predictable or any(
-            sum(not _related(m, names) for m in each) > most_unrelated(n == main)
+            kinds(m for m in each if not _related(m, names)) > most_unrelated(n == main)
             for n, each in level.items()):
         return None
-    told = seen.of(*names)
-    assert told is not None  # noqa: S101 (it is the best set, or one of its members alone)
-    members = {n: (n, *(m for m in level[n] if shares_class(m, n) or not _related(m, names)))
-               for n in names}
-    return Heard({n: added[n] for n in names}, share, predictable, members,
-                 _sizes(told, seen.blocks), told.parameters, {n: seen.margins[n] for n in names})
+    own = _commoner(seen, level)
+    told = seen.of(*own.values())
+    assert told is not None  # noqa: S101 (it is the best set, one of its members, or as common)
+    members = {own[n]: (own[n], *(
+        m for m in level[n] if m != own[n] and not is_rarer(m, own[n])
+        and (shares_class(m, n) or not _related(m, names)))) for n in names}
+    return Heard({own[n]: added[n] for n in names}, min(share, told.share), predictable, members,
+                 _sizes(told, seen.blocks), told.parameters,
+                 {n: seen.margins[n] for n in names if own[n] == n})
+
+
+def _commoner(seen: Witness, level: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """For each name itself, or in the place of a rare one the nearest of those `level` with it
+    that many machines have."""
+    own = {n: next((m for m in each if is_rarer(n, m)), n) for n, each in level.items()}
+    return own if seen.of(*own.values()) is not None else {n: n for n in level}
 
 
 def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:

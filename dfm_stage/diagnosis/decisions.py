@@ -198,12 +198,12 @@ FAR_BEHIND = decision(
 FURTHER_PART = decision(
     "FURTHER_PART", 0.6, "1", meaning="Share of what is left above the noise that a further "
     "effect must take of held-out power where a remainder stays; the main one, too, unless the "
-    "force domain explains as much by it alone, clearly before all others. Of the predictable "
-    "force, what the force domain must explain to name effects alone, and by common effects for "
-    "uncommon ones not to be tried. Of what common effects leave on fitted records, what a first "
-    "round of fits among all must take for the uncommon ones to be tried.",
+    "force domain explains `PARTIAL_SHARE` by it alone, clearly before all others. Of the "
+    "predictable force, what the force domain must explain to name effects alone, and by common "
+    "effects for uncommon ones not to be tried. Of what common effects leave on fitted records, "
+    "what a first round of fits among all must take for the uncommon ones to be tried.",
     set_on=PARTS + "; alone: answers to four seeds of the measured-like corpus, seen before: 17 "
-    "names, all allowed")
+    "names, all allowed; less of the main one: the measured `sprung_carts`, looked at")
 PARAMETER_PART = decision(
     "PARAMETER_PART", 0.05, "1", meaning="Share of what is left that a further parameter of an "
     "effect must take where a remainder stays.", set_on="derivation: less is within the spread of "

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.alike import shares_class
+from dfm_stage.diagnosis.alike import is_rarer, shares_class
 from dfm_stage.diagnosis.candidates import excluded, shown_by_none
 from dfm_stage.diagnosis.decisions import (
     AS_GIVEN,
@@ -326,7 +326,8 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Prediction
                          margin_between(seen.residuals, own.residuals, judged.lag),
                          shares_class(rival.name, name), larger,
                          rival.name not in trial.search.not_compared,
-                         repeats=larger and other_law and _makes_the_same(seen, own, judged))
+                         repeats=larger and other_law and _makes_the_same(seen, own, judged),
+                         rarer=is_rarer(rival.name, name))
 
 
 def _makes_the_same(one: Prediction, other: Prediction, judged: Judged) -> bool:

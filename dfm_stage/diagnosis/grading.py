@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Sequence
 
-from dfm_stage.diagnosis.alike import at_upper_end, shares_class
+from dfm_stage.diagnosis.alike import at_upper_end, is_rarer, shares_class
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
@@ -31,7 +31,13 @@ from dfm_stage.diagnosis.gather import gather, with_witness
 from dfm_stage.diagnosis.hypothesis import Hypothesis, Trial
 from dfm_stage.diagnosis.screen import Hit, best_of_each
 from dfm_stage.diagnosis.search import Rival, Search
-from dfm_stage.diagnosis.search_decisions import FULL_SHARE, GRADING_STEPS, LEAST_STEPS, SHORT_LIST
+from dfm_stage.diagnosis.search_decisions import (
+    FULL_SHARE,
+    GRADING_STEPS,
+    LEAST_STEPS,
+    SHORT_LIST,
+    SHORT_LIST_GAIN,
+)
 from dfm_stage.diagnosis.verdict import fallen
 from dfm_stage.diagnosis.verification import weights_like
 from dfm_stage.diagnosis.witness import Witness
@@ -202,7 +208,8 @@ def _as_given(search: Search, bare: Fit, names: Names, found: Fit) -> tuple[Name
         return names, found
     search.step("screening beside the model as given")
     _, hits = search.screened(given, ())
-    for hit in best_of_each(hits)[:SHORT_LIST]:
+    best = best_of_each(hits)
+    for hit in (h for h in best[:SHORT_LIST] if h.gain > SHORT_LIST_GAIN * best[0].gain):
         search.step(f"fitting {hit.name}, begun at the model as given")
         other = search.once_of(hit, bare, given)
         if _usable(other, (hit.name,)) and _score((hit.name,), other) < _score(names, found):
@@ -314,11 +321,15 @@ def _better_rival(h: Hypothesis, judged: Evidence, name: str,
 def _simpler_rivals(h: Hypothesis, judged: Evidence,
                     before: Container[frozenset[str]]) -> Iterator[tuple[str, Rival]]:
     """Effects, each with a rival that has fewer parameters and predicts held-out blocks better: an
-    effect with more of them bends to what the fitted records alone have. No set that was judged
-    `before` comes back."""
+    effect with more of them bends to what the fitted records alone have. A rare effect, too, with
+    one that many machines have, where neither held-out blocks nor the force domain puts that
+    clearly behind. No set that was judged `before` comes back."""
     for x in judged.effects:
         margins = {r.name: r.margin for r in x.rivals}
         for r in h.rivals.get(x.name, ()):
-            if len(r.fit.system.free) < len(h.fit.system.free) and margins[r.name] < 0.0 \
+            simpler = len(r.fit.system.free) < len(h.fit.system.free) and margins[r.name] < 0.0
+            commoner = is_rarer(x.name, r.name) and margins[r.name] < BLOCK_MARGIN \
+                and not (x.confirmed and x.force_margin > BLOCK_MARGIN)
+            if (simpler or commoner) \
                     and frozenset(_with_rival(h.names, x.name, r)) not in before:
                 yield x.name, r

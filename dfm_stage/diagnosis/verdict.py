@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
+from dfm_stage.diagnosis.alike import kinds
 from dfm_stage.diagnosis.decisions import (
     AT_REST,
     AT_REST_INPUT,
@@ -281,10 +282,11 @@ def _predictable(e: Evidence) -> float:
 
 
 def _graded_class(effect: EffectEvidence) -> tuple[str, ...]:
-    """The effect and the rivals that held-out blocks do not part from it, or that the force domain
-    puts before it: two witnesses that disagree. Of its kind, those too whose fit was cut short."""
-    return (effect.name, *(r.name for r in effect.rivals
-                           if _level(r) or r.ahead or (r.related and not r.finished)))
+    """The effect and the rivals that held-out blocks do not part from it, if no rarer than it, or
+    that the force domain puts before it: two witnesses that disagree. Of its kind, those too whose
+    fit was cut short."""
+    return (effect.name, *(r.name for r in effect.rivals if (_level(r) and not r.rarer)
+                           or r.ahead or (r.related and not r.finished)))
 
 
 def _level(rival: RivalEvidence) -> bool:
@@ -312,7 +314,7 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
     further = x is not main_effect(e)
     left = x.without.held_out.power - e.judged.noise_power
     taken = x.without.held_out.power - e.extended.held_out.power
-    unrelated = [r for r in x.rivals if _level(r) and not r.related]
+    unrelated = kinds(r.name for r in x.rivals if _level(r) and not r.related)
     behind = any(r.related and r.margin < -BLOCK_MARGIN for r in x.rivals)
     rules = (
         (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
@@ -321,20 +323,20 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
         (x.force_share is not None and not x.in_best
          and (not _takes_all(e, x) if further else x.force_share < LEAST_HEARD),
          DropReason.UNHEARD),
-        (behind or len(unrelated) > most_unrelated(not further), DropReason.RIVALS))
+        (behind or unrelated > most_unrelated(not further), DropReason.RIVALS))
     return next((reason for holds, reason in rules if holds), None)
 
 
 def most_unrelated(is_main: bool) -> int:
-    """How many rivals of no common class may do as well as an effect that leaves a remainder: one
-    beside the main effect is told in its class, one more makes a guess of it."""
+    """Of how many kinds rivals of no common class may be that do as well as an effect that leaves
+    a remainder: those of one are told in the class of the main effect, more make a guess of it."""
     return 1 if is_main else 0
 
 
 def _least_part(x: EffectEvidence, further: bool) -> float:
     """Share of what is left that an effect must take; less of the main one where the force domain
-    finds it by itself, and before all others."""
-    heard = x.force_share is not None and x.in_best and x.force_share > FURTHER_PART \
+    finds as much by it alone, and before all others."""
+    heard = x.force_share is not None and x.in_best and x.force_share > PARTIAL_SHARE \
         and x.force_margin > BLOCK_MARGIN
     return PARTIAL_SHARE if heard and not further else FURTHER_PART
 

@@ -92,5 +92,6 @@ EFFECT = EddyCurrentDamping(
                          "speeds up to critical_velocity, and standstill")),
     force=force,
     twins={"stribeck_friction": _as_friction},
+    rare=True,  # it takes a magnet that moves along a conductor, near the critical speed
     doubt=_doubt,
 )

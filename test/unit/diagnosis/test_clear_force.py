@@ -67,7 +67,7 @@ def test_what_explains_most_and_leads_all_is_named():
 
 
 @pytest.mark.parametrize("seen", [
-    said(FRICTION, cubic_stiffness=2.9, back_emf=2.9),    # level with two of another kind
+    said(FRICTION, cubic_stiffness=2.9, back_emf=2.9),    # level with two of other kinds
     said(explained(0.56, "coulomb_friction")),            # 0.59 of what is predictable
     said(explained(0.45, "coulomb_friction"), predictable=0.46),  # most cannot be predicted
     said(FRICTION, noise=0.6)])
@@ -77,14 +77,38 @@ def test_nothing_is_named_where_the_force_domain_is_not_clear(seen):
 
 @pytest.mark.parametrize(("rival", "behind", "level"), [
     ("cubic_stiffness", 2.9, True), ("cubic_stiffness", 3.1, False),
-    ("eddy_current_damping", 1.9, True),     # it has a parameter more
-    ("eddy_current_damping", 2.1, False)])
+    ("periodic_disturbance", 1.9, True),     # it has more parameters
+    ("periodic_disturbance", 2.1, False),
+    ("eddy_current_damping", -0.5, False)])  # few machines have it
 def test_one_level_rival_of_another_kind_is_told_in_the_class_of_the_main_effect(
         rival, behind, level):
     """As where a fit of the motion leaves a remainder."""
     heard = clear_force(said(FRICTION, **{rival: behind}))
     assert heard is not None
     assert heard.members == {"coulomb_friction": ("coulomb_friction", *([rival] * level))}
+
+
+@pytest.mark.parametrize(("behind", "singles", "told"), [
+    (0.9, 0.8, "coulomb_friction"),
+    (3.1, 0.8, "eddy_current_damping"),
+    (0.9, None, "eddy_current_damping")])  # the force domain has no size of it
+def test_in_the_place_of_a_rare_effect_a_level_one_is_told_that_many_machines_have(
+        behind, singles, told):
+    friction = () if singles is None else (explained(singles, "coulomb_friction"),)
+    seen = said(explained(0.9, "eddy_current_damping"), *friction,
+                coulomb_friction=behind, stribeck_friction=behind + 0.1)
+    heard = clear_force(seen)
+    assert heard is not None
+    assert heard.members.keys() == heard.added.keys() == {told}
+    assert heard.share == (0.9 if told == "eddy_current_damping" else 0.8)
+    assert "eddy_current_damping" not in heard.members[told][1:]
+    assert {a.partition(".")[0] for a in heard.sizes} == {told}
+
+
+def test_level_rivals_of_one_other_kind_are_told_in_the_class_of_the_main_effect():
+    heard = clear_force(said(FRICTION, creep=1.9, structural_damping=2.9))
+    assert heard is not None
+    assert heard.members["coulomb_friction"] == ("coulomb_friction", "creep", "structural_damping")
 
 
 def test_no_effect_beside_the_main_one_is_told_with_a_level_rival_of_another_kind():

@@ -248,50 +248,71 @@ def test_small_sets_come_first_and_one_that_takes_nearly_all_is_the_last(
     assert (names, seen) == (("coulomb_friction",), fitted)
 
 
-PARAMETERS = {"coulomb_friction": 3, "eddy_current_damping": 4}
-"""Free parameters of a fit with each effect."""
-
-
-@pytest.mark.parametrize(("margin", "unheard", "judged"), [
-    (-2.5, "", ["eddy_current_damping", "coulomb_friction"]),
-    (0.0, "", ["eddy_current_damping"]),  # no block tells
-    (-2.5, "coulomb_friction", ["eddy_current_damping", "coulomb_friction",
-                                "eddy_current_damping"])])
-def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(monkeypatch, margin,
-                                                                        unheard, judged):
-    """An eddy-current brake fits a record of dry friction better by its second parameter. Where
-    dry friction falls for another reason, the brake comes back and stays."""
+def judged_in_turn(monkeypatch, parameters, first, margin, heard):
+    """The effects judged one after the other, of two with so many free `parameters`, where the
+    second would be `margin` behind in the place of the `first`, and the force domain has `heard`
+    of them."""
     def errors(power):
         return Errors(1.0, 1.0, 100, power)
 
     fits = {n: SimpleNamespace(ok=True, chi2=0.0, system=SimpleNamespace(free=("p",) * k))
-            for n, k in PARAMETERS.items()}
+            for n, k in parameters.items()}
     seen = []
 
     def gather(_trial, h, *_, **__):
         name, = h.names
-        other, = PARAMETERS.keys() - {name}
+        other, = parameters.keys() - {name}
         seen.append(name)
         left, bare = (ModelEvidence(errors(1.0), errors(p)) for p in (0.1, 1.0))
-        heard = {"force_share": 0.3, "in_best": False} if name == unheard else {}
         rival = RivalEvidence(other, 0.0, 0.0, errors(0.1), related=True,
-                              margin=margin if other == "coulomb_friction" else 2.5,
-                              larger=PARAMETERS[other] > PARAMETERS[name])
+                              margin=margin if name == first else 2.5,
+                              larger=parameters[other] > parameters[name])
         return Evidence(("r",), "m", Noise(1.0, ""), Motion(1.0), bare, bare, left, (
-            EffectEvidence(name, {}, bare, (rival,), margin=9.0, **heard),), graded=True)
+            EffectEvidence(name, {}, bare, (rival,), margin=9.0, **heard.get(name, {})),),
+            graded=True)
 
     monkeypatch.setattr(grading, "gather", gather)
     monkeypatch.setattr(grading, "with_witness", lambda e, _: e)
     monkeypatch.setattr(grading, "_rivals", lambda _s, _w, name, *_: [
-        grading.Rival(n, 100.0 if n == "coulomb_friction" else -100.0, fits[n])
-        for n in PARAMETERS if n != name])
-    search = SimpleNamespace(most_steps=1e9, steps=0.0, library=tuple(PARAMETERS),
+        grading.Rival(n, -100.0 if n == first else 100.0, fits[n])
+        for n in parameters if n != name])
+    search = SimpleNamespace(most_steps=1e9, steps=0.0, library=tuple(parameters),
                              begin_work=lambda _: None, settled=lambda _, f: f)
     trial = SimpleNamespace(search=search, witness=None, no_worse=lambda h: h, dropped={})
-    h, _ = grading._standing(trial, ("eddy_current_damping",), fits["eddy_current_damping"],
-                             fits["coulomb_friction"], (), False)
-    assert seen == judged
-    assert h.names == (judged[-1],)
+    second, = parameters.keys() - {first}
+    h, _ = grading._standing(trial, (first,), fits[first], fits[second], (), False)
+    assert h.names == (seen[-1],)
+    return seen
+
+
+UNHEARD = {"coulomb_friction": {"force_share": 0.3, "in_best": False}}
+
+
+@pytest.mark.parametrize(("margin", "heard", "judged"), [
+    (-2.5, {}, ["stribeck_friction", "coulomb_friction"]),
+    (0.0, {}, ["stribeck_friction"]),  # no block tells
+    (-2.5, UNHEARD, ["stribeck_friction", "coulomb_friction", "stribeck_friction"])])
+def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(monkeypatch, margin,
+                                                                        heard, judged):
+    """A Stribeck curve fits a record of dry friction better by its further parameters. Where
+    dry friction falls for another reason, the curve comes back and stays."""
+    parameters = {"coulomb_friction": 3, "stribeck_friction": 5}
+    assert judged_in_turn(monkeypatch, parameters, "stribeck_friction", margin, heard) == judged
+
+
+@pytest.mark.parametrize(("margin", "heard", "judged"), [
+    (2.9, {}, ["eddy_current_damping", "coulomb_friction"]),
+    (3.1, {}, ["eddy_current_damping"]),
+    (2.9, {"eddy_current_damping": {"force_margin": 3.1, "confirmed": True}},
+     ["eddy_current_damping"]),
+    (2.9, {"eddy_current_damping": {"force_margin": 3.1}},
+     ["eddy_current_damping", "coulomb_friction"]),
+    (2.9, UNHEARD, ["eddy_current_damping", "coulomb_friction", "eddy_current_damping"])])
+def test_a_rare_effect_gives_way_to_a_level_one_that_many_machines_have(monkeypatch, margin, heard,
+                                                                        judged):
+    """Also to one with as many parameters; where the force domain has no doubt, it stays."""
+    parameters = {"coulomb_friction": 4, "eddy_current_damping": 4}
+    assert judged_in_turn(monkeypatch, parameters, "eddy_current_damping", margin, heard) == judged
 
 
 @pytest.mark.slow

@@ -204,6 +204,11 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
         part(0.97, at(1.9, larger=True)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
     "explains most, with a rival far behind that the force domain puts before it": (
         part(0.97, at(30.0, ahead=True)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
+    "explains most, with a rarer rival that held-out blocks do not part from it": (
+        part(0.97, at(-2.9, rarer=True)), "named", ("coulomb_friction",), Reason.GRADED),
+    "explains most, with a rarer rival that the force domain puts before it": (
+        part(0.97, at(1.0, rarer=True, ahead=True)), "ambiguous", ("coulomb_friction",),
+        Reason.GRADED),
     "explains most, with a larger rival that makes the same motion": (
         part(0.97, at(0.0, larger=True, repeats=True)), "named", ("coulomb_friction",),
         Reason.GRADED),
