@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -23,3 +23,9 @@ def timed(period: float, **columns: Array) -> Columns:
 
 def matlab(path: Path, name: str) -> NDArray[np.object_] | Array:
     return np.asarray(scipy.io.loadmat(path, squeeze_me=True)[name])
+
+
+def parts_of(columns: Columns, parts: Mapping[str, slice]) -> dict[str, Columns]:
+    """Parts of a run, cut out of all of its columns."""
+    return {part: {name: values[cut] for name, values in columns.items()}
+            for part, cut in parts.items()}

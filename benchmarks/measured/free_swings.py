@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import scipy.io
 
-from benchmarks.measured.columns import Array, Columns, matlab, timed
+from benchmarks.measured.columns import Array, Columns, matlab, parts_of, timed
 
 
 def _cut(time: Array, angle: Array, parts: Mapping[str, slice]) -> dict[str, Columns]:
@@ -128,5 +128,34 @@ def leaf_pendulum(folder: Path) -> dict[str, Columns]:
         "large": slice(245, 4245), "small": slice(4245, 9000)})
 
 
+def coupled_pendulums(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angles of both pendulums (degrees). The second one, about the middle of the
+    run, on even time stamps: those of the logger jitter by up to 8 ms about their mean."""
+    data = np.loadtxt(folder / "3.3.txt", skiprows=2)
+    time = 0.025 * np.arange(int(data[-1, 0] / 0.025)) + 0.025
+    angle = np.radians(np.interp(time, data[:, 0], data[:, 2] - data[:, 2].mean()))
+    return _cut(time - time[0], angle, {"first": slice(0, 1500), "rest": slice(1500, None)})
+
+
+def encoder_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle (rad) from hanging. Every second sample."""
+    parts = {}
+    for number in (31, 33):
+        data = np.loadtxt(folder / f"data{number}.csv", delimiter=",", skiprows=1)[::2]
+        parts[f"run_{number}"] = {"time_s": data[:, 0] - data[0, 0],
+                                  "input_Nm": np.zeros(len(data)), "position_rad": data[:, 1]}
+    return parts
+
+
+def bicycle_wheel(folder: Path) -> dict[str, Columns]:
+    """Columns: time, speed (rad/s) of a rate gyroscope on the wheel."""
+    path = folder / "bicycle-wheel-radial-inertia-rate-gyro-measurement.csv"
+    data = np.loadtxt(path, delimiter=",", skiprows=1)
+    return parts_of({"time_s": data[:, 0], "input_Nm": np.zeros(len(data)),
+                     "velocity_rad_s": data[:, 1]},
+                    {"first": slice(0, 600), "rest": slice(600, None)})
+
+
 FREE_SWINGS = (dry_pendulum, rod_pendulum, stepper_pendulum, hand_pendulum, arm_pendulum,
-               second_pendulum, long_rod, short_rod, sprung_pendulum, freed_cart, leaf_pendulum)
+               second_pendulum, long_rod, short_rod, sprung_pendulum, freed_cart, leaf_pendulum,
+               coupled_pendulums, encoder_pendulum, bicycle_wheel)

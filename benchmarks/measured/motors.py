@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import scipy.io
 
-from benchmarks.measured.columns import Array, Columns, matlab, timed
+from benchmarks.measured.columns import Array, Columns, matlab, parts_of, timed
 
 TACHO_RAD_S = 1000.0 / 3.0 * 2.0 * np.pi / 60.0
 """Speed for one volt of a tachometer that gives 3 V at 1000 turns a minute."""
@@ -135,5 +135,63 @@ def servo_pendulum(folder: Path) -> dict[str, Columns]:
     return parts
 
 
+def torsion_disks(folder: Path) -> dict[str, Columns]:
+    """Reference, input and angle of the third disk, six periods of 1023 samples."""
+    path = folder / "FPdata.mat"
+    reference, drive, angle = (np.asarray(matlab(path, name), float) for name in "ruy")
+    return parts_of(timed(0.04, input_v=drive, position_rad=angle, reference_rad=reference),
+                    {"first": slice(0, 4092), "rest": slice(4092, None)})
+
+
+def screw_actuator(folder: Path) -> dict[str, Columns]:
+    """Columns: time (ms), wanted position, position demand, position (mm), speed, current (mA)."""
+    data = np.loadtxt(folder / "no-pp-sine-sweep-10mm-0.5Hz.txt")
+    return parts_of({"time_s": 1e-3 * data[:, 0], "input_a": 1e-3 * data[:, 5],
+                     "position_m": 1e-3 * data[:, 3], "reference_m": 1e-3 * data[:, 1]},
+                    {"slow": slice(0, 1600), "faster": slice(1600, 2300)})
+
+
+def serial_link(folder: Path) -> dict[str, Columns]:
+    """Time, wanted and measured current of the first motor; time, wanted and measured angle
+    (degrees) of the first joint. Every fourth sample."""
+    parts = {}
+    for part, name in (("partial", "psf"), ("full", "fsf")):
+        current, angle = (np.asarray(matlab(folder / f"data_{name}_{what}.mat", f"data_{what}"),
+                                     float)[::4] for what in ("Im1", "th11"))
+        parts[part] = {"time_s": current[:, 0], "input_a": current[:, 2],
+                       "position_rad": np.radians(angle[:, 2]),
+                       "reference_rad": np.radians(angle[:, 1])}
+    return parts
+
+
+def _robot_runs(path: Path, position: str, column: int,
+                runs: tuple[str, ...]) -> dict[str, Columns]:
+    """Runs of WPILib's SysId: time, voltage (second column), position from where each begins. The
+    sensors report every 20 ms, or the voltage does: every fourth sample of 5 ms."""
+    content = json.loads(path.read_text("utf-8"))
+    parts = {}
+    for run in runs:
+        data: Array = np.asarray(content[run], float)[::4]
+        parts[run.replace("-", "_")] = {"time_s": data[:, 0] - data[0, 0],
+                                        "input_v": data[:, 1],
+                                        position: data[:, column] - data[0, column]}
+    return parts
+
+
+def ramp_motor(folder: Path) -> dict[str, Columns]:
+    """Columns: time, voltage, angle (rad), speed, which the motor controller filters and which is
+    left out. Ramps and steps in both directions."""
+    return _robot_runs(folder / "sysid_data.json", "position_rad", 2,
+                       ("slow-forward", "fast-backward", "slow-backward", "fast-forward"))
+
+
+def robot_drive(folder: Path) -> dict[str, Columns]:
+    """Columns: time, voltages, positions (m) and speeds of the left and of the right side, angle
+    and its speed. The left side; its speed, which the motor controller filters, is left out."""
+    return _robot_runs(folder / "sysid_data.json", "position_m", 3,
+                       ("slow-forward", "fast-backward", "slow-backward", "fast-forward"))
+
+
 MOTORS = (hsm150, servo_motor, geared_motor, disc_motor, course_motor, furuta_base, tacho_motor,
-          geared_arm, servo_drive, servo_pendulum)
+          geared_arm, servo_drive, servo_pendulum, torsion_disks, screw_actuator, serial_link,
+          ramp_motor, robot_drive)
