@@ -1,4 +1,4 @@
-"""The original files of free swings of pendulums and a sprung cart; see `sources`."""
+"""The original files of free swings: pendulums, a sprung cart, a wheel; see `sources`."""
 
 from __future__ import annotations
 
@@ -142,8 +142,7 @@ def encoder_pendulum(folder: Path) -> dict[str, Columns]:
     parts = {}
     for number in (31, 33):
         data = np.loadtxt(folder / f"data{number}.csv", delimiter=",", skiprows=1)[::2]
-        parts[f"run_{number}"] = {"time_s": data[:, 0] - data[0, 0],
-                                  "input_Nm": np.zeros(len(data)), "position_rad": data[:, 1]}
+        parts |= _cut(data[:, 0] - data[0, 0], data[:, 1], {f"run_{number}": slice(None)})
     return parts
 
 

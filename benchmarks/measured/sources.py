@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import scipy.io
 
-from benchmarks.measured.columns import Array, Columns, Reader, matlab, timed
+from benchmarks.measured.columns import Array, Columns, Reader, matlab, parts_of, timed
 from benchmarks.measured.free_swings import FREE_SWINGS
 from benchmarks.measured.motors import MOTORS
 
@@ -65,8 +65,7 @@ def quarter_drone(folder: Path) -> dict[str, Columns]:
         "tempo_ms", "angulo_deg", "u_pct", "referencia"))
     columns = {"time_s": 1e-3 * time, "input_v": drive, "position_rad": np.radians(angle),
                "reference_rad": np.radians(wanted)}
-    return {part: {name: values[cut] for name, values in columns.items()}
-            for part, cut in (("first", slice(0, 6000)), ("second", slice(6000, 12_000)))}
+    return parts_of(columns, {"first": slice(0, 6000), "second": slice(6000, 12_000)})
 
 
 def pendulum(folder: Path) -> dict[str, Columns]:
@@ -343,8 +342,7 @@ def joint_arm(folder: Path) -> dict[str, Columns]:
 def bare_joint(folder: Path) -> dict[str, Columns]:
     """The first 60 % and the rest of one period of 40 s."""
     data = _joint(folder / "Joint_SI_CL_40s_noarm_Data.mat")
-    return {part: {name: values[cut] for name, values in data.items()}
-            for part, cut in (("first", slice(0, 6000)), ("last", slice(6000, None)))}
+    return parts_of(data, {"first": slice(0, 6000), "last": slice(6000, None)})
 
 
 READERS: dict[str, Reader] = {reader.__name__: reader for reader in (

@@ -55,22 +55,22 @@ def clear_force(seen: Witness) -> Heard | None:
                   if added[n] >= PARTIAL_SHARE * predictable and alone[n] > 0.0)
     if not names:
         return None
-    if len(names) < len(best.names):
-        share = added[names[0]] = alone[names[0]]
     level = {n: [m for m, behind in seen.margins[n].items()
                  if m not in names and _level(behind, n, m)] for n in names}
     main = max(names, key=lambda n: added[n])
-    if share < FURTHER_PART * predictable or any(
-            kinds(m for m in each if not _related(m, names)) > most_unrelated(n == main)
-            for n, each in level.items()):
-        return None
     own = _commoner(seen, level)
     told = seen.of(*own.values())
     assert told is not None  # noqa: S101 (it is the best set, one of its members, or as common)
+    if len(names) == 1:
+        added[names[0]] = told.share
+    if told.share < FURTHER_PART * predictable or any(
+            kinds(m for m in each if not _related(m, names)) > most_unrelated(n == main)
+            for n, each in level.items()):
+        return None
     members = {own[n]: (own[n], *(
         m for m in level[n] if m != own[n] and not is_rarer(m, own[n])
         and (shares_class(m, n) or not _related(m, names)))) for n in names}
-    return Heard({own[n]: added[n] for n in names}, min(share, told.share), predictable, members,
+    return Heard({own[n]: added[n] for n in names}, told.share, predictable, members,
                  _sizes(told, seen.blocks), told.parameters,
                  {n: seen.margins[n] for n in names if own[n] == n})
 

@@ -99,10 +99,18 @@ def test_in_the_place_of_a_rare_effect_a_level_one_is_told_that_many_machines_ha
                 coulomb_friction=behind, stribeck_friction=behind + 0.1)
     heard = clear_force(seen)
     assert heard is not None
-    assert heard.members.keys() == heard.added.keys() == {told}
-    assert heard.share == (0.9 if told == "eddy_current_damping" else 0.8)
+    share = 0.9 if told == "eddy_current_damping" else 0.8
+    assert heard.added == {told: share}
+    assert heard.share == share
+    assert heard.members.keys() == {told}
     assert "eddy_current_damping" not in heard.members[told][1:]
     assert {a.partition(".")[0] for a in heard.sizes} == {told}
+
+
+def test_no_effect_is_told_in_the_place_of_a_rare_one_that_explains_too_little():
+    """0.59 of what is predictable."""
+    assert clear_force(said(explained(0.6, "eddy_current_damping"), explained(
+        0.56, "coulomb_friction"), coulomb_friction=0.9)) is None
 
 
 def test_level_rivals_of_one_other_kind_are_told_in_the_class_of_the_main_effect():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,6 +23,7 @@ from dfm_stage.diagnosis.evidence import (
     Noise,
     RivalEvidence,
 )
+from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.witness import Explained
 from dfm_stage.model import EFFECTS, Model, load_model
 from dfm_stage.recording import AxisRecord, Provenance, Record, read_record
@@ -246,6 +248,18 @@ def test_small_sets_come_first_and_one_that_takes_nearly_all_is_the_last(
         "presliding_friction", "eddy_current_damping", "coulomb_friction")]
     names, _ = grading._largest(search, bare, begins, frozenset())
     assert (names, seen) == (("coulomb_friction",), fitted)
+
+
+def test_beside_the_base_as_given_only_hits_near_the_best_are_fitted():
+    fitted = []
+    hits = [replace(Hit.at(name, {}), gain=gain) for name, gain in (
+        ("creep", 100.0), ("cogging", 81.0), ("gravity", 79.0))]
+    failed = SimpleNamespace(ok=False)
+    search = SimpleNamespace(as_given=lambda _: SimpleNamespace(ok=True), step=lambda _: None,
+                             screened=lambda *_: (None, hits),
+                             once_of=lambda hit, *_: fitted.append(hit.name) or failed)
+    assert grading._as_given(search, failed, (), failed) == ((), failed)
+    assert fitted == ["creep", "cogging"]
 
 
 def judged_in_turn(monkeypatch, parameters, first, margin, heard):
