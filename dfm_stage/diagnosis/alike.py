@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import combinations
 
 from dfm_stage.diagnosis.fit import Fit
 from dfm_stage.diagnosis.screen import Hit
@@ -59,14 +60,13 @@ def shares_class(first: str, second: str) -> bool:
 
 
 def kinds(names: Iterable[str]) -> int:
-    """How many kinds of effect are among some: those of one equivalence class are one kind."""
-    found: list[set[str]] = []
-    for name in names:
-        alike = [each for each in found if any(shares_class(name, n) for n in each)]
-        found = [each for each in found if each not in alike] + [{name}.union(*alike)]
-    return len(found)
+    """How many kinds of effect are among some: the most of which no two stand in one equivalence
+    class. One more name never makes fewer kinds."""
+    known = sorted(set(names))
+    return next((n for n in range(len(known), 0, -1) for some in combinations(known, n)
+                 if not any(shares_class(a, b) for a, b in combinations(some, 2))), 0)
 
 
-def is_rarer(one: str, other: str) -> bool:
-    """Whether few machines have the one effect, and many the other."""
-    return EFFECTS[one].rare and not EFFECTS[other].rare
+def gives_way(one: str, other: str) -> bool:
+    """Whether few machines have the one effect, and many the other, which looks like it."""
+    return other in EFFECTS[one].gives_way_to

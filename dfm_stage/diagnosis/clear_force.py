@@ -3,16 +3,16 @@
 A body without a spring, or one in dry friction, is carried away by forces that hardly show in its
 force balance; a fit of its motion then tells effects apart by where it drifts. The force balance
 does not drift. It names effects where these explain most of the force that is predictable on
-held-out blocks, and others in their place explain clearly less. Those of a common class, and one
-in the place of the main effect, may do as well: they are told in its class.
+held-out blocks, and others in their place explain clearly less. Those of a common class, and those
+of one other kind in the place of the main effect, may do as well: they are told in its class.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
-from dfm_stage.diagnosis.alike import is_rarer, kinds, shares_class
+from dfm_stage.diagnosis.alike import gives_way, kinds, shares_class
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
@@ -44,42 +44,45 @@ def clear_force(seen: Witness) -> Heard | None:
     explains something by itself: two that only do so together mend each other's errors. One that
     does not count stays beside the others where these are compared with their rivals.
     """
-    best, share = seen.best, seen.best.share
     predictable = max(seen.predictable_share, LEAST_PREDICTABLE)
-    if seen.cannot_tell or seen.predictable_share < LEAST_HEARD or not best.names:
+    if seen.cannot_tell or seen.predictable_share < LEAST_HEARD or not seen.best.names:
         return None
+    best, in_place_of = _common(seen)
     alone = {n: each.share if (each := seen.of(n)) is not None else 0.0 for n in best.names}
-    added = {n: share - max((alone[m] for m in best.names if m != n), default=0.0)
+    added = {n: best.share - max((alone[m] for m in best.names if m != n), default=0.0)
              for n in best.names}
     names = tuple(n for n in best.names
                   if added[n] >= PARTIAL_SHARE * predictable and alone[n] > 0.0)
-    if not names:
+    told = best if len(names) == len(best.names) else seen.of(*names) if names else None
+    if told is None or told.share < FURTHER_PART * predictable:
         return None
-    level = {n: [m for m, behind in seen.margins[n].items()
-                 if m not in names and _level(behind, n, m)] for n in names}
-    main = max(names, key=lambda n: added[n])
-    own = _commoner(seen, level)
-    told = seen.of(*own.values())
-    assert told is not None  # noqa: S101 (it is the best set, one of its members, or as common)
     if len(names) == 1:
         added[names[0]] = told.share
-    if told.share < FURTHER_PART * predictable or any(
-            kinds(m for m in each if not _related(m, names)) > most_unrelated(n == main)
-            for n, each in level.items()):
+    margins = {n: seen.margins[in_place_of.get(n, n)] for n in names}
+    level = {n: [m for m, behind in each.items() if m not in best.names and _level(behind, n, m)
+                 and not gives_way(m, n)] for n, each in margins.items()}
+    main = max(names, key=lambda n: added[n])
+    if any(kinds(m for m in each if not _related(m, names)) > most_unrelated(n == main)
+           for n, each in level.items()):
         return None
-    members = {own[n]: (own[n], *(
-        m for m in level[n] if m != own[n] and not is_rarer(m, own[n])
-        and (shares_class(m, n) or not _related(m, names)))) for n in names}
-    return Heard({own[n]: added[n] for n in names}, told.share, predictable, members,
-                 _sizes(told, seen.blocks), told.parameters,
-                 {n: seen.margins[n] for n in names if own[n] == n})
+    members = {n: (n, *(m for m in level[n] if shares_class(m, n) or not _related(m, names)))
+               for n in names}
+    return Heard({n: added[n] for n in names}, told.share, predictable, members,
+                 _sizes(told, seen.blocks), told.parameters, {} if in_place_of else margins)
 
 
-def _commoner(seen: Witness, level: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """For each name itself, or in the place of a rare one the nearest of those `level` with it
-    that many machines have."""
-    own = {n: next((m for m in each if is_rarer(n, m)), n) for n, each in level.items()}
-    return own if seen.of(*own.values()) is not None else {n: n for n in level}
+def _common(seen: Witness) -> tuple[Explained, dict[str, str]]:
+    """The best set; with an effect that many machines have in the place of one that gives way to
+    it, by name, where held-out blocks do not part the two, and no other kind explains more."""
+    for name in seen.best.names:
+        rest = [n for n in seen.best.names if n != name]
+        there = {m: each for m in seen.margins[name] if (each := seen.of(m, *rest)) is not None}
+        common = max((m for m in there if gives_way(name, m) and _level(
+            seen.margins[name][m], name, m)), key=lambda m: there[m].share, default=name)
+        if common != name and not any(each.share > there[common].share
+                                      for m, each in there.items() if not shares_class(m, common)):
+            return there[common], {common: name}
+    return seen.best, {}
 
 
 def _sizes(told: Explained, blocks: int) -> dict[str, Quantity]:

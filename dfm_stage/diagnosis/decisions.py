@@ -198,7 +198,8 @@ FAR_BEHIND = decision(
 FURTHER_PART = decision(
     "FURTHER_PART", 0.6, "1", meaning="Share of what is left above the noise that a further "
     "effect must take of held-out power where a remainder stays; the main one, too, unless the "
-    "force domain explains `PARTIAL_SHARE` by it alone, clearly before all others. Of the "
+    "force domain has it in its best set and explains `PARTIAL_SHARE` by it alone, clearly before "
+    "all other kinds. Of the "
     "predictable force, what the force domain must explain to name effects alone, and by common "
     "effects for uncommon ones not to be tried. Of what common effects leave on fitted records, "
     "what a first round of fits among all must take for the uncommon ones to be tried.",

@@ -80,7 +80,7 @@ class RivalEvidence:
     that the library has both in one class, `larger` that it has more parameters, `finished` that
     there was work enough for its fit, `ahead` that the force domain has it in its best set, and
     the effect clearly behind; `repeats` that it makes the same motion with more parameters, and
-    so says no more; `rarer` that few machines have it, and many the effect.
+    so says no more; `rarer` that few machines have it, and many the effect, which looks like it.
     """
 
     name: str

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from dfm_stage.diagnosis.alike import is_rarer, shares_class
+from dfm_stage.diagnosis.alike import gives_way, shares_class
 from dfm_stage.diagnosis.candidates import excluded, shown_by_none
 from dfm_stage.diagnosis.decisions import (
     AS_GIVEN,
@@ -138,7 +138,7 @@ def with_witness(evidence: Evidence, seen: Witness | None) -> Evidence:
     named = {x.name for x in evidence.effects}
     alone = {e.names[0]: e.share for e in seen.singles}
     evidence = with_confirmation(evidence, seen)
-    effects = tuple(_heard(x, seen, alone) for x in evidence.effects)
+    effects = tuple(_heard(x, seen, alone, named) for x in evidence.effects)
     library = tuple(replace(c, share=alone.get(c.name)) for c in evidence.library)
     told = {e.names[0]: e.share for e in seen.singles if e.names[0] in named | {*seen.best.names}}
     return replace(evidence, effects=effects, library=library, witness={
@@ -170,9 +170,11 @@ def with_surface(trial: Trial, model: Model, evidence: Evidence) -> Evidence:
     return replace(evidence, surface=surface, judged=judged, form_hidden=hidden)
 
 
-def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> EffectEvidence:
-    """The effect with what the force domain says of it; there, a lag or delay of the actuator is
-    a nuisance that is fitted away, and what is not proportional to its size is not known."""
+def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float],
+           named: Collection[str]) -> EffectEvidence:
+    """The effect, of those `named`, with what the force domain says of it; there, a lag or delay
+    of the actuator is a nuisance that is fitted away, and what is not proportional to its size is
+    not known."""
     predictable, effect = seen.predictable_share, EFFECTS[x.name]
     if x.name not in alone or effect.late is not None or predictable < LEAST_HEARD \
             or not effect.is_linear({n: q.value for n, q in x.parameters.items()}):
@@ -181,11 +183,11 @@ def _heard(x: EffectEvidence, seen: Witness, alone: Mapping[str, float]) -> Effe
                 and (n == x.name or shares_class(n, x.name))), None)
     margins = seen.nearest if own is None else seen.margins[own]
     lead = min((m for n, m in margins.items() if not shares_class(n, x.name)), default=math.inf)
-    behind = len(seen.best.names) == 1 and margins.get(x.name, 0.0) > BLOCK_MARGIN
+    ahead = {n for n in seen.best.names if seen.margins[n].get(x.name, 0.0) > BLOCK_MARGIN
+             and {*seen.best.names} <= {n, *named}}
     return replace(x, force_share=alone[x.name] / predictable, force_margin=lead,
                    in_best=own is not None,
-                   rivals=tuple(replace(r, ahead=behind and r.name in seen.best.names)
-                                for r in x.rivals))
+                   rivals=tuple(replace(r, ahead=r.name in ahead) for r in x.rivals))
 
 
 def with_joint_fit(trial: Trial, h: Hypothesis, evidence: Evidence) -> Evidence:
@@ -327,7 +329,7 @@ def _rival(trial: Trial, h: Hypothesis, name: str, rival: Rival, own: Prediction
                          shares_class(rival.name, name), larger,
                          rival.name not in trial.search.not_compared,
                          repeats=larger and other_law and _makes_the_same(seen, own, judged),
-                         rarer=is_rarer(rival.name, name))
+                         rarer=gives_way(rival.name, name))
 
 
 def _makes_the_same(one: Prediction, other: Prediction, judged: Judged) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Sequence
 
-from dfm_stage.diagnosis.alike import at_upper_end, is_rarer, shares_class
+from dfm_stage.diagnosis.alike import at_upper_end, gives_way, shares_class
 from dfm_stage.diagnosis.candidates import cycles
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
@@ -38,7 +38,7 @@ from dfm_stage.diagnosis.search_decisions import (
     SHORT_LIST,
     SHORT_LIST_GAIN,
 )
-from dfm_stage.diagnosis.verdict import fallen
+from dfm_stage.diagnosis.verdict import fallen, is_level
 from dfm_stage.diagnosis.verification import weights_like
 from dfm_stage.diagnosis.witness import Witness
 from dfm_stage.model import EFFECTS
@@ -95,11 +95,13 @@ def _standing(trial: Trial, names: Names, found: Fit, bare: Fit, warnings: Seque
               split: bool, among: Callable[[str], Names] | None = None
               ) -> tuple[Hypothesis, Evidence]:
     """What of `names` stands on held-out records and against its rivals, which are `among` those
-    of the search that this allows an effect."""
+    of the search that this allows an effect. A set that stands is not lost to a rival that does
+    not."""
     search, seen = trial.search, trial.witness
     allowed = among or (lambda _: search.library)
     dropped: dict[str, DropReason] = {}
     before: set[frozenset[str]] = set()
+    stood: dict[str, tuple[Hypothesis, Evidence]] = {}
     while True:
         before.add(frozenset(names))
         search.begin_work(max(search.most_steps - search.steps, LEAST_STEPS))
@@ -109,17 +111,22 @@ def _standing(trial: Trial, names: Names, found: Fit, bare: Fit, warnings: Seque
             for n in names}))
         judged = with_witness(gather(trial, h, warnings, split, graded=True), seen)
         weakest = fallen(judged)
-        if weakest is not None:
+        if weakest is None:
+            name, better = next(_simpler_rivals(h, judged, before), ("", None))
+            if better is None:
+                break
+            stood[better.name] = h, judged
+        elif weakest[0] in stood:
+            h, judged = stood[weakest[0]]
+            break
+        else:
             name, reason = weakest
             better = _better_rival(h, judged, name, dropped)
             dropped[name] = reason
-        else:
-            name, better = next(_simpler_rivals(h, judged, before), ("", None))
-            if better is None:
-                trial.dropped.update({n: r for n, r in dropped.items() if n not in names})
-                return h, judged
         names = _with_rival(names, name, better)
         found = search.once(names, found) if better is None else better.fit
+    trial.dropped.update({n: r for n, r in dropped.items() if n not in h.names})
+    return h, judged
 
 
 def _proposed(search: Search,
@@ -208,7 +215,7 @@ def _as_given(search: Search, bare: Fit, names: Names, found: Fit) -> tuple[Name
         return names, found
     search.step("screening beside the model as given")
     _, hits = search.screened(given, ())
-    best = best_of_each(hits)
+    best = [h for h in best_of_each(hits) if h.name not in names]
     for hit in (h for h in best[:SHORT_LIST] if h.gain > SHORT_LIST_GAIN * best[0].gain):
         search.step(f"fitting {hit.name}, begun at the model as given")
         other = search.once_of(hit, bare, given)
@@ -323,12 +330,12 @@ def _simpler_rivals(h: Hypothesis, judged: Evidence,
     """Effects, each with a rival that has fewer parameters and predicts held-out blocks better: an
     effect with more of them bends to what the fitted records alone have. A rare effect, too, with
     one that many machines have, where neither held-out blocks nor the force domain puts that
-    clearly behind. No set that was judged `before` comes back."""
+    clearly behind. The nearest comes first. No set that was judged `before` comes back."""
     for x in judged.effects:
-        margins = {r.name: r.margin for r in x.rivals}
-        for r in h.rivals.get(x.name, ()):
-            simpler = len(r.fit.system.free) < len(h.fit.system.free) and margins[r.name] < 0.0
-            commoner = is_rarer(x.name, r.name) and margins[r.name] < BLOCK_MARGIN \
+        seen = {r.name: r for r in x.rivals}
+        for r in sorted(h.rivals.get(x.name, ()), key=lambda r: seen[r.name].margin):
+            simpler = len(r.fit.system.free) < len(h.fit.system.free) and seen[r.name].margin < 0.0
+            commoner = gives_way(x.name, r.name) and is_level(seen[r.name]) \
                 and not (x.confirmed and x.force_margin > BLOCK_MARGIN)
             if (simpler or commoner) \
                     and frozenset(_with_rival(h.names, x.name, r)) not in before:

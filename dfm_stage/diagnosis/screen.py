@@ -146,11 +146,27 @@ class Screen:
         directions = [effect.directions(p, self.at) for p in points]
         changes = self._changes(model, plain, name, [p for group in directions for p in group])
         found: list[Hit | None] = []
-        for parameters, group in zip(points, directions, strict=True):
-            columns = [next(changes) for _ in group]
-            found.append(self._hit(name, parameters, group, columns) if np.all(
-                np.isfinite(columns)) else None)
+        at_once = max(BATCH // self.residual.size, 1)
+        for first in range(0, len(points), at_once):
+            some = directions[first:first + at_once]
+            rows = [self._by_run(name, [next(changes) for _ in group]) for group in some]
+            found += [self._hit(name, parameters, group, each) for parameters, group, each in zip(
+                points[first:first + at_once], some, self._seen(rows), strict=True)]
         return found
+
+    def _seen(self, groups: Sequence[Array]) -> Iterator[Array]:
+        """For each group of responses (c, N) those that are seen beside the free parameters,
+        projected, as columns; none where one is not finite. All groups at once: the basis is
+        long."""
+        rows = np.concatenate(groups)
+        power = np.einsum("ij,ij->i", rows, rows)
+        known = np.isfinite(power)
+        rows[~known] = 0.0
+        rows -= (rows @ self.basis) @ self.basis.T
+        seen = np.einsum("ij,ij->i", rows, rows) > UNSEEN_PART**2 * np.maximum(power, 1e-300)
+        ends = np.cumsum([len(group) for group in groups])
+        for own in np.split(np.arange(ends[-1]), ends[:-1]):
+            yield rows[own[seen[own]] if np.all(known[own]) else []].T
 
     def _in_free_motion(self, model: Model, name: str, parameters: Parameters) -> Hit | None:
         """The hit of an effect that nothing drives: its states at the beginning of each run, not
@@ -259,15 +275,10 @@ class Screen:
         return [float(p) for p in best if p > max(at.noise, COARSER * known)]
 
     def _hit(self, name: str, parameters: Parameters, directions: Sequence[Parameters],
-             responses: Sequence[Array]) -> Hit | None:
+             projected: Array) -> Hit | None:
         effect = EFFECTS[name]
-        columns = self._by_run(name, responses)
-        projected = self.project(columns)
-        size = np.linalg.norm(projected, axis=0)
-        kept = size > UNSEEN_PART * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        if not np.any(kept):
+        if not projected.size:
             return None
-        projected = projected[:, kept]
         if effect.searched:
             d = projected[:, 0]
             gain = float(2.0 * d @ self.residual - d @ d)
@@ -281,17 +292,15 @@ class Screen:
         return Hit(name, gain, effect.combined(directions, multiples[:len(directions)]), projected,
                    multiples, len(directions) == 1)
 
-    def _by_run(self, name: str, columns: Sequence[Array]) -> Array:
-        """Responses as columns (N, c); one a run of an effect that differs by run."""
+    def _by_run(self, name: str, responses: Sequence[Array]) -> Array:
+        """Responses as rows (c, N); one a run of an effect that differs by run."""
+        together = np.array(responses)
         if not EFFECTS[name].per_run or len(self.runs) == 1:
-            return np.asarray(np.array(columns).T)
-        split = []
-        for a, b in self.edges:
-            for column in columns:
-                own = np.zeros_like(column)
-                own[a:b] = column[a:b]
-                split.append(own)
-        return np.asarray(np.array(split).T)
+            return together
+        split = np.zeros((len(self.edges), *together.shape))
+        for own, (a, b) in zip(split, self.edges, strict=True):
+            own[:, a:b] = together[:, a:b]
+        return split.reshape(-1, together.shape[1])
 
 
 def span(jacobian: Array) -> Array:

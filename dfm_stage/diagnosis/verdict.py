@@ -282,17 +282,23 @@ def _predictable(e: Evidence) -> float:
 
 
 def _graded_class(effect: EffectEvidence) -> tuple[str, ...]:
-    """The effect and the rivals that held-out blocks do not part from it, if no rarer than it, or
-    that the force domain puts before it: two witnesses that disagree. Of its kind, those too whose
-    fit was cut short."""
-    return (effect.name, *(r.name for r in effect.rivals if (_level(r) and not r.rarer)
+    """The effect and the rivals that do as well, or that the force domain puts before it: two
+    witnesses that disagree. Of its kind, those too whose fit was cut short."""
+    return (effect.name, *(r.name for r in effect.rivals if _does_as_well(r)
                            or r.ahead or (r.related and not r.finished)))
 
 
-def _level(rival: RivalEvidence) -> bool:
-    """Whether held-out blocks do not part a rival from an effect that leaves a remainder."""
+def is_level(rival: RivalEvidence) -> bool:
+    """Whether a rival is no worse on held-out blocks than an effect that leaves a remainder, or
+    not clearly so."""
     limit = MARGIN_OVER_LARGER if rival.larger else BLOCK_MARGIN
     return not rival.repeats and rival.margin < limit
+
+
+def _does_as_well(rival: RivalEvidence) -> bool:
+    """Whether a rival is level with an effect; one that few machines have must be clearly better
+    than one that many have."""
+    return is_level(rival) and (not rival.rarer or rival.margin < -BLOCK_MARGIN)
 
 
 def fallen(e: Evidence) -> tuple[str, DropReason] | None:
@@ -314,7 +320,7 @@ def _falls(e: Evidence, x: EffectEvidence) -> DropReason | None:
     further = x is not main_effect(e)
     left = x.without.held_out.power - e.judged.noise_power
     taken = x.without.held_out.power - e.extended.held_out.power
-    unrelated = kinds(r.name for r in x.rivals if _level(r) and not r.related)
+    unrelated = kinds(r.name for r in x.rivals if _does_as_well(r) and not r.related)
     behind = any(r.related and r.margin < -BLOCK_MARGIN for r in x.rivals)
     rules = (
         (x.margin < BLOCK_MARGIN, DropReason.BLOCKS),
@@ -335,9 +341,9 @@ def most_unrelated(is_main: bool) -> int:
 
 def _least_part(x: EffectEvidence, further: bool) -> float:
     """Share of what is left that an effect must take; less of the main one where the force domain
-    finds as much by it alone, and before all others."""
-    heard = x.force_share is not None and x.in_best and x.force_share > PARTIAL_SHARE \
-        and x.force_margin > BLOCK_MARGIN
+    has the effect itself in its best set, finds as much by it alone, and all others behind."""
+    heard = x.force_share is not None and x.confirmed and x.force_share > PARTIAL_SHARE \
+        and BLOCK_MARGIN < x.force_margin < math.inf
     return PARTIAL_SHARE if heard and not further else FURTHER_PART
 
 

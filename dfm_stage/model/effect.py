@@ -232,9 +232,9 @@ class Effect:
     brakes: int | None = None
     """The power of the speed that, times the first parameter, is its force against the motion;
     None where it is no such force."""
-    rare: bool = False
-    """Few machines have it. Where held-out blocks do not part it from an effect that many have,
-    that one is told without it."""
+    gives_way_to: tuple[str, ...] = ()
+    """Effects that many machines have, where few have this one. Where held-out blocks do not part
+    it from one of them, that one is told without it."""
     doubt: Callable[[Mapping[str, float]], str | None] | None = None
     """Why values (SI, of a stage that moves in m) are none that a machine has, in a few words;
     None where they may be."""

@@ -92,6 +92,7 @@ EFFECT = EddyCurrentDamping(
                          "speeds up to critical_velocity, and standstill")),
     force=force,
     twins={"stribeck_friction": _as_friction},
-    rare=True,  # it takes a magnet that moves along a conductor, near the critical speed
+    # it takes a magnet that moves along a conductor, near the critical speed
+    gives_way_to=("coulomb_friction", "presliding_friction"),
     doubt=_doubt,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,8 +32,11 @@ LAGS = ("amplifier_bandwidth", "transport_delay", "sensor_lag")
 @pytest.mark.parametrize(("names", "number"), [
     ((), 0), (LAGS, 1), (("creep", *LAGS, "cubic_stiffness"), 3),
     (("coulomb_friction", "eddy_current_damping"), 2),
-    (("coulomb_friction", "eddy_current_damping", "stribeck_friction"), 1)])  # a class with each
+    (("coulomb_friction", "eddy_current_damping", "stribeck_friction"), 2),  # a class with each
+    (("transport_delay", "second_mode"), 2),
+    (("transport_delay", "second_mode", "sensor_mount"), 2)])
 def test_effects_of_one_class_are_one_kind(names, number):
+    """One more name never makes fewer kinds."""
     assert kinds(names) == kinds(names[::-1]) == number
 
 
@@ -75,14 +79,15 @@ def test_a_further_effect_may_take_nearly_all_of_what_is_left_unheard(taken, fal
     assert found == (("force_offset", DropReason.UNHEARD) if falls else None)
 
 
-@pytest.mark.parametrize(("explained", "heard", "lead", "in_best", "falls"), [
+@pytest.mark.parametrize(("explained", "heard", "lead", "confirmed", "falls"), [
     (0.49, 0.31, 3.1, True, False), (0.49, 0.29, 3.1, True, True), (0.49, 0.31, 2.9, True, True),
-    (0.49, 0.61, 3.1, False, True), (0.29, 0.99, 9.0, True, True)])
+    (0.49, 0.61, 3.1, False, True), (0.29, 0.99, 9.0, True, True),
+    (0.49, 0.31, math.inf, True, True)])  # nothing was compared
 def test_less_is_enough_of_the_main_effect_where_the_force_domain_finds_it(
-        explained, heard, lead, in_best, falls):
+        explained, heard, lead, confirmed, falls):
     e = part(explained)
     e = replace(e, effects=(replace(e.effects[0], force_share=heard, force_margin=lead,
-                                    in_best=in_best),))
+                                    confirmed=confirmed),))
     assert (fallen(e) is not None) is falls
 
 

@@ -113,6 +113,31 @@ def test_no_effect_is_told_in_the_place_of_a_rare_one_that_explains_too_little()
         0.56, "coulomb_friction"), coulomb_friction=0.9)) is None
 
 
+@pytest.mark.parametrize(("other", "share", "told"), [
+    ("cubic_stiffness", 0.69, "coulomb_friction"),
+    ("cubic_stiffness", 0.72, "eddy_current_damping"),
+    ("stribeck_friction", 0.72, "coulomb_friction")])  # of a class with dry friction
+def test_in_the_place_of_a_rare_effect_no_other_kind_may_explain_more(other, share, told):
+    heard = clear_force(said(
+        explained(0.9, "eddy_current_damping"), explained(0.7, "coulomb_friction"),
+        explained(share, other), coulomb_friction=2.9, **{other: 3.1}))
+    assert heard is not None
+    assert heard.members.keys() == {told}
+
+
+@pytest.mark.parametrize(("together", "added"), [
+    (0.8, {"coulomb_friction": 0.4, "force_offset": 0.4}),
+    (0.62, None)])  # friction adds 0.22, and needs 0.285; the offset alone is too little
+def test_what_each_adds_is_that_of_the_set_with_the_common_effect(together, added):
+    seen = said(explained(0.93, "eddy_current_damping", "force_offset"),
+                explained(0.5, "eddy_current_damping"), explained(0.4, "coulomb_friction"),
+                explained(0.4, "force_offset"), coulomb_friction=2.9)
+    heard = clear_force(replace(seen, pairs=(*seen.pairs, explained(
+        together, "coulomb_friction", "force_offset"))))
+    told = None if heard is None else (heard.added, heard.share, heard.margins)
+    assert told == (None if added is None else (pytest.approx(added), together, {}))
+
+
 def test_level_rivals_of_one_other_kind_are_told_in_the_class_of_the_main_effect():
     heard = clear_force(said(FRICTION, creep=1.9, structural_damping=2.9))
     assert heard is not None
@@ -254,6 +279,15 @@ def test_a_rival_that_the_force_domain_prefers_is_marked(seen, ahead):
         "damping": Quantity(5.0, "N s/m", (4.0, 6.0)),
         "critical_velocity": Quantity(0.01, "m/s", (0.005, 0.02))})
     (effect,) = with_witness(made.found(own), seen).effects
+    assert effect.rivals[0].ahead is ahead
+
+
+@pytest.mark.parametrize(("behind", "ahead"), [(3.1, True), (2.9, False)])
+def test_so_is_one_of_a_pair_whose_other_effect_is_found(behind, ahead):
+    own = made.effect("coulomb_friction", made.rival("eddy_current_damping", 1e6))
+    seen = said(explained(0.9, "eddy_current_damping", "force_offset"),
+                explained(0.5, "coulomb_friction"), coulomb_friction=behind)
+    effect = with_witness(made.found(own, made.effect("force_offset")), seen).effects[0]
     assert effect.rivals[0].ahead is ahead
 
 

@@ -253,19 +253,20 @@ def test_small_sets_come_first_and_one_that_takes_nearly_all_is_the_last(
 def test_beside_the_base_as_given_only_hits_near_the_best_are_fitted():
     fitted = []
     hits = [replace(Hit.at(name, {}), gain=gain) for name, gain in (
-        ("creep", 100.0), ("cogging", 81.0), ("gravity", 79.0))]
+        ("backlash", 900.0), ("creep", 100.0), ("cogging", 81.0), ("gravity", 79.0))]
     failed = SimpleNamespace(ok=False)
     search = SimpleNamespace(as_given=lambda _: SimpleNamespace(ok=True), step=lambda _: None,
                              screened=lambda *_: (None, hits),
                              once_of=lambda hit, *_: fitted.append(hit.name) or failed)
-    assert grading._as_given(search, failed, (), failed) == ((), failed)
+    known = ("backlash",)
+    assert grading._as_given(search, failed, known, failed) == (known, failed)
     assert fitted == ["creep", "cogging"]
 
 
 def judged_in_turn(monkeypatch, parameters, first, margin, heard):
-    """The effects judged one after the other, of two with so many free `parameters`, where the
-    second would be `margin` behind in the place of the `first`, and the force domain has `heard`
-    of them."""
+    """How many effects are judged one after the other, and which one is told, of two with so many
+    free `parameters`, where the second would be `margin` behind in the place of the `first`, and
+    the force domain has `heard` of them."""
     def errors(power):
         return Errors(1.0, 1.0, 100, power)
 
@@ -295,38 +296,43 @@ def judged_in_turn(monkeypatch, parameters, first, margin, heard):
     trial = SimpleNamespace(search=search, witness=None, no_worse=lambda h: h, dropped={})
     second, = parameters.keys() - {first}
     h, _ = grading._standing(trial, (first,), fits[first], fits[second], (), False)
-    assert h.names == (seen[-1],)
-    return seen
+    return len(seen), h.names
 
 
 UNHEARD = {"coulomb_friction": {"force_share": 0.3, "in_best": False}}
 
 
-@pytest.mark.parametrize(("margin", "heard", "judged"), [
-    (-2.5, {}, ["stribeck_friction", "coulomb_friction"]),
-    (0.0, {}, ["stribeck_friction"]),  # no block tells
-    (-2.5, UNHEARD, ["stribeck_friction", "coulomb_friction", "stribeck_friction"])])
-def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(monkeypatch, margin,
-                                                                        heard, judged):
+@pytest.mark.parametrize(("margin", "heard", "judged", "told"), [
+    (-2.5, {}, 2, "coulomb_friction"),
+    (0.0, {}, 1, "stribeck_friction"),  # no block tells
+    (-2.5, UNHEARD, 2, "stribeck_friction")])
+def test_of_two_that_held_out_blocks_do_not_part_the_simpler_one_is_told(
+        monkeypatch, margin, heard, judged, told):
     """A Stribeck curve fits a record of dry friction better by its further parameters. Where
-    dry friction falls for another reason, the curve comes back and stays."""
+    dry friction falls for another reason, the curve stays, as it stood."""
     parameters = {"coulomb_friction": 3, "stribeck_friction": 5}
-    assert judged_in_turn(monkeypatch, parameters, "stribeck_friction", margin, heard) == judged
+    assert judged_in_turn(monkeypatch, parameters, "stribeck_friction", margin, heard) == (
+        judged, (told,))
 
 
-@pytest.mark.parametrize(("margin", "heard", "judged"), [
-    (2.9, {}, ["eddy_current_damping", "coulomb_friction"]),
-    (3.1, {}, ["eddy_current_damping"]),
-    (2.9, {"eddy_current_damping": {"force_margin": 3.1, "confirmed": True}},
-     ["eddy_current_damping"]),
-    (2.9, {"eddy_current_damping": {"force_margin": 3.1}},
-     ["eddy_current_damping", "coulomb_friction"]),
-    (2.9, UNHEARD, ["eddy_current_damping", "coulomb_friction", "eddy_current_damping"])])
-def test_a_rare_effect_gives_way_to_a_level_one_that_many_machines_have(monkeypatch, margin, heard,
-                                                                        judged):
+CONFIRMED = {"eddy_current_damping": {"force_margin": 3.1, "confirmed": True}}
+
+
+@pytest.mark.parametrize(("other", "margin", "heard", "judged", "told"), [
+    ("coulomb_friction", 2.9, {}, 2, "coulomb_friction"),
+    ("coulomb_friction", 3.1, {}, 1, "eddy_current_damping"),
+    ("coulomb_friction", 2.9, CONFIRMED, 1, "eddy_current_damping"),
+    ("coulomb_friction", 2.9, {"eddy_current_damping": {"force_margin": 3.1}}, 2,
+     "coulomb_friction"),
+    ("coulomb_friction", 2.9, UNHEARD, 2, "eddy_current_damping"),
+    ("cubic_stiffness", 2.9, {}, 1, "eddy_current_damping"),
+    ("stribeck_friction", 2.9, {}, 1, "eddy_current_damping")])
+def test_a_rare_effect_gives_way_to_a_level_one_that_looks_like_it(monkeypatch, other, margin,
+                                                                   heard, judged, told):
     """Also to one with as many parameters; where the force domain has no doubt, it stays."""
-    parameters = {"coulomb_friction": 4, "eddy_current_damping": 4}
-    assert judged_in_turn(monkeypatch, parameters, "eddy_current_damping", margin, heard) == judged
+    parameters = {other: 4, "eddy_current_damping": 4}
+    assert judged_in_turn(monkeypatch, parameters, "eddy_current_damping", margin, heard) == (
+        judged, (told,))
 
 
 @pytest.mark.slow
