@@ -11,6 +11,7 @@ from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search_decisions import AT_END, DRY
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.description import EffectUse
+from dfm_stage.model.effect import reads
 
 
 def at_upper_end(found: Fit, names: Sequence[str]) -> bool:
@@ -70,3 +71,10 @@ def kinds(names: Iterable[str]) -> int:
 def gives_way(one: str, other: str) -> bool:
     """Whether few machines have the one effect, and many the other, which looks like it."""
     return other in EFFECTS[one].gives_way_to
+
+
+def laws_of_speed(names: Iterable[str]) -> tuple[str, ...]:
+    """Those of some effects that are a force against the motion that depends on speed alone."""
+    return tuple(n for n in names if (e := EFFECTS[n]).parity == "odd" and (
+        e.brakes is not None or any(hook is not None and not reads(hook, 0) and not reads(hook, 2)
+                                    for hook in (e.force, e.friction))))

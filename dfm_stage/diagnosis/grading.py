@@ -215,7 +215,7 @@ def _as_given(search: Search, bare: Fit, names: Names, found: Fit) -> tuple[Name
         return names, found
     search.step("screening beside the model as given")
     _, hits = search.screened(given, ())
-    best = [h for h in best_of_each(hits) if h.name not in names]
+    best = best_of_each(hits)
     for hit in (h for h in best[:SHORT_LIST] if h.gain > SHORT_LIST_GAIN * best[0].gain):
         search.step(f"fitting {hit.name}, begun at the model as given")
         other = search.once_of(hit, bare, given)

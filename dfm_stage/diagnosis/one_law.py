@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from dfm_stage.diagnosis.alike import laws_of_speed
 from dfm_stage.diagnosis.decisions import BLOCK_MARGIN, MARGIN, OTHER_FORM
 from dfm_stage.diagnosis.evidence import Judged
 from dfm_stage.diagnosis.explaining import Judgement
@@ -16,7 +17,6 @@ from dfm_stage.diagnosis.hypothesis import Trial
 from dfm_stage.diagnosis.margins import margin_between, power
 from dfm_stage.diagnosis.search_decisions import LEAST_STEPS
 from dfm_stage.model import EFFECTS
-from dfm_stage.model.effect import Effect, reads
 from dfm_stage.model.formula import formula_of
 
 LAW = formula_of({
@@ -34,7 +34,7 @@ def with_one_law(found: Judgement) -> Judgement:
     """What was found, with the note that its laws of speed stand in for one: where there are
     several, and one law by itself does better on fitted and on held-out records."""
     trial, h, evidence = found
-    laws = tuple(n for n in h.names if _is_law_of_speed(EFFECTS[n]))
+    laws = laws_of_speed(h.names)
     if len(laws) < 2 or evidence.heard is not None or evidence.braking is not None:
         return found   # sizes from a balance of force or energy are held in the fit
     search = trial.search
@@ -68,10 +68,3 @@ def _takes_the_rest(trial: Trial, judged: Judged, other: Fit, own: Fit) -> bool:
     rest, whole = (power(each, judged.lag) - judged.noise_power for each in (left, before))
     return other.chi2 < own.chi2 and rest < (1.0 - OTHER_FORM) * whole and margin_between(
         before, left, judged.lag) > BLOCK_MARGIN
-
-
-def _is_law_of_speed(effect: Effect) -> bool:
-    """Whether an effect is a force against the motion that depends on speed alone."""
-    return effect.parity == "odd" and (effect.brakes is not None or any(
-        hook is not None and not reads(hook, 0) and not reads(hook, 2)
-        for hook in (effect.force, effect.friction)))

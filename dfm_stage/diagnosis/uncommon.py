@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dfm_stage.diagnosis.alike import at_upper_end, shares_class
+from dfm_stage.diagnosis.alike import at_upper_end, laws_of_speed, shares_class
 from dfm_stage.diagnosis.candidates import excluded
 from dfm_stage.diagnosis.decisions import (
     BLOCK_MARGIN,
@@ -185,15 +185,22 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
                  warnings: Sequence[str], split: bool) -> Judgement:
     """What was found to leave only noise, or what explains as much with fewer parameters, or
     clearly more: one of its `relatives` in the place of all, or one of its class in the place of
-    one or of several. An effect that is spared may cost what a further one must bring."""
+    one, of several, or of all laws of speed. An effect that is spared may cost what a further one
+    must bring."""
     own, h, _ = found
     search = wide.search
     search.begin_work(FIRST_SHARE * MOST_STEPS)
     begun = _begun_alone(search, first, h, relatives)
-    kin, at = _kin(own, h) if len(h.names) > 1 else [], search.conditions(search.model)
+    at, laws = search.conditions(search.model), laws_of_speed(h.names)
+    kin = [n for n in (_kin(own, h) if len(h.names) > 1 else [])
+           if not excluded(n, search.model, at, search.again)]
+    for kindred in laws_of_speed(kin) if len(laws) > 1 else ():
+        names = (*(n for n in h.names if n not in laws), kindred)
+        begun[names] = search.in_place_of(laws[0], kindred, names, h.fit)
     for name in h.names:
-        alike = {n for n in kin if shares_class(n, name)} | relatives & EFFECTS[name].twins.keys()
-        for kindred in sorted(n for n in alike if not excluded(n, search.model, at, search.again)):
+        twins = {n for n in relatives & EFFECTS[name].twins.keys()
+                 if not excluded(n, search.model, at, search.again)}
+        for kindred in sorted(twins.union(n for n in kin if shares_class(n, name))):
             names = tuple(kindred if n == name else n for n in h.names)
             begun[names] = search.in_place_of(name, kindred, names, h.fit)
     search.reweigh(own.search.weights, own.search.noise)

@@ -253,13 +253,12 @@ def test_small_sets_come_first_and_one_that_takes_nearly_all_is_the_last(
 def test_beside_the_base_as_given_only_hits_near_the_best_are_fitted():
     fitted = []
     hits = [replace(Hit.at(name, {}), gain=gain) for name, gain in (
-        ("backlash", 900.0), ("creep", 100.0), ("cogging", 81.0), ("gravity", 79.0))]
+        ("creep", 100.0), ("cogging", 81.0), ("gravity", 79.0))]
     failed = SimpleNamespace(ok=False)
     search = SimpleNamespace(as_given=lambda _: SimpleNamespace(ok=True), step=lambda _: None,
                              screened=lambda *_: (None, hits),
                              once_of=lambda hit, *_: fitted.append(hit.name) or failed)
-    known = ("backlash",)
-    assert grading._as_given(search, failed, known, failed) == (known, failed)
+    assert grading._as_given(search, failed, (), failed) == ((), failed)
     assert fitted == ["creep", "cogging"]
 
 
