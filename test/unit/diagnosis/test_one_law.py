@@ -9,9 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dfm_stage.diagnosis import diagnose, one_law
+from dfm_stage.diagnosis.alike import laws_of_speed
 from dfm_stage.diagnosis.decisions import MARGIN
 from dfm_stage.diagnosis.evidence import Errors, Evidence, Judged, ModelEvidence, Motion, Noise
-from dfm_stage.model import EFFECTS, Model
+from dfm_stage.model import Model
 from dfm_stage.model.registry import ALL, library_of
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
@@ -109,5 +110,5 @@ def test_where_a_remainder_stays_held_out_blocks_decide(chi2, left, laws) -> Non
 
 
 def test_laws_of_speed_are_known_by_what_they_read() -> None:
-    assert {n for n in library_of([ALL]) if one_law._is_law_of_speed(EFFECTS[n])} == {
+    assert set(laws_of_speed(library_of([ALL]))) == {
         "coulomb_friction", "eddy_current_damping", "quadratic_damping", "stribeck_friction"}

@@ -336,6 +336,28 @@ def test_one_in_the_place_of_two_may_cost_what_a_further_effect_must_bring(
     assert sorted(other[1].names) == sorted(taken)
 
 
+@pytest.mark.parametrize(("rms", "taken"), [
+    (1.0, ("saturation", "stribeck_friction")),
+    (1.0065, ("saturation", "coulomb_friction", "quadratic_damping"))])
+def test_one_law_of_speed_of_its_class_is_tried_in_the_place_of_all(rms, taken,
+                                                                    monkeypatch) -> None:
+    """Also where it does not do without the others once it stands beside them."""
+    def fitted(_, names: Names, *__: object) -> SimpleNamespace:
+        return fit_of(rms if set(names) == {"saturation", "stribeck_friction"} else 1.0, 9)
+
+    monkeypatch.setattr(uncommon, "to_noise",
+                        lambda _, names, *__: (SimpleNamespace(names=names), None))
+    monkeypatch.setattr(uncommon, "verdict", lambda _: SimpleNamespace(complete=True))
+    monkeypatch.setattr(Twins, "fitted", fitted)
+    own = SimpleNamespace(search=SimpleNamespace(weights="tight", noise=0.1),
+                          uncommon=("stribeck_friction",))
+    found = own, SimpleNamespace(names=("saturation", "coulomb_friction", "quadratic_damping"),
+                                 fit=fit_of(1.0, 7)), None
+    wide = SimpleNamespace(search=Twins())
+    other = uncommon._one_for_all(wide, None, found, set(), (), split=False)
+    assert sorted(other[1].names) == sorted(taken)
+
+
 def test_an_effect_that_cannot_be_a_candidate_takes_no_place(monkeypatch) -> None:
     """One that the model has would lose the values given for it, and be named as missing."""
     monkeypatch.setattr(uncommon, "to_noise",
