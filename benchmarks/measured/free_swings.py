@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import struct
 from collections.abc import Mapping
 from pathlib import Path
@@ -155,6 +156,21 @@ def bicycle_wheel(folder: Path) -> dict[str, Columns]:
                     {"first": slice(0, 600), "rest": slice(600, None)})
 
 
+def gimbal_pendulum(folder: Path) -> dict[str, Columns]:
+    """Stamp of the message (s) and angle (rad) from hanging. Every fourth sample from the first
+    turning point on, up to where 20 samples are missing; and from 0.4 s after that, when the
+    logger has caught up, until it nearly stands."""
+    path = folder / "hardware_pure_joint1_oscillations.csv"
+    with path.open(encoding="utf-8") as lines:
+        rows = [(float(row["/joint_states/header/stamp"]),
+                 float(row["/joint_states/joint1/position"])) for row in csv.DictReader(lines)]
+    time, angle = np.array(rows).T
+    gap = int(np.argmax(np.diff(time))) + 1
+    start = int(np.argmin(angle))
+    return _cut(time, angle, {"large": slice(start, gap, 4),
+                              "small": slice(gap + 200, gap + 5400, 4)})
+
+
 FREE_SWINGS = (dry_pendulum, rod_pendulum, stepper_pendulum, hand_pendulum, arm_pendulum,
                second_pendulum, long_rod, short_rod, sprung_pendulum, freed_cart, leaf_pendulum,
-               coupled_pendulums, encoder_pendulum, bicycle_wheel)
+               coupled_pendulums, encoder_pendulum, bicycle_wheel, gimbal_pendulum)

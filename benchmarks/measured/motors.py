@@ -1,7 +1,8 @@
-"""The original files of motors and servos, alone or with what they turn; see `sources`."""
+"""The original files of motors, servos and disks, alone or with what they turn; see `sources`."""
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections.abc import Mapping
@@ -192,6 +193,48 @@ def robot_drive(folder: Path) -> dict[str, Columns]:
                        ("slow-forward", "fast-backward", "slow-backward", "fast-forward"))
 
 
+def unbalanced_disk(folder: Path) -> dict[str, Columns]:
+    """Voltage and angle (rad) from hanging: three stretches of a run of 35 000 samples."""
+    data = np.load(folder / "training-val-test-data.npz")
+    return parts_of(timed(0.025, input_v=data["u"], position_rad=data["th"]),
+                    {"first": slice(0, 4000), "middle": slice(16_000, 20_000),
+                     "large": slice(28_000, 32_000)})
+
+
+def horizontal_arm(folder: Path) -> dict[str, Columns]:
+    """Time, voltage and angle (rad) of steps to 0.4 rad. Every second sample."""
+    parts = {}
+    for part, gain in (("proportional", "00"), ("integral_12", "12"), ("integral_6", "06")):
+        path = folder / f"picont_kP04_kI{gain}_data.mat"
+        volts, angle = (np.asarray(matlab(path, name), float)[::2] for name in "uy")
+        parts[part] = timed(2e-3, input_v=volts, position_rad=angle,
+                            reference_rad=np.full(angle.size, 0.4))
+    return parts
+
+
+def driven_disk(folder: Path) -> dict[str, Columns]:
+    """A table with decimal commas: time, angle of the disk, angle of the driver (rad), voltage and
+    current of its motor, for each of 30 runs. Each run counts both angles from where it begins:
+    their means are taken away. The driver's angle stands as torque, for each interval the mean of
+    both ends, as it moves on between the samples."""
+    with (folder / "set_3_ddo(1).csv").open(encoding="utf-8-sig") as lines:
+        head, *rows = csv.reader(lines, delimiter=";")
+    place = {name: index for index, name in enumerate(head)}
+
+    def column(name: str) -> Array:
+        return np.array([float(row[place[name]].replace(",", ".")) for row in rows
+                         if row[place[name]].strip()])
+
+    parts = {}
+    for part, run in (("three_volts", 5), ("four_volts", 9), ("two_volts", 3), ("six_volts", 13)):
+        disk = column(f"Angle, Ch 1+2 (rad) Run #{run}")
+        driver = column(f"Angle, Ch 3+4 (rad) Run #{run}")
+        driver -= driver.mean()
+        parts[part] = timed(0.05, input_Nm=(driver[:-1] + driver[1:]) / 2.0,
+                            position_rad=(disk - disk.mean())[:-1])
+    return parts
+
+
 MOTORS = (hsm150, servo_motor, geared_motor, disc_motor, course_motor, furuta_base, tacho_motor,
           geared_arm, servo_drive, servo_pendulum, torsion_disks, screw_actuator, serial_link,
-          ramp_motor, robot_drive)
+          ramp_motor, robot_drive, unbalanced_disk, horizontal_arm, driven_disk)
