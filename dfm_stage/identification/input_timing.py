@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -126,15 +126,15 @@ def _finer() -> Array:
 def _delayed(u: Waves, width: float, sincs: int) -> Array:
     """The filtered input at every lag, (L, N)."""
     spectrum = u.spectrum * np.exp(-0.5 * (u.omega * width) ** 2)
-    spectrum *= np.sinc(u.omega / (2.0 * np.pi)) ** sincs
+    if sincs:
+        spectrum *= np.sinc(u.omega / (2.0 * np.pi)) ** sincs
     whole = np.floor(LAGS)
     most = int(np.abs(whole).max())
-    moved = {part: _periodic(u.signal_of(spectrum * np.exp(-1j * u.omega * part)), most, u.size)
-             for part in set((LAGS - whole).tolist())}
-    time = np.arange(u.size)
+    moved = {part: _periodic(u.signal_of(spectrum * turns), most, u.size)
+             for part, turns in u.parts_late.items()}
+    line = u.line[0] + u.line[1] * np.arange(u.size)
     return np.array([moved[lag - samples][most - int(samples):][:u.size]
-                     + u.line[0] + u.line[1] * (time - lag)
-                     for lag, samples in zip(LAGS, whole, strict=True)])
+                     + (line - u.line[1] * lag) for lag, samples in zip(LAGS, whole, strict=True)])
 
 
 def _periodic(wave: Array, margin: int, size: int) -> Array:
@@ -157,6 +157,12 @@ class Waves:
         line, wave = reflected(values)
         omega: Array = 2.0 * np.pi * np.fft.rfftfreq(wave.size).astype(np.float64)
         return cls(values.size, line, omega, np.fft.rfft(wave))
+
+    @cached_property
+    def parts_late(self) -> dict[float, Complex]:
+        """What delays a spectrum by each part of a sample that LAGS have."""
+        return {part: np.exp(-1j * self.omega * part) for part in set(
+            (LAGS - np.floor(LAGS)).tolist())}
 
     def signal_of(self, spectrum: Complex) -> Array:
         """The periodic signal (2 N - 2,) of a spectrum."""
@@ -181,15 +187,24 @@ class Motion:
 
     def moved(self, order: int, weights: Array | float) -> Array:
         """The position's derivative of some order, integrals up to their initial values."""
-        waves, derivative = self.waves, self.derivative
-        turns = np.where(waves.omega > 0.0, 1j * waves.omega, 1.0) ** (order - derivative)
-        turns[0] = float(order == derivative)
-        power, time = derivative - order, np.arange(waves.size)
-        straight = np.zeros(waves.size) if power < 0 else \
-            waves.line[0] * time**power / math.gamma(power + 1)
-        if power >= -1:
-            straight = straight + waves.line[1] * time**(power + 1) / math.gamma(power + 2)
-        return waves.signal_of(waves.spectrum * turns * weights)[:waves.size] + straight
+        spectrum, straight = self._derived[order]
+        return self.waves.signal_of(spectrum * weights)[:self.waves.size] + straight
+
+    @cached_property
+    def _derived(self) -> list[tuple[Complex, Array]]:
+        """The spectrum of the position and of its derivatives up to the second, and what straight
+        lines (N,) of the output are of them."""
+        waves, found = self.waves, list[tuple[Complex, Array]]()
+        for order in range(3):
+            power, time = self.derivative - order, np.arange(waves.size)
+            turns = np.where(waves.omega > 0.0, 1j * waves.omega, 1.0) ** -power
+            turns[0] = float(power == 0)
+            straight = np.zeros(waves.size) if power < 0 else \
+                waves.line[0] * time**power / math.gamma(power + 1)
+            if power >= -1:
+                straight = straight + waves.line[1] * time**(power + 1) / math.gamma(power + 2)
+            found.append((waves.spectrum * turns, straight))
+        return found
 
     def features(self, width: float) -> Array:
         """Filtered motion and usual nonlinear functions of it, (F, N)."""
