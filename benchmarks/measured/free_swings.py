@@ -167,7 +167,7 @@ def gimbal_pendulum(folder: Path) -> dict[str, Columns]:
     time, angle = np.array(rows).T
     gap = int(np.argmax(np.diff(time))) + 1
     start = int(np.argmin(angle))
-    return _cut(time, angle, {"large": slice(start, gap, 4),
+    return _cut(time - time[start], angle, {"large": slice(start, gap, 4),
                               "small": slice(gap + 200, gap + 5400, 4)})
 
 
