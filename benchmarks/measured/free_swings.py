@@ -168,7 +168,7 @@ def gimbal_pendulum(folder: Path) -> dict[str, Columns]:
     gap = int(np.argmax(np.diff(time))) + 1
     start = int(np.argmin(angle))
     return _cut(time - time[start], angle, {"large": slice(start, gap, 4),
-                              "small": slice(gap + 200, gap + 5400, 4)})
+                                            "small": slice(gap + 200, gap + 5400, 4)})
 
 
 FREE_SWINGS = (dry_pendulum, rod_pendulum, stepper_pendulum, hand_pendulum, arm_pendulum,

@@ -215,8 +215,8 @@ def horizontal_arm(folder: Path) -> dict[str, Columns]:
 def driven_disk(folder: Path) -> dict[str, Columns]:
     """A table with decimal commas: time, angle of the disk, angle of the driver (rad), voltage and
     current of its motor, for each of 30 runs. Each run counts both angles from where it begins:
-    their means are taken away. The driver's angle stands as torque, for each interval the mean of
-    both ends, as it moves on between the samples."""
+    their means are taken away. The driver's angle stands as voltage, for each interval the mean
+    of both ends, as it moves on between the samples."""
     with (folder / "set_3_ddo(1).csv").open(encoding="utf-8-sig") as lines:
         head, *rows = csv.reader(lines, delimiter=";")
     place = {name: index for index, name in enumerate(head)}
@@ -230,7 +230,7 @@ def driven_disk(folder: Path) -> dict[str, Columns]:
         disk = column(f"Angle, Ch 1+2 (rad) Run #{run}")
         driver = column(f"Angle, Ch 3+4 (rad) Run #{run}")
         driver -= driver.mean()
-        parts[part] = timed(0.05, input_Nm=(driver[:-1] + driver[1:]) / 2.0,
+        parts[part] = timed(0.05, input_v=(driver[:-1] + driver[1:]) / 2.0,
                             position_rad=(disk - disk.mean())[:-1])
     return parts
 
