@@ -18,8 +18,9 @@ from dfm_stage.model import EFFECTS, Model
 
 def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     """What was found to leave a remainder of free swings, with what brakes them by their energy.
-    Sizes are as there, and as the force domain has them; all else is fitted to the motion. As
-    found where nothing new brakes, or held-out blocks are not clearly predicted better."""
+    Sizes are as there, and as the force domain has them; all else is fitted to the motion, from
+    the damping on that they leave. As found where nothing new brakes, or held-out blocks are not
+    clearly predicted better."""
     trial, h, before = found
     said, search = verdict(before), trial.search
     runs, held = ([replace(run, window=0) for run in each] for each in (search.runs, trial.held))
@@ -31,6 +32,8 @@ def braked(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
     if told is None or any(_may_brake_for(n, h.fit.model) for n in told.sizes):
         return found
     model = h.fit.model
+    if "damping" in search.free:
+        model = model.with_parameters({"damping": model.parameter("damping").inside(told.damping)})
     for name, size in told.sizes.items():
         model = model.with_effect(name, {**EFFECTS[name].defaults, _size(name): size.value})
     known = {x.name: x.parameters for x in before.effects if before.heard is not None}

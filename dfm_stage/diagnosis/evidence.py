@@ -268,15 +268,17 @@ class Offer:
 
 @dataclass(frozen=True)
 class Braking:
-    """What brakes free swings beside viscous damping: the size of each effect with its interval
-    over blocks of swings, SI, and by how many block standard errors held-out swings are worse
-    without it. `missed` is the part (RMS) of the braking force that viscous damping alone misses
-    in held-out swings, `left` the one that is missed with all of them."""
+    """What brakes free swings beside viscous damping, which is `damping` (N s/m): the size of each
+    effect with its interval over blocks of swings, SI, and by how many block standard errors
+    held-out swings are worse without it. `missed` is the part (RMS) of the braking force that
+    viscous damping alone misses in held-out swings, `left` the one that is missed with all of
+    them."""
 
     sizes: Mapping[str, Quantity]
     missed: float
     left: float
     margins: Mapping[str, float]
+    damping: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,8 @@ def _judged(blocks: Blocks, brakes: Sequence[str], others: Sequence[int]) -> Bra
     worse = any(margin(blocks.fit([1, k], 0).errors, found.errors) < 0.0 for k in others)
     if not names or worse or missed < BRAKES_MISSED or left > SMALL_PART_MISSED * missed:
         return None
-    return Braking(_sizes(names, found, int(blocks.fitted.sum())), missed, left, margins)
+    return Braking(_sizes(names, found, int(blocks.fitted.sum())), missed, left, margins,
+                   float(found.coefficients[0]))
 
 
 def swings(run: Observation, model: Model, laws: Sequence[Law]) -> Swings:
