@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dfm_stage.diagnosis import diagnose
+from dfm_stage.diagnosis import braked, diagnose
+from dfm_stage.diagnosis.evidence import Braking
 from dfm_stage.diagnosis.free_swing import braking, swings
 from dfm_stage.diagnosis.observation import Observation
+from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.registry import library_of
 from dfm_stage.recording import AxisRecord, Provenance, Record
@@ -55,6 +58,28 @@ def test_what_brakes_is_told_from_swing_to_swing(brakes, names):
     for name, size in told.sizes.items() if told else ():
         true = brakes["dry" if name == "coulomb_friction" else "square"]
         assert size.value == pytest.approx(true, rel=0.1)
+    if told:
+        assert told.damping == pytest.approx(brakes.get("viscous", 0.0), abs=0.01)
+
+
+def test_the_fit_beside_the_brakes_begins_at_the_damping_they_leave(monkeypatch):
+    """The one that was found before stood for all of them."""
+    begun = []
+    told = Braking({"coulomb_friction": Quantity(0.2, "N")}, 0.3, 0.1, {}, damping=0.004)
+    monkeypatch.setattr(braked, "braking", lambda *_: told)
+    monkeypatch.setattr(braked, "verdict", lambda _: SimpleNamespace(effects=(1,), remainder=1))
+    monkeypatch.setattr(braked, "fit", lambda model, *_, **__: begun.append(model)
+                        or SimpleNamespace(ok=False))
+    search = SimpleNamespace(runs=[swing(1, seconds=2.0)], free=("damping",), library=LIBRARY,
+                             step=lambda _: None, weights=(), noise=0.0,
+                             parameters=lambda _: ["damping"])
+    found = (SimpleNamespace(search=search, held=[]),
+             SimpleNamespace(fit=SimpleNamespace(model=softening(), locals={})),
+             SimpleNamespace(effects=(), heard=None))
+    assert braked.braked(found, (), split=False) is found
+    (model,) = begun
+    assert model.base["damping"] == 0.004
+    assert model.effect("coulomb_friction").parameters == {"force": 0.2}
 
 
 def test_a_spring_that_is_wrong_by_some_percent_hides_no_friction():
