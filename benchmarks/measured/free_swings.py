@@ -140,7 +140,7 @@ def coupled_pendulums(folder: Path) -> dict[str, Columns]:
 
 def encoder_pendulum(folder: Path) -> dict[str, Columns]:
     """Columns: time, angle (rad) from hanging. Every second sample."""
-    parts = {}
+    parts: dict[str, Columns] = {}
     for number in (31, 33):
         data = np.loadtxt(folder / f"data{number}.csv", delimiter=",", skiprows=1)[::2]
         parts |= _cut(data[:, 0] - data[0, 0], data[:, 1], {f"run_{number}": slice(None)})
