@@ -278,7 +278,7 @@ class Braking:
     missed: float
     left: float
     margins: Mapping[str, float]
-    damping: float = 0.0
+    damping: float
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,8 @@ def test_effects_of_one_class_are_one_kind(names, number):
     (part(0.49), DropReason.SMALL_PART),
     (part(0.9, at(2.9)), None),
     (part(0.9, at(2.9), replace(at(2.9), name="creep")), DropReason.RIVALS),
+    (part(0.9, at(-2.9, rarer=True), replace(at(2.9), name="creep")), None),
+    (part(0.9, at(-3.1, rarer=True), replace(at(2.9), name="creep")), DropReason.RIVALS),
     (part(0.9, *(replace(at(2.9), name=n) for n in LAGS)), None),  # they are one kind
     (part(0.9, replace(at(-2.9), related=True)), None),
     (part(0.9, replace(at(-3.1), related=True)), DropReason.RIVALS)])

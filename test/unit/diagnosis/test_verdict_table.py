@@ -208,9 +208,6 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
         part(0.97, at(-2.9, rarer=True)), "named", ("coulomb_friction",), Reason.GRADED),
     "explains most, with a rarer rival that held-out blocks clearly prefer": (
         part(0.97, at(-3.1, rarer=True)), "ambiguous", ("coulomb_friction",), Reason.GRADED),
-    "explains most, with two level rivals of other kinds, one of them rarer": (
-        part(0.97, at(2.9, rarer=True), replace(at(2.9), name="cubic_stiffness")), "ambiguous",
-        ("coulomb_friction",), Reason.GRADED),
     "explains most, with a rarer rival that the force domain puts before it": (
         part(0.97, at(1.0, rarer=True, ahead=True)), "ambiguous", ("coulomb_friction",),
         Reason.GRADED),
