@@ -292,6 +292,17 @@ class Accepted:
 
 
 @dataclass(frozen=True)
+class OtherLaw:
+    """A law, in words, that no effect of the library has and that explains clearly more of the
+    missing force than the effects found: shares of its power on held-out blocks, of the law and of
+    all effects together."""
+
+    words: str
+    share: float
+    share_of_effects: float
+
+
+@dataclass(frozen=True)
 class Evidence:
     """The evidence of one diagnosis.
 
@@ -310,7 +321,8 @@ class Evidence:
     how much of the gap they explain, because no set of them reaches the noise; `judged` is in what
     held-out powers are compared. `heard` says that the force domain alone bears the effects out,
     `braking` which of them the energy of free swings bears out.
-    `one_law` are laws of speed in whose place one that has no name does better.
+    `one_law` are laws of speed in whose place one that has no name does better, `other_law` is one
+    that does so in the place of all effects.
     `formulas` are offered for what no effect explains. `form_hidden` are forces among the
     effects of which the records do not show whether they stand in for another form.
     """
@@ -342,6 +354,7 @@ class Evidence:
     surface: Surface | None = None
     form_hidden: tuple[str, ...] = ()
     one_law: tuple[str, ...] = ()
+    other_law: OtherLaw | None = None
     formulas: tuple[Offer, ...] = ()
     accepted: Accepted | None = None
     conventions: tuple[Mapping[str, Any], ...] = ()

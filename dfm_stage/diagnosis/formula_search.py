@@ -151,6 +151,13 @@ class Regression:
         values = np.column_stack([c.values for c in self.grid])
         return values, np.asarray(np.sum(values**2, axis=0))
 
+    def on_blocks(self, columns: Sequence[Array]) -> Solution:
+        """The fit of columns (n,) with the base, each block held out."""
+        k = self.base.shape[1] + len(columns)
+        blocks = Blocks(np.column_stack((self.base, *columns, self.missing)),
+                        self.candidates.edges, self.candidates.fitted)
+        return blocks.fit(range(k), k)
+
     def left(self, columns: Sequence[Array]) -> Array:
         """The missing force (n,) without what columns (n,) explain."""
         stacked = np.column_stack(columns)
@@ -189,7 +196,7 @@ def search(regression: Regression) -> list[Found]:
     for _ in range(MOST_TERMS):
         tried: dict[frozenset[str], list[Column]] = {}
         for chosen in sets:
-            for column in _next_terms(regression, chosen):
+            for column in next_terms(regression, chosen):
                 wider = regression.fitted([*chosen, column])
                 if not _allowed(regression, wider):
                     continue
@@ -204,7 +211,7 @@ def search(regression: Regression) -> list[Found]:
     return _worth(regression, by_length)
 
 
-def _next_terms(regression: Regression, chosen: Sequence[Column]) -> list[Column]:
+def next_terms(regression: Regression, chosen: Sequence[Column] = ()) -> list[Column]:
     """The terms that take most beside those chosen, each form once."""
     left, own = regression.missing, np.zeros((regression.missing.size, 0))
     if chosen:
@@ -243,7 +250,7 @@ def _worth(regression: Regression,
            by_length: Sequence[Sequence[Sequence[Column]]]) -> list[Found]:
     """The sets of the greatest length whose last term blocks held out bear out, and shorter
     ones."""
-    bare = _on_blocks(regression, ()).errors
+    bare = regression.on_blocks(()).errors
     best, kept = bare, 0
     told = [[_found(regression, s) for s in sets] for sets in by_length]
     for length, sets in enumerate(told, 1):
@@ -262,16 +269,7 @@ def _worth(regression: Regression,
 
 def _found(regression: Regression, chosen: Sequence[Column]) -> Found:
     base, parts = regression.told(chosen)
-    return Found(parts, _on_blocks(regression, chosen).errors, base)
-
-
-def _on_blocks(regression: Regression, chosen: Sequence[Column]) -> Solution:
-    """The fit of some terms with the base, each block held out."""
-    k = regression.base.shape[1]
-    blocks = Blocks(np.column_stack((regression.base, *(c.values for c in chosen),
-                                     regression.missing)), regression.candidates.edges,
-                    regression.candidates.fitted)
-    return blocks.fit(range(k + len(chosen)), k + len(chosen))
+    return Found(parts, regression.on_blocks([c.values for c in chosen]).errors, base)
 
 
 class _Draws:

@@ -75,18 +75,18 @@ def graded(trial: Trial, h: Hypothesis, warnings: Sequence[str],
 
 def beside_main(wide: Trial, h: Hypothesis, main: str, known: Names, warnings: Sequence[str],
                 split: bool) -> tuple[Hypothesis, Evidence]:
-    """The effects of `h`, those beside the `main` one compared with what `wide` knows beyond the
-    effects `known`, too: with those of no common class, which would make the name wrong, and those
-    that can be the same motion."""
+    """The effects of `h`, compared with what `wide` knows beyond the effects `known`, too: those
+    beside the `main` one with those of no common class, which would make the name wrong, and those
+    that can be the same motion; a main one that few machines have with the latter."""
     search = wide.search
     search.begin_work(LEAST_STEPS)
     search.weigh_at_first(h.bare)
     wide.held_weights = weights_like(wide.held, search.weights)
 
     def among(name: str) -> Names:
-        return known if name == main else tuple(
-            n for n in search.library
-            if n in known or n in EFFECTS[name].twins or not shares_class(n, name))
+        twins = EFFECTS[name].twins if name != main or EFFECTS[name].gives_way_to else ()
+        return tuple(n for n in search.library if n in known or n in twins
+                     or (name != main and not shares_class(n, name)))
 
     return _standing(wide, h.names, h.fit, h.bare, warnings, split, among)
 

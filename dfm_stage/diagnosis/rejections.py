@@ -15,6 +15,7 @@ Rejected = Enum("Rejected", [
     "RIVAL",          # another one in its place fits better
     "EXCLUDED",       # it is no candidate here
     "NOT_HELD_OUT",   # it is in the hypothesis, which did not pass
+    "OTHER_LAW",      # it is in the hypothesis, and another law explains clearly more
     "FORCE_SHARE",    # it explains but a share of the missing force
     "NO_RESPONSE",    # the data show none of it
     "SHARE",          # it could take but a share of the gap
@@ -49,7 +50,10 @@ def rejections(e: Evidence, named: set[str]) -> Iterator[Rejection]:
     fitted = {x.name for x in e.effects}
     for candidate in e.library:
         if candidate.name not in told:
-            yield _not_named(candidate, candidate.name in fitted, gap)
+            own = candidate.name in fitted
+            yield Rejection(candidate.name, Rejected.OTHER_LAW, e.other_law.share,
+                            e.other_law.words) if own and e.other_law is not None \
+                else _not_named(candidate, own, gap)
 
 
 def _not_named(c: Candidate, fitted: bool, gap: bool) -> Rejection:

@@ -138,11 +138,12 @@ def _in_the_colour(wide: Trial, first: Fit, found: Judgement, warnings: Sequence
 
 
 def _beside_main(found: Judgement, warnings: Sequence[str], split: bool) -> Judgement:
-    """What was found to explain a part, with the effects beside the main one compared with the
-    uncommon ones, too. In windows the force domain alone proposes rivals, and it has done so."""
+    """What was found to explain a part, with the effects beside the main one, and a main one that
+    few machines have, compared with the uncommon ones, too. In windows the force domain alone
+    proposes rivals, and it has done so."""
     own, h, evidence = found
-    if len(h.names) < 2 or not evidence.graded or evidence.heard is not None \
-            or own.search.runs[0].window:
+    alone = len(h.names) < 2 and not any(EFFECTS[n].gives_way_to for n in h.names)
+    if alone or not evidence.graded or evidence.heard is not None or own.search.runs[0].window:
         return found
     own.search.step("comparing uncommon effects, too")
     wide = own.widened()

@@ -55,6 +55,7 @@ Reason = Enum("Reason", [
     "JOINT_FIT",      # one set of values brings fitted and held-out records to the noise floor
     "GRADED",         # they explain enough of the gap on held-out blocks
     # the effects fall:
+    "OTHER_LAW",      # a law that is in no library explains clearly more
     "BARELY_FITTED",  # held-out records do not exercise them, and the fitted ones show little
     "NOT_HELD_OUT",   # they lower the fitted gap, not the held-out one
     "NEAR",           # they come near, but leave more than noise
@@ -120,6 +121,9 @@ class Verdict:
 def verdict(e: Evidence) -> Verdict:
     """Judge the evidence."""
     names = {x.name for x in e.effects}
+    if e.other_law is not None:
+        return Verdict("unknown", Reason.OTHER_LAW, rejected=tuple(rejections(e, set())),
+                       remainder=True)
     if e.heard is not None:
         return _by_force(e, e.heard)
     if e.graded and names:

@@ -61,6 +61,7 @@ REJECTED: Mapping[Rejected | DropReason, str] = {
     Rejected.RIVAL: "in place of {about}: chi-square {value:+.0f}",
     Rejected.EXCLUDED: "{about}",
     Rejected.NOT_HELD_OUT: "explains the fitted records, but does not pass on held-out ones",
+    Rejected.OTHER_LAW: "{about} explains {value:.0%} of the missing force, clearly more",
     Rejected.FORCE_SHARE: "explains {value:.0%} of the missing force by itself",
     Rejected.NO_RESPONSE: "no response that the data show",
     Rejected.COLOUR: "chi-square falls by {value:.0f} where noise is taken as white, which it is "
@@ -100,7 +101,15 @@ NO_FORMULA = ("no short formula of position, velocity and drive explains a real 
               "held-out records")
 
 
+OTHER_LAW = ("The gap is real, and no effect of the library has its law: {words} explains "
+             "{share:.0%} of the missing force on held-out blocks, {names} {own:.0%}.")
+
+
 def _verdict(e: Evidence, v: Verdict) -> str:
+    if e.other_law is not None:
+        return OTHER_LAW.format(words=e.other_law.words, share=e.other_law.share,
+                                names=_listed([x.name for x in e.effects]),
+                                own=e.other_law.share_of_effects)
     if v.kind == "partial" or (v.kind == "named" and e.graded):
         return _part(e, v)
     if v.kind == "named":

@@ -34,6 +34,7 @@ from dfm_stage.diagnosis.other_convention import (
     may_be_simpler,
     timed,
 )
+from dfm_stage.diagnosis.other_law import with_other_law
 from dfm_stage.diagnosis.result import Diagnosis, told
 from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.stretches import Stretches, changes, is_long, observe_stretches
@@ -193,6 +194,8 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
     settled = verdict(evidence)
     if settled.remainder:
         evidence = with_surface(trial, models[settled.model], evidence)
+        if settled.kind != "unknown":
+            evidence = with_other_law(trial, hypothesis, evidence)
         settled = verdict(evidence)
     model = models[settled.model]
     drifts = changes(model, search.runs, search.free, search.weights, search.noise)

@@ -21,6 +21,7 @@ from dfm_stage.diagnosis.evidence import (
     Motion,
     Noise,
     Offset,
+    OtherLaw,
 )
 from dfm_stage.diagnosis.rejections import Rejected
 from dfm_stage.diagnosis.remainder import Finding
@@ -44,6 +45,7 @@ left, NO_GAP, CLEAR, case = made.left, made.NO_GAP, made.CLEAR, made.case
 effect, rival, at, part, parts = made.effect, made.rival, made.at, made.part, made.parts
 found, FRICTION, NEAR_FLOOR, PUSH = made.found, made.FRICTION, made.NEAR_FLOOR, made.PUSH
 MOVING_AT_NOISE = made.MOVING_AT_NOISE
+LAW = OtherLaw("a force like x * v", 0.99, 0.9)
 
 module = importlib.import_module("dfm_stage.diagnosis.verdict")
 # what a user met, the evidence, and what is said of it
@@ -81,6 +83,9 @@ ROWS: Mapping[str, tuple[Evidence, str, tuple[str, ...], Reason]] = {
     "the same, where no one law does better": (
         parts(0.97, coulomb_friction=0.4, quadratic_damping=0.3), "named",
         ("coulomb_friction", "quadratic_damping"), Reason.GRADED),
+    "an effect that stands in for a law of no effect": (
+        replace(parts(0.97, coulomb_friction=0.97), other_law=LAW), "unknown", (),
+        Reason.OTHER_LAW),
     "a delay that may be a lag": (
         found(effect("transport_delay", rival("amplifier_bandwidth", 1.0, 2.0))),
         "ambiguous", ("transport_delay",), Reason.AT_FLOOR),
@@ -400,6 +405,17 @@ def test_rivals_are_rejected_once_and_what_did_not_pass_says_so():
     assert (first.name, first.reason, first.about) == (
         "presliding_friction", Rejected.RIVAL, "hysteresis")
     assert (second.name, second.reason) == ("hysteresis", Rejected.NOT_HELD_OUT)
+
+
+def test_effects_that_stand_in_for_another_law_are_rejected_with_it():
+    e = replace(parts(0.97, coulomb_friction=0.97), other_law=LAW, library=(
+        Candidate("coulomb_friction", gain=1.0), Candidate("creep")))
+    said = verdict(e)
+    own, other = said.rejected
+    assert (own.name, own.reason, own.about, own.value) == (
+        "coulomb_friction", Rejected.OTHER_LAW, LAW.words, LAW.share)
+    assert (other.name, other.reason) == ("creep", Rejected.NO_RESPONSE)
+    assert (said.remainder, said.shown, said.model) == (True, "retuned", "given")
 
 
 @pytest.mark.parametrize(("met", "graded"), [

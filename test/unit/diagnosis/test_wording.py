@@ -18,6 +18,7 @@ from dfm_stage.diagnosis.evidence import (
     Motion,
     Noise,
     Offset,
+    OtherLaw,
     Proposal,
     RivalEvidence,
 )
@@ -105,6 +106,14 @@ def test_every_other_verdict_has_a_sentence(kind):
     assert wording.sentence(NONE, Verdict(kind, Reason.NOISE)) == wording.SENTENCES[kind]
 
 
+def test_a_law_of_no_effect_is_told_beside_the_effects_that_stand_in_for_it():
+    e = replace(NAMED, other_law=OtherLaw("a force like x * v", 0.991, 0.478))
+    name = NAMED.effects[0].name.replace("_", " ")
+    assert wording.sentence(e, Verdict("unknown", Reason.OTHER_LAW)) == (
+        "The gap is real, and no effect of the library has its law: a force like x * v explains "
+        f"99% of the missing force on held-out blocks, {name} 48%.")
+
+
 def test_an_offset_speaks_of_the_readings():
     e = replace(NONE, offset=Offset("force_offset", 2e-6, 1e-9, 650.0))
     first, second = wording.effect_evidence(e, Found("force_offset", ("force_offset",), 1.0, 9.0))
@@ -165,6 +174,8 @@ def test_warnings_stand_in_the_order_in_which_they_arose():
     (Rejection("creep", DropReason.NO_SIZE), "the interval of its size holds zero"),
     (Rejection("creep", Rejected.COLOUR, 123.0),
      "chi-square falls by 123 where noise is taken as white, which it is not"),
+    (Rejection("creep", Rejected.OTHER_LAW, 0.991, "a force like x * v"),
+     "a force like x * v explains 99% of the missing force, clearly more"),
     (Rejection("creep", Rejected.SHARE, 0.123), "could take 12% of the gap at best"),
     (Rejection("creep", Rejected.BELOW_LIMIT, 12.3),
      "chi-square falls by 12, below the limit 40")])
