@@ -204,8 +204,9 @@ FURTHER_PART = decision(
     "effects for uncommon ones not to be tried. Of what common effects leave on fitted records, "
     "what a first round of fits among all must take for the uncommon ones to be tried. Of the "
     "force that effects leave on held-out blocks, what another law must take for none to be "
-    "named.", set_on=PARTS + "; another law: two seeds of the measured-like corpus and 64 measured "
-    "records, seen before: four stand-ins leave a law 0.61 to 0.98, right names at most 0.58; "
+    "named.",
+    set_on=PARTS + "; another law: two seeds of the measured-like corpus and 64 measured records, "
+    "seen before: four stand-ins leave a law 0.61 to 0.98, right names at most 0.58; "
     "alone: answers to four seeds of the measured-like corpus, seen before: 17 "
     "names, all allowed; less of the main one: the measured `sprung_carts`, looked at")
 PARAMETER_PART = decision(
