@@ -84,9 +84,10 @@ def beside_main(wide: Trial, h: Hypothesis, main: str, known: Names, warnings: S
     wide.held_weights = weights_like(wide.held, search.weights)
 
     def among(name: str) -> Names:
-        twins = EFFECTS[name].twins if name != main or EFFECTS[name].gives_way_to else ()
+        is_main = name == main or name in EFFECTS[main].twins   # which may have taken its place
+        twins = () if is_main and not EFFECTS[name].gives_way_to else EFFECTS[name].twins
         return tuple(n for n in search.library if n in known or n in twins
-                     or (name != main and not shares_class(n, name)))
+                     or not (is_main or shares_class(n, name)))
 
     return _standing(wide, h.names, h.fit, h.bare, warnings, split, among)
 

@@ -197,7 +197,8 @@ def _one_for_all(wide: Trial, first: Fit, found: Judgement, relatives: set[str],
            if not excluded(n, search.model, at, search.again)]
     for kindred in laws_of_speed(kin) if len(laws) > 1 else ():
         names = (*(n for n in h.names if n not in laws), kindred)
-        begun[names] = search.in_place_of(laws[0], kindred, names, h.fit)
+        gone = next((n for n in laws if kindred not in EFFECTS[n].twins), laws[0])
+        begun[names] = search.in_place_of(gone, kindred, names, h.fit)
     for name in h.names:
         twins = {n for n in relatives & EFFECTS[name].twins.keys()
                  if not excluded(n, search.model, at, search.again)}

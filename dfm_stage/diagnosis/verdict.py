@@ -383,11 +383,13 @@ def _takes_all(e: Evidence, x: EffectEvidence) -> bool:
 
 def is_clearly_more(e: Evidence, known: Evidence) -> bool:
     """Whether the effects of `e` explain all, or something where those of `known` explain nothing,
-    or much of what these leave of the held-out gap."""
+    or much of what these leave of the held-out gap; any of it where those of `e` are named, and
+    those of `known` are told as a part."""
     new, old = verdict(e), verdict(known)
     if new.kind == "unknown" or new.complete or old.kind == "unknown":
         return new.kind != "unknown"
-    return _left(e) < (1.0 - FURTHER_PART) * _left(known)
+    higher = new.kind == "named" and old.kind == "partial"
+    return _left(e) < (1.0 if higher else 1.0 - FURTHER_PART) * _left(known)
 
 
 def _left(e: Evidence) -> float:

@@ -101,8 +101,8 @@ NO_FORMULA = ("no short formula of position, velocity and drive explains a real 
               "held-out records")
 
 
-OTHER_LAW = ("The gap is real, and no effect of the library has its law: {words} explains "
-             "{share:.0%} of the missing force on held-out blocks, {names} {own:.0%}.")
+OTHER_LAW = ("The gap is real, and another law than that of {names} is behind it: {words} "
+             "explains {share:.0%} of the missing force on held-out blocks, {names} {own:.0%}.")
 
 
 def _verdict(e: Evidence, v: Verdict) -> str:
@@ -219,7 +219,8 @@ def _implausible(e: Evidence, v: Verdict) -> Iterator[str]:
 
 def _disagreement(e: Evidence, v: Verdict) -> Iterator[str]:
     """Where the force domain names something else than the fits."""
-    if e.witness is None or v.kind not in ("named", "partial", "ambiguous", "unknown"):
+    if e.witness is None or e.other_law is not None or v.kind not in (
+            "named", "partial", "ambiguous", "unknown"):
         return
     own = {m for f in v.effects for m in f.members}
     said = [n for n in e.witness["effects"] if n not in own]

@@ -193,9 +193,10 @@ def _diagnosis(trial: Trial, warnings: Sequence[str], split: bool,
               "extended": hypothesis.fit.model}
     settled = verdict(evidence)
     if settled.remainder:
-        evidence = with_surface(trial, models[settled.model], evidence)
         if settled.kind != "unknown":
             evidence = with_other_law(trial, hypothesis, evidence)
+            settled = verdict(evidence)
+        evidence = with_surface(trial, models[settled.model], evidence)
         settled = verdict(evidence)
     model = models[settled.model]
     drifts = changes(model, search.runs, search.free, search.weights, search.noise)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import pytest
 from dfm_stage.diagnosis import other_law as module
 from dfm_stage.diagnosis.evidence import OtherLaw
 from dfm_stage.diagnosis.observation import Observation
-from dfm_stage.diagnosis.other_law import other_law, with_other_law
+from dfm_stage.diagnosis.other_law import with_other_law
 from dfm_stage.model import EFFECTS
 
 _spec = importlib.util.spec_from_file_location("diagnosis_truth",
@@ -21,25 +22,36 @@ assert _spec is not None
 assert _spec.loader is not None
 truth = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(truth)
+_made = importlib.util.spec_from_file_location("evidence_made",
+                                               Path(__file__).with_name("made_evidence.py"))
+assert _made is not None
+assert _made.loader is not None
+made = importlib.util.module_from_spec(_made)
+_made.loader.exec_module(made)
 GIVEN = truth.believed().with_parameters({"damping": 4.2, "stiffness": 4100.0})
 FEEDS = (truth.multisine(1), truth.multisine(2, 0.5))
 SQUARE = "a reading that is curved by the square of the position"
 CUBE = "a reading that is curved by the cube of the position"
 
 
-def told(force=None, reading=lambda x: x, noise=1e-7, **effects):
+def told(force=None, reading=lambda x: x, noise=1e-7, known=0.0, zero=0.0, **effects):
     """What other law is told of a stage with a `force` (N) of position and velocity and a
-    `reading` (m) of the position, where `effects` were found."""
+    `reading` (m) of the position, where `effects` were found and one of the library explains the
+    share `known`. The reading's `zero` (m) is known as from a fit."""
     draw = np.random.default_rng(0)
     runs = []
     for k, feed in enumerate(FEEDS):
-        y = reading(truth.move(feed, force))
+        y = reading(truth.move(feed, force)) + zero
         runs.append(Observation(str(k), feed, y + noise * draw.standard_normal(y.size),
                                 truth.PERIOD))
     model = GIVEN
     for name, parameters in effects.items():
         model = model.with_effect(name, parameters)
-    return other_law(runs, GIVEN, model.effects)
+    fitted = SimpleNamespace(model=model, locals={("offset", 0): zero} if zero else {})
+    search = SimpleNamespace(runs=runs[:1], model=GIVEN, step=lambda _: None)
+    trial = SimpleNamespace(search=search, held=runs[1:], witness=SimpleNamespace(
+        singles=[SimpleNamespace(share=known)]))
+    return with_other_law(trial, SimpleNamespace(fit=fitted), made.case()).other_law
 
 
 def pumping(x, v):
@@ -50,19 +62,43 @@ def spring(x, v):
     return -4e9 * x**3
 
 
+FRICTION = {"force": 0.02, "length": 3e-4, "centre": -3e-4}
+
+
 def test_damping_that_changes_its_sign_with_position_is_no_friction():
-    found = told(pumping, position_dependent_friction={"force": 0.02, "length": 3e-4})
+    found = told(pumping, position_dependent_friction=FRICTION)
     assert found.words == "a force like x * v"
     assert found.share > 0.98 > 0.5 > found.share_of_effects
 
 
 @pytest.mark.parametrize(("reading", "words"), [
     (lambda x: x + 200.0 * x**2, SQUARE), (lambda x: x - 6e5 * x**3, CUBE)])
-def test_a_curved_reading_is_no_force_of_the_motion(reading, words):
+def test_a_curved_reading_is_no_force_of_the_motion(monkeypatch, reading, words):
+    monkeypatch.setattr(module, "PARTIAL_SHARE", 0.0)   # at the cube
     found = told(reading=reading, directional_friction={"difference": 0.05},
                  cubic_stiffness={"k3": 1e8})
     assert found.words == words
     assert found.share > 0.8 > 0.7 > found.share_of_effects
+
+
+def test_a_law_says_nothing_of_effects_that_the_force_domain_does_not_see():
+    assert told(reading=lambda x: x - 6e5 * x**3, directional_friction={"difference": 0.05},
+                cubic_stiffness={"k3": 1e8}) is None
+
+
+def test_a_law_that_an_effect_of_the_library_has_is_no_other_law():
+    assert told(pumping, known=0.998, position_dependent_friction=FRICTION) is None
+
+
+def test_effects_are_evaluated_where_the_fit_has_the_zero_of_the_reading():
+    assert told(lambda x, v: spring(x, v) + 0.4 * pumping(x, v), zero=1e-3,
+                cubic_stiffness={"k3": 4e9}) is None
+
+
+def test_an_effect_beside_a_larger_force_stays():
+    """Coulomb friction beside a force like x**2: neither does without the other."""
+    assert told(lambda x, v: -0.05 * np.sign(v) - 4e5 * x**2,
+                coulomb_friction={"force": 0.05}) is None
 
 
 @pytest.mark.parametrize("beside", [
@@ -80,6 +116,11 @@ def test_a_law_is_another_one_where_it_takes_most_of_what_the_effects_leave(powe
     assert (found is not None) is better
 
 
+def test_a_law_must_lead_clearly_on_held_out_blocks(monkeypatch):
+    monkeypatch.setattr(module, "log_ratio", lambda _law, _effects: (2.9, 1.0))
+    assert told(pumping, position_dependent_friction=FRICTION) is None
+
+
 def test_a_law_with_more_parameters_than_the_effects_says_nothing():
     """tanh(v / s) has two, Coulomb friction has one."""
     def force(x, v):
@@ -92,7 +133,7 @@ def test_a_law_with_more_parameters_than_the_effects_says_nothing():
 
 def test_noise_that_swamps_the_force_tells_no_law():
     assert told(pumping, noise=3e-5,
-                position_dependent_friction={"force": 0.02, "length": 3e-4}) is None
+                position_dependent_friction=FRICTION) is None
 
 
 @pytest.mark.parametrize(("names", "asked"), [
@@ -101,19 +142,17 @@ def test_noise_that_swamps_the_force_tells_no_law():
 def test_other_laws_are_tried_in_the_place_of_forces_along_the_motion(monkeypatch, names, asked):
     """A lag has no force there that could be compared."""
     law = OtherLaw("a force like x * v", 0.9, 0.5)
-    monkeypatch.setattr(module, "other_law", lambda _r, _m, found: law)
-    extended = GIVEN
-    for name in names:
-        extended = extended.with_effect(name, EFFECTS[name].defaults)
-    h = SimpleNamespace(bare=SimpleNamespace(model=GIVEN), fit=SimpleNamespace(model=extended))
-    trial = SimpleNamespace(search=SimpleNamespace(runs=(), step=lambda _: None), held=())
-    found = with_other_law(trial, h, _evidence())
-    assert found.other_law == (law if asked else None)
+    monkeypatch.setattr(module, "other_law", lambda *_: law)
+    found = told(**{name: EFFECTS[name].defaults for name in names})
+    assert found == (law if asked else None)
 
 
-def _evidence():
-    spec = importlib.util.spec_from_file_location("made", Path(__file__).with_name(
-        "made_evidence.py"))
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made.case()
+def test_brakes_that_the_energy_of_swings_bears_out_are_not_compared(monkeypatch):
+    monkeypatch.setattr(module, "other_law", lambda *_: OtherLaw("a force like x**3", 0.9, 0.5))
+    model = GIVEN.with_effect("coulomb_friction", {"force": 0.05})
+    search = SimpleNamespace(runs=(), model=GIVEN, step=lambda _: None)
+    trial = SimpleNamespace(search=search, held=(), witness=None)
+    h = SimpleNamespace(fit=SimpleNamespace(model=model, locals={}))
+    for braking, asked in ((None, True), (object(), False)):
+        e = replace(made.case(), braking=braking)
+        assert (with_other_law(trial, h, e).other_law is not None) is asked

@@ -221,18 +221,22 @@ def test_cogging_of_a_few_periods_is_found(periods: float, force: float) -> None
     assert [e.members for e in found.effects] == [("cogging",)]
 
 
-def test_an_effect_beside_the_main_one_is_compared_with_the_uncommon_ones() -> None:
-    """A cubic spring and a Stribeck curve of the measured-like corpus. Among common effects the
-    best beside the spring is an eddy brake."""
-    case = make_case(measured_plan("remainder", 74, 1141420023)[73])
+@pytest.mark.parametrize(("seed", "index", "allowed", "told"), [
+    (1141420023, 73, {"cubic_stiffness", "eddy_current_damping", "stribeck_friction"},
+     [("cubic_stiffness",), ("stribeck_friction",)]),
+    (872403957, 4, {"eddy_current_damping", "stribeck_friction"}, [("stribeck_friction",)])])
+def test_beside_a_remainder_a_brake_is_compared_with_a_stribeck_curve(
+        seed: int, index: int, allowed: set[str], told: list[tuple[str, ...]]) -> None:
+    """Cases of the measured-like corpus with such a curve, which is no common effect: beside a
+    cubic spring, and alone, where the library lacks what else there is."""
+    case = make_case(measured_plan("remainder", index + 1, seed)[index])
     runs, held = ([Record(c["time_s"], case.sample_period, {
         "x": AxisRecord(c["input_v"], c["position_m"])}, Provenance(f"{name} {k}", "csv"))
         for k, c in enumerate(each)] for name, each in (("run", case.records),
                                                         ("held", case.holdout)))
-    allowed = {"cubic_stiffness", "eddy_current_damping", "stribeck_friction"}
     found = diagnose(runs, model_from_dict(case.model), holdout=held, without=[
         n for n in library_of([ALL]) if n not in allowed])
-    assert [e.members for e in found.effects] == [("cubic_stiffness",), ("stribeck_friction",)]
+    assert [e.members for e in found.effects] == told
 
 
 def test_an_effect_that_may_not_be_named_must_be_one() -> None:

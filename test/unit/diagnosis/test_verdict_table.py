@@ -439,6 +439,9 @@ def test_a_small_gap_counts_where_effects_take_nearly_all_of_it(leaves, graded):
     (part(0.2), part(0.0), False),                        # both unknown
     (part(0.5), part(0.0), True),                         # a part, where nothing was
     (part(0.79), part(0.5), False), (part(0.81), part(0.5), True),
+    (part(0.95), part(0.93), True),                       # named, where a part was
+    (part(0.93), part(0.9), False),                       # both a part
+    (part(0.96), part(0.95), False),                      # both named
     (found(FRICTION), part(0.9), True),                   # down to the noise
     (part(0.2), part(0.5), False)])
 def test_uncommon_effects_must_explain_clearly_more(new, known, taken):

@@ -110,8 +110,8 @@ def test_a_law_of_no_effect_is_told_beside_the_effects_that_stand_in_for_it():
     e = replace(NAMED, other_law=OtherLaw("a force like x * v", 0.991, 0.478))
     name = NAMED.effects[0].name.replace("_", " ")
     assert wording.sentence(e, Verdict("unknown", Reason.OTHER_LAW)) == (
-        "The gap is real, and no effect of the library has its law: a force like x * v explains "
-        f"99% of the missing force on held-out blocks, {name} 48%.")
+        f"The gap is real, and another law than that of {name} is behind it: a force like x * v "
+        f"explains 99% of the missing force on held-out blocks, {name} 48%.")
 
 
 def test_an_offset_speaks_of_the_readings():
