@@ -171,6 +171,21 @@ def gimbal_pendulum(folder: Path) -> dict[str, Columns]:
                                             "small": slice(gap + 200, gap + 5400, 4)})
 
 
+def remote_pendulum(folder: Path) -> dict[str, Columns]:
+    """Columns: time, angle, speed. The file holds three logs, each of which starts anew: the
+    last one, from a turning point after the drive is off until the pendulum nearly stands."""
+    time, angle = np.loadtxt(folder / "pend00-run06.csv", delimiter=",", skiprows=1,
+                             usecols=(0, 1), unpack=True)
+    first = int(np.flatnonzero(np.diff(time) < 0.0)[-1]) + 60
+    parts = {}
+    for part, cut in (("large", slice(first, first + 555)),
+                      ("small", slice(first + 555, first + 905))):
+        swing = angle[cut]
+        parts[part] = timed(0.02, input_v=np.zeros(swing.size), position_rad=swing)
+    return parts
+
+
 FREE_SWINGS = (dry_pendulum, rod_pendulum, stepper_pendulum, hand_pendulum, arm_pendulum,
                second_pendulum, long_rod, short_rod, sprung_pendulum, freed_cart, leaf_pendulum,
-               coupled_pendulums, encoder_pendulum, bicycle_wheel, gimbal_pendulum)
+               coupled_pendulums, encoder_pendulum, bicycle_wheel, gimbal_pendulum,
+               remote_pendulum)

@@ -15,6 +15,8 @@ from benchmarks.measured.columns import Array, Columns, matlab, parts_of, timed
 
 TACHO_RAD_S = 1000.0 / 3.0 * 2.0 * np.pi / 60.0
 """Speed for one volt of a tachometer that gives 3 V at 1000 turns a minute."""
+LATHE_M = 0.010 / 8_388_608
+"""Path of the lathe's cross slide for one count of its encoder: 10 mm a turn of the screw."""
 
 
 def hsm150(folder: Path) -> dict[str, Columns]:
@@ -235,6 +237,44 @@ def driven_disk(folder: Path) -> dict[str, Columns]:
     return parts
 
 
+def hanging_load(folder: Path) -> dict[str, Columns]:
+    """Columns: time, wanted position, position, input, all in volts. Every second sample; the
+    first 40 s, in which the load sinks from another place, are left out."""
+    data = np.loadtxt(folder / "HangingLoad.csv", delimiter=",")
+    return {part: timed(0.04, input_v=data[cut, 3], position_m=data[cut, 2],
+                        reference_m=data[cut, 1])
+            for part, cut in (("top", slice(7000, 12_000, 2)), ("up", slice(2000, 7000, 2)),
+                              ("down", slice(12_000, None, 2)))}
+
+
+def aero_pitch(folder: Path) -> dict[str, Columns]:
+    """Rows: time and voltage, time and pitch (rad). Every fifth sample, from before the pulse
+    until the body has stood for a second."""
+    volts, angle = (np.asarray(matlab(folder / f"{name}.mat", name), float)[1, 400:12_600:5]
+                    for name in ("input", "pitch"))
+    return {part: timed(0.01, input_v=volts[cut], position_rad=angle[cut])
+            for part, cut in (("pulse", slice(0, 1644)), ("rest", slice(1644, None)))}
+
+
+def _cross_slide(path: Path, cut: slice) -> Columns:
+    """Columns: number, wanted X and Z, measured X and Z (counts), commands of speed of two
+    controllers, torques of X and Z. From where the slide is wanted first."""
+    data: Array = np.array(path.read_text("ascii").replace(",", " ").split(), float)
+    data = data.reshape(-1, 11)
+    start = data[0, 1]
+    return timed(2e-3, input_v=data[cut, 9], position_m=LATHE_M * (data[cut, 3] - start),
+                 reference_m=LATHE_M * (data[cut, 1] - start))
+
+
+def lathe_axis(folder: Path) -> dict[str, Columns]:
+    """Large and small circles of one file, and a spiral. Every second sample."""
+    return {part: _cross_slide(folder / f"NCTU_G02_{name}.TXT", slice(first, last, 2))
+            for part, name, first, last in (("large_circles", "circle", 0, 10_000),
+                                            ("small_circles", "circle", 10_000, 19_340),
+                                            ("spiral", "spiral", 0, 10_000))}
+
+
 MOTORS = (hsm150, servo_motor, geared_motor, disc_motor, course_motor, furuta_base, tacho_motor,
           geared_arm, servo_drive, servo_pendulum, torsion_disks, screw_actuator, serial_link,
-          ramp_motor, robot_drive, unbalanced_disk, horizontal_arm, driven_disk)
+          ramp_motor, robot_drive, unbalanced_disk, horizontal_arm, driven_disk,
+          hanging_load, aero_pitch, lathe_axis)
