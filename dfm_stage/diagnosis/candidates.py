@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dfm_stage.diagnosis.decisions import FEWEST_CYCLES
+from dfm_stage.diagnosis.decisions import FEWEST_CYCLES, RINGS
 from dfm_stage.diagnosis.search_decisions import MOST_TO_ONE
 from dfm_stage.diagnosis.spectra import frequency_peaks
 from dfm_stage.identification.coordinates import late_parameters, lateness
@@ -60,9 +60,11 @@ def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
     """Cycles that a sine makes in the longest run, or over the widest motion of one, which is the
     reading without what the sine itself adds; infinite for other effects. Where nothing drives the
     stage, those that tell a second mode from the stage's own motion, or a vibration from that and
-    its HARMONICS: the beats between them."""
+    its HARMONICS: the beats between them. A vibration also where the stage mostly rings by itself,
+    as after a pulse."""
     wave = EFFECTS[name].wave
-    free = FREQUENCY in EFFECTS[name].defaults and not any(r.driven for r in runs)
+    free = FREQUENCY in EFFECTS[name].defaults and not any(
+        r.driven if wave is None else _is_driven_on(r) for r in runs)
     if wave is None and not free:
         return math.inf
     known = model.parameters()
@@ -78,6 +80,13 @@ def cycles(name: str, model: Model, runs: Sequence[Run]) -> float:
         alike = [own, *(_harmonics(runs) if wave is not None else [])]
     return min(abs(value - each) for each in alike) * max(
         r.input.size * r.sample_period for r in runs)
+
+
+def _is_driven_on(run: Run) -> bool:
+    """Whether an input goes on to drive: it is not constant for more than RINGS of the run."""
+    changes = np.flatnonzero(np.diff(run.input))
+    stretches = np.diff(np.concatenate(([-1], changes, [run.input.size - 1])))
+    return int(stretches.max()) <= RINGS * run.input.size
 
 
 def _harmonics(runs: Sequence[Run]) -> list[float]:

@@ -319,6 +319,11 @@ FLATNESS_SIGMAS = decision(
     "FLATNESS_SIGMAS", 4.0, "standard errors", meaning="It must also be so far below: "
     "the kurtosis of N samples of noise has the variance 24/N.",
     set_on="derivation: FLATNESS is as much at 3100 samples")
+RINGS = decision(
+    "RINGS", 0.5, "1", meaning="Share of a record for which its input is constant in one piece, "
+    "above which the stage is taken to ring by itself: a vibration must then differ from its own "
+    "motion.", set_on="derivation: most of the record is free motion. The measured `aero_pitch`, "
+    "looked at: 0.9")
 FEWEST_CYCLES = decision(
     "FEWEST_CYCLES", 2.0, "cycles", meaning="Cycles in a record from which a vibration is looked "
     "for, and named.", set_on=FIRST_FORM)

@@ -93,6 +93,6 @@ EFFECT = EddyCurrentDamping(
     force=force,
     twins={"stribeck_friction": _as_friction},
     # it takes a magnet that moves along a conductor, near the critical speed
-    gives_way_to=("coulomb_friction", "presliding_friction"),
+    gives_way_to=("coulomb_friction", "presliding_friction", "stribeck_friction"),
     doubt=_doubt,
 )

@@ -30,6 +30,18 @@ def test_a_vibration_is_told_from_free_motion_by_their_beats(driven, frequency, 
         math.inf if driven else expected)
 
 
+@pytest.mark.parametrize(("on", "expected"), [(200, 0.4), (980, 0.4), (1020, 20.4)])
+def test_after_a_pulse_a_vibration_is_told_from_the_motion_that_rings_on(on, expected):
+    """The input is on for so many of 2000 samples."""
+    feed = np.where(np.arange(2000) < on, np.sin(np.arange(2000.0)), 0.0)
+    run = Observation("run", feed, np.zeros(2000), 1e-3)
+    shaken = STAGE.with_effect("periodic_disturbance", {"frequency": 10.2, "amplitude": 1.0})
+    assert cycles("periodic_disturbance", shaken, [run]) == pytest.approx(expected)
+    coupled = STAGE.with_effect("second_mode", {"share": 0.05, "frequency": 10.2,
+                                                   "damping_ratio": 0.01})
+    assert cycles("second_mode", coupled, [run]) == math.inf
+
+
 @pytest.mark.parametrize(("frequency", "vibration", "mode"), [
     (27.2, 0.4, 34.4), (18.5, 1.0, 17.0), (36.1, 18.2, 52.2), (10.9, 1.8, 1.8)])
 def test_a_vibration_is_told_from_the_harmonics_of_a_free_motion(frequency, vibration, mode):

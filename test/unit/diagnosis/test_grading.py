@@ -325,7 +325,9 @@ CONFIRMED = {"eddy_current_damping": {"force_margin": 3.1, "confirmed": True}}
      "coulomb_friction"),
     ("coulomb_friction", 2.9, UNHEARD, 2, "eddy_current_damping"),
     ("cubic_stiffness", 2.9, {}, 1, "eddy_current_damping"),
-    ("stribeck_friction", 2.9, {}, 1, "eddy_current_damping")])
+    ("stribeck_friction", 2.9, {}, 2, "stribeck_friction"),
+    ("stribeck_friction", 3.1, {}, 1, "eddy_current_damping"),
+    ("quadratic_damping", 2.9, {}, 1, "eddy_current_damping")])
 def test_a_rare_effect_gives_way_to_a_level_one_that_looks_like_it(monkeypatch, other, margin,
                                                                    heard, judged, told):
     """Also to one with as many parameters; where the force domain has no doubt, it stays."""
