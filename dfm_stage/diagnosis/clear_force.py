@@ -9,6 +9,7 @@ of one other kind in the place of the main effect, may do as well: they are told
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,6 +24,7 @@ from dfm_stage.diagnosis.decisions import (
     MARGIN_OVER_LARGER,
     PARTIAL_SHARE,
     RETUNE_RATIO,
+    SMALL_SHARE,
 )
 from dfm_stage.diagnosis.effect_fits import inside
 from dfm_stage.diagnosis.evidence import Evidence, Heard
@@ -40,9 +42,10 @@ def clear_force(seen: Witness) -> Heard | None:
     """What the force domain names; None where it does not see enough of the force, or does not
     part it from several other effects.
 
-    A second effect counts where the first leaves a substantial part without it, and where each
-    explains something by itself: two that only do so together mend each other's errors. One that
-    does not count stays beside the others where these are compared with their rivals.
+    A second effect counts where the first leaves a substantial part without it, or where it takes
+    most of what that leaves, and clearly leads all others there; and where each explains something
+    by itself: two that only do so together mend each other's errors. One that does not count stays
+    beside the others where these are compared with their rivals.
     """
     predictable = max(seen.predictable_share, LEAST_PREDICTABLE)
     if seen.cannot_tell or seen.predictable_share < LEAST_HEARD or not seen.best.names:
@@ -51,8 +54,11 @@ def clear_force(seen: Witness) -> Heard | None:
     alone = {n: each.share if (each := seen.of(n)) is not None else 0.0 for n in best.names}
     added = {n: best.share - max((alone[m] for m in best.names if m != n), default=0.0)
              for n in best.names}
-    names = tuple(n for n in best.names
-                  if added[n] >= PARTIAL_SHARE * predictable and alone[n] > 0.0)
+    names = tuple(n for n in best.names if alone[n] > 0.0 and (
+        added[n] >= PARTIAL_SHARE * predictable
+        or (_takes_the_rest(added[n], predictable - best.share + added[n], predictable)
+        and min((behind for m, behind in seen.margins[in_place_of.get(n, n)].items()
+                 if not shares_class(m, n)), default=math.inf) > BLOCK_MARGIN)))
     told = best if len(names) == len(best.names) else seen.of(*names) if names else None
     if told is None or told.share < FURTHER_PART * predictable:
         return None
@@ -69,6 +75,12 @@ def clear_force(seen: Witness) -> Heard | None:
                for n in names}
     return Heard({n: added[n] for n in names}, told.share, predictable, members,
                  _sizes(told, seen.blocks), told.parameters, {} if in_place_of else margins)
+
+
+def _takes_the_rest(added: float, rest: float, predictable: float) -> bool:
+    """Whether an effect adds most of the `rest` that another one leaves of what is predictable, no
+    small part of the whole."""
+    return added >= SMALL_SHARE * predictable and added >= FURTHER_PART * rest
 
 
 def _common(seen: Witness) -> tuple[Explained, dict[str, str]]:

@@ -171,7 +171,8 @@ LEAST_PREDICTABLE = decision(
     "at least, whatever a black box predicts of it.", set_on=CORPUS)
 PARTIAL_SHARE = decision(
     "PARTIAL_SHARE", 0.3, "1", meaning="Share of the predictable gap or force from which they are "
-    "told as a part; of the force, what each effect must add that the force domain names alone; "
+    "told as a part; of the force, what each effect must add that the force domain names alone, "
+    "or less by `SMALL_SHARE`; "
     "of a held-out gap that stays more than noise, what effects must take to be named.",
     set_on=REAL + "; of what stays: a mode that took 0.1 where samples jitter, looked at")
 SMALL_SHARE = decision(
@@ -179,7 +180,9 @@ SMALL_SHARE = decision(
     "named only where the force domain has it in its best set: what is in no library looks like "
     "some effect where it is small. Where a remainder stays, several effects that each take less "
     "are told as a part. Of the missing force, what a set must explain for the force domain to "
-    "propose it.", set_on=CORPUS + "; several: the largest share was 0.04 to 0.09 in four "
+    "propose it; of what is predictable of it, what a second effect adds at least that the force "
+    "domain names because it takes `FURTHER_PART` of the rest.",
+    set_on=CORPUS + "; several: the largest share was 0.04 to 0.09 in four "
     "sets that stood for a law in no library, and 0.11 or more in all others, of seven seeds that "
     "were looked at")
 GROSS_REMAINDER = decision(

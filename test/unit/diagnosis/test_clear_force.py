@@ -161,7 +161,9 @@ def test_a_level_rival_of_its_class_joins_it():
 
 @pytest.mark.parametrize(("offset", "friction", "names"), [
     (0.4, 0.25, ("force_offset", "coulomb_friction")),  # each adds half of it
-    (0.7, 0.25, ("force_offset",)),                     # the second adds 0.23
+    (0.7, 0.25, ("force_offset", "coulomb_friction")),   # the second adds 0.23 of 0.25
+    (0.82, 0.25, ("force_offset", "coulomb_friction")),  # 0.11 of 0.13
+    (0.84, 0.25, ("force_offset",)),                    # 0.09: little of the whole
     (0.4, -0.1, None),   # it explains nothing by itself, and the first too little
     (-3.0, -2.0, None)])  # they mend each other's errors
 def test_a_second_effect_counts_where_it_adds_a_substantial_part(offset, friction, names):
@@ -169,6 +171,31 @@ def test_a_second_effect_counts_where_it_adds_a_substantial_part(offset, frictio
     heard = clear_force(said(both, explained(offset, "force_offset"),
                              explained(friction, "coulomb_friction")))
     assert (None if heard is None else tuple(heard.added)) == names
+
+
+@pytest.mark.parametrize(("predictable", "behind", "names"), [
+    (0.95, 2.9, ("force_offset",)),                      # another does as well beside the first
+    (0.99, 3.1, ("force_offset", "coulomb_friction")),   # it adds 0.12 of 0.18
+    (0.999, 3.1, ("force_offset", "coulomb_friction")),  # 0.12 of 0.189
+    (0.95, 3.1, ("force_offset", "coulomb_friction"))])
+def test_a_small_second_effect_must_lead_those_of_other_kinds(predictable, behind, names):
+    both = explained(0.93, "force_offset", "coulomb_friction")
+    seen = said(both, explained(0.81, "force_offset"), explained(0.25, "coulomb_friction"),
+                predictable=predictable)
+    heard = clear_force(replace(seen, margins={"force_offset": {}, "coulomb_friction": {
+        "back_emf": behind, "presliding_friction": 0.1}}))
+    assert heard is not None
+    assert tuple(heard.added) == names
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.88, True), (0.86, False)])
+def test_a_small_second_effect_must_take_most_of_what_the_first_leaves(share, told):
+    """Of 0.95 that are predictable, of which the first explains 0.75."""
+    both = explained(share, "force_offset", "coulomb_friction")
+    heard = clear_force(said(both, explained(0.75, "force_offset"),
+                             explained(0.25, "coulomb_friction")))
+    assert heard is not None
+    assert ("coulomb_friction" in heard.added) is told
 
 
 def test_rivals_of_an_effect_that_is_not_told_do_not_count():
