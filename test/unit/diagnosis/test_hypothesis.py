@@ -119,7 +119,8 @@ def test_an_effect_whose_size_may_be_zero_is_not_shown(monkeypatch, name, sizes,
 @pytest.mark.parametrize(("hertz", "kept"), [(0.085, ()), (0.25, ("periodic_disturbance",))])
 def test_a_vibration_of_less_than_two_cycles_is_a_wandering_reading(hertz, kept):
     search = OneFit()
-    search.runs = [SimpleNamespace(input=np.zeros(10_000), sample_period=1e-3, driven=True)]
+    search.runs = [SimpleNamespace(input=np.sin(np.arange(10_000.0)), sample_period=1e-3,
+                                   driven=True)]
     model = SimpleNamespace(parameters=lambda: {"periodic_disturbance.frequency": hertz})
     fit = SimpleNamespace(model=model, quantities={})
     trial = Trial(search, [])
