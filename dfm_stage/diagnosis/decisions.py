@@ -171,9 +171,9 @@ LEAST_PREDICTABLE = decision(
     "at least, whatever a black box predicts of it.", set_on=CORPUS)
 PARTIAL_SHARE = decision(
     "PARTIAL_SHARE", 0.3, "1", meaning="Share of the predictable gap or force from which they are "
-    "told as a part; of the force, what each effect must add that the force domain names alone, "
-    "or less by `SMALL_SHARE`; "
-    "of a held-out gap that stays more than noise, what effects must take to be named.",
+    "told as a part; of the force, what each effect must add that the force domain names alone "
+    "(a second one may add less, down to `SMALL_SHARE`); of a held-out gap that stays more than "
+    "noise, what effects must take to be named.",
     set_on=REAL + "; of what stays: a mode that took 0.1 where samples jitter, looked at")
 SMALL_SHARE = decision(
     "SMALL_SHARE", 0.1, "1", meaning="Share of the held-out gap below which a further effect is "
@@ -326,7 +326,7 @@ RINGS = decision(
     "RINGS", 0.5, "1", meaning="Share of a record for which its input is constant in one piece, "
     "above which the stage is taken to ring by itself: a vibration must then differ from its own "
     "motion.", set_on="derivation: most of the record is free motion. The measured `aero_pitch`, "
-    "looked at: 0.9")
+    "looked at: 0.94")
 FEWEST_CYCLES = decision(
     "FEWEST_CYCLES", 2.0, "cycles", meaning="Cycles in a record from which a vibration is looked "
     "for, and named.", set_on=FIRST_FORM)

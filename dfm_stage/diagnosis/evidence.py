@@ -293,9 +293,9 @@ class Accepted:
 
 @dataclass(frozen=True)
 class OtherLaw:
-    """A law, in words, that no effect of the library has and that explains clearly more of the
-    missing force than the effects found: shares of its power on held-out blocks, of the law and of
-    all effects together."""
+    """A law, in words, that explains clearly more of the missing force than the effects found, and
+    than any of the library by itself: shares of its power on held-out blocks, of the law and of
+    all effects found together."""
 
     words: str
     share: float

@@ -1,4 +1,4 @@
-"""Whether the missing force follows a law that no effect of the library has.
+"""Whether the missing force follows another law than that of the effects found.
 
 Effects that stand on held-out blocks may still stand in for another law: friction that depends on
 direction for a reading that is curved. So one term of the dictionary of formulas, or a reading
@@ -73,7 +73,7 @@ def other_law(runs: Sequence[Observation], model: Model, found: Sequence[EffectU
             for column in next_terms(regression) if 1 + len(column.shapes) <= many}
     if not any(run.order for run in runs):
         laws |= {words: _curved(regression, power) for power, words in CURVED.items()}
-    words = min(laws, key=lambda each: _power(regression, [laws[each]]), default="")
+    words = min(laws, key=lambda w: float(np.sum(regression.left([laws[w]])**2)), default="")
     if not words:
         return None
     bare, by_effects, by_law, by_both = (regression.on_blocks(columns).errors for columns in (
@@ -96,11 +96,6 @@ def _columns(regression: Regression, found: Sequence[EffectUse]) -> list[Array] 
                if part is not None]
     seen = [bool(np.all(np.isfinite(each)) and np.any(each)) for each in columns]
     return columns if len(columns) == len(found) and all(seen) else None
-
-
-def _power(regression: Regression, columns: Sequence[Array]) -> float:
-    left = regression.left(columns)
-    return float(left @ left)
 
 
 def _curved(regression: Regression, power: int) -> Array:

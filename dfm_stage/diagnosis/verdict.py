@@ -55,7 +55,7 @@ Reason = Enum("Reason", [
     "JOINT_FIT",      # one set of values brings fitted and held-out records to the noise floor
     "GRADED",         # they explain enough of the gap on held-out blocks
     # the effects fall:
-    "OTHER_LAW",      # a law that is in no library explains clearly more
+    "OTHER_LAW",      # a law that no effect has explains clearly more
     "BARELY_FITTED",  # held-out records do not exercise them, and the fitted ones show little
     "NOT_HELD_OUT",   # they lower the fitted gap, not the held-out one
     "NEAR",           # they come near, but leave more than noise
