@@ -54,7 +54,7 @@ def _arguments(run: RunForces) -> Array:
     quarter = 0.5 * math.pi * float(np.std(t.x)) / speed / run.grid.period
     ago = int(min(max(quarter, 1.0), size // 8))
     window = int(min(max(4.0 * PERIODS * quarter, 3.0), size // 4))
-    amplitude = np.sqrt(uniform_filter1d(t.v**2, window))
+    amplitude = np.sqrt(np.maximum(uniform_filter1d(t.v**2, window), 0.0))  # a running sum
     direction = t.v / np.hypot(t.v, max(2.0 * t.speed_noise, DIRECTED * speed))
     before = np.maximum(np.arange(size) - ago, 0)
     return np.array([t.x, t.v, t.a, t.x[before], t.v[before], amplitude, direction])

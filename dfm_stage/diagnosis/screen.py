@@ -11,7 +11,7 @@ import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -58,6 +58,16 @@ class Hit:
     def at(cls, name: str, parameters: Mapping[str, float]) -> Hit:
         """An effect to begin with that no screen has looked at."""
         return cls(name, 0.0, dict(parameters), np.zeros((0, 0)), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Responses (c, N) as `rows` that are seen beside the free parameters; of what these cannot
+    follow the products with each other, `gram` (c, c), and with the residual, `score` (c,)."""
+
+    rows: Array
+    gram: Array
+    score: Array
 
 
 class Screen:
@@ -130,10 +140,12 @@ class Screen:
             promise = [-math.inf if h is None else h.gain for h in looks]
             points = [points[k] for k in sorted(np.argsort(promise)[-LOOKED_CLOSELY:])]
         found = self._looked_at(name, points)
-        return sorted((h for h in found if h is not None), key=lambda h: -h.gain)[:keep]
+        best = sorted((h for h in found if h is not None), key=lambda h: -h.gain)[:keep]
+        return [replace(h, columns=self.project(h.columns)) for h in best]
 
     def _looked_at(self, name: str, points: Sequence[Parameters]) -> list[Hit | None]:
-        """The hit of each starting point of one effect; None where there is none."""
+        """The hit of each starting point of one effect, with responses that are not projected;
+        None where there is none."""
         effect = EFFECTS[name]
         model, plain = self.model, self.plain
         if effect.rounds:  # at the motion itself, to a part of a step
@@ -154,19 +166,23 @@ class Screen:
                 points[first:first + at_once], some, self._seen(rows), strict=True)]
         return found
 
-    def _seen(self, groups: Sequence[Array]) -> Iterator[Array]:
-        """For each group of responses (c, N) those that are seen beside the free parameters,
-        projected, as columns; none where one is not finite. All groups at once: the basis is
-        long."""
+    def _seen(self, groups: Sequence[Array]) -> Iterator[Seen]:
+        """Each group of responses (c, N); none where one is not finite. All groups at once: the
+        basis is long."""
         rows = np.concatenate(groups)
-        power = np.einsum("ij,ij->i", rows, rows)
-        known = np.isfinite(power)
+        known = np.isfinite(np.einsum("ij,ij->i", rows, rows))
         rows[~known] = 0.0
-        rows -= (rows @ self.basis) @ self.basis.T
-        seen = np.einsum("ij,ij->i", rows, rows) > UNSEEN_PART**2 * np.maximum(power, 1e-300)
-        ends = np.cumsum([len(group) for group in groups])
-        for own in np.split(np.arange(ends[-1]), ends[:-1]):
-            yield rows[own[seen[own]] if np.all(known[own]) else []].T
+        followed, scores = rows @ self.basis, rows @ self.residual
+        ends = np.cumsum([0, *(len(group) for group in groups)])
+        for first, end in pairwise(ends):
+            own, moved, score = rows[first:end], followed[first:end], scores[first:end]
+            whole = own @ own.T
+            gram = whole - moved @ moved.T
+            seen = np.diag(gram) > UNSEEN_PART**2 * np.maximum(np.diag(whole), 1e-300)
+            if not np.all(known[first:end]):
+                seen[:] = False
+            yield Seen(own, gram, score) if np.all(seen) else Seen(
+                own[seen], gram[np.ix_(seen, seen)], score[seen])
 
     def _in_free_motion(self, model: Model, name: str, parameters: Parameters) -> Hit | None:
         """The hit of an effect that nothing drives: its states at the beginning of each run, not
@@ -190,7 +206,7 @@ class Screen:
         if not columns or not np.all(np.isfinite(columns)):
             return None
         projected = self.project(np.array(columns).T)
-        multiples, gain = _best(projected, self.residual)
+        multiples, gain = _best(projected.T @ projected, projected.T @ self.residual)
         return Hit(name, gain, parameters, (projected @ multiples)[:, None], np.ones(1), False)
 
     def _changes(self, model: Model, plain: Array, name: str,
@@ -275,22 +291,21 @@ class Screen:
         return [float(p) for p in best if p > max(at.noise, COARSER * known)]
 
     def _hit(self, name: str, parameters: Parameters, directions: Sequence[Parameters],
-             projected: Array) -> Hit | None:
+             seen: Seen) -> Hit | None:
         effect = EFFECTS[name]
-        if not projected.size:
+        if not seen.score.size:
             return None
         if effect.searched:
-            d = projected[:, 0]
-            gain = float(2.0 * d @ self.residual - d @ d)
-            return Hit(name, gain, dict(parameters), projected, np.ones(1))
-        own = projected if effect.wave else projected[:, :1]
+            gain = float(2.0 * seen.score[0] - seen.gram[0, 0])
+            return Hit(name, gain, dict(parameters), seen.rows.T, np.ones(1))
         phases = 2.0 if effect.wave else 1.0
-        self._strengths.append((name, parameters, float(np.linalg.norm(own)) / math.sqrt(phases)))
-        multiples, gain = _best(projected, self.residual)
+        own = np.trace(seen.gram) if effect.wave else seen.gram[0, 0]
+        self._strengths.append((name, parameters, math.sqrt(own / phases)))
+        multiples, gain = _best(seen.gram, seen.score)
         if effect.one_sided and not effect.wave and multiples[0] <= 0.0:
             return None
-        return Hit(name, gain, effect.combined(directions, multiples[:len(directions)]), projected,
-                   multiples, len(directions) == 1)
+        return Hit(name, gain, effect.combined(directions, multiples[:len(directions)]),
+                   seen.rows.T, multiples, len(directions) == 1)
 
     def _by_run(self, name: str, responses: Sequence[Array]) -> Array:
         """Responses as rows (c, N); one a run of an effect that differs by run."""
@@ -322,12 +337,11 @@ def _staircase(position: Array, residual: Array, step: float) -> float:
     return float(2.0 * d @ residual - d @ d)
 
 
-def _best(columns: Array, residual: Array) -> tuple[Array, float]:
-    norms = np.linalg.norm(columns, axis=0)
-    gram = (columns.T @ columns) / np.outer(norms, norms)
-    score = (columns.T @ residual) / norms
-    solved = np.linalg.lstsq(gram, score, rcond=1e-9)[0]
-    return np.asarray(solved / norms), float(score @ solved)
+def _best(gram: Array, score: Array) -> tuple[Array, float]:
+    """The sizes (c,) of responses that explain a residual best, and what they take of its power."""
+    norms = np.sqrt(np.diag(gram))
+    solved = np.linalg.lstsq(gram / np.outer(norms, norms), score / norms, rcond=1e-9)[0]
+    return np.asarray(solved / norms), float(score / norms @ solved)
 
 
 def best_of_each(hits: Sequence[Hit]) -> list[Hit]:

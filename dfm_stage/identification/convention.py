@@ -310,7 +310,7 @@ def find_convention(input_: Array, output: Array, derivative: int = 0, *,
     if np.ptp(u) == 0.0 or np.ptp(y) == 0.0 or not (np.all(np.isfinite(u))
                                                     and np.all(np.isfinite(y))):
         return HELD
-    waves, motion = Waves.of(u), Motion(y, derivative)
+    waves, motion = Waves.of(u), Motion.of(y, derivative)
     seen = [(width, t) for width in WIDTHS
             if (t := timing(waves, motion, width)) is not None and t.left < UNEXPLAINED]
     if not seen:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.decisions import TIMING_BLOCKS
@@ -19,9 +21,15 @@ from dfm_stage.transforms import shorter_length
 
 HELD_LATE = 0.5
 """Samples by which a held input acts late on average."""
-LAGS = np.arange(-1.5, 3.01, 0.25)
-"""Values of tau (samples) at which the regression is made; it is smooth in between."""
-GRID = np.arange(LAGS[0], LAGS[-1] + 0.005, 0.01)
+FIRST_LAG, LAST_LAG = -1.5, 3.0
+"""The tau (samples) between which the least is looked for."""
+LAG_STEP = 0.25
+"""Spacing of the tau (samples) at which the regression is made; it is smooth in between."""
+WIDE_LAGS = 10
+"""How many tau do behind filters for which samples are left out."""
+GRID = np.arange(FIRST_LAG, LAST_LAG + 0.005, 0.01)
+NARROWEST = 2.0
+"""Width of a filter in the samples that are kept: what it passes they hold to 3e-9."""
 TAIL = 6.0
 """Widths of a filter after which its response is over."""
 FEWEST = 20
@@ -50,41 +58,42 @@ def timing(u: Waves, motion: Motion, width: float, sincs: int = 0) -> Timing | N
     the record is too short for the filter.
     """
     cut = int(TAIL * width) + 8
-    inner = slice(cut, u.size - cut)
     if u.size < FEWEST * cut:
         return None
-    columns = motion.features(width)[:, inner]
+    every = _spacing(width, u.size)
+    inner = slice(-(-cut // every), -(-(u.size - cut) // every))
+    lags = lags_of(every)
+    columns = motion.every(every).features(width / every)[:, inner]
     columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=1)), 1e-300)[:, None]
-    delayed = _delayed(u, width, sincs)[:, inner]
+    delayed = delayed_by(lags / every, u.every(every), width / every, sincs, every)[:, inner]
     delayed -= delayed.mean(axis=1, keepdims=True)
     edges = np.linspace(0, columns.shape[1], TIMING_BLOCKS + 1).astype(int)
     parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
     gram = np.array([columns[:, p] @ columns[:, p].T for p in parts])
-    finer = _finer()
+    finer = finer_from(every)
     cross = finer @ np.array([delayed[:, p] @ columns[:, p].T for p in parts])
     power = np.array([finer @ np.sum(delayed[:, p] ** 2, axis=1) for p in parts])
-    whole = gram.sum(axis=0), cross.sum(axis=0), power.sum(axis=0)
-    left = _left(*whole)
-    if left is None:
+    left = _left(*(np.concatenate(([each.sum(axis=0)], each.sum(axis=0) - each))
+                   for each in (gram, cross, power)))
+    if not np.isfinite(left[0, 0]):
         return None
-    without = [_left(whole[0] - g, whole[1] - c, whole[2] - p)
-               for g, c, p in zip(gram, cross, power, strict=True)]
-    taus = np.array([_least(each) for each in without if each is not None])
-    spread = math.sqrt((taus.size - 1) * float(np.var(taus)))
-    late = float(np.min(left[HELD_LATE <= GRID]))
-    at = _least(left)
+    at, *taus = (_least(each) for each in left if np.isfinite(each[0]))
+    spread = math.sqrt((len(taus) - 1) * float(np.var(taus)))
+    late = float(np.min(left[0, HELD_LATE <= GRID]))
     inside = GRID[0] < at < GRID[-1]
-    return Timing(at, spread if inside else math.inf, math.sqrt(float(left.min())),
+    return Timing(at, spread if inside else math.inf, math.sqrt(float(left[0].min())),
                   math.sqrt(late))
 
 
-def _left(gram: Array, cross: Array, power: Array) -> Array | None:
-    """Share of the input's power (G,) that a regression leaves at each tau of the grid."""
+def _left(gram: Array, cross: Array, power: Array) -> Array:
+    """Share of the input's power that regressions with products (K, F, F) and (K, G, F) leave at
+    each tau of the grid, (K, G); NaN of one that has no power."""
     values, vectors = np.linalg.eigh(gram)
-    kept = values > RANK * values[-1]
-    if values[-1] <= 0.0 or np.any(power <= 0.0):
-        return None
-    taken = np.sum((cross @ vectors[:, kept]) ** 2 / values[kept], axis=1)
+    weights = np.where(values > RANK * values[:, -1:], 1.0 / np.where(values == 0.0, 1.0, values),
+                       0.0)
+    taken = ((cross @ vectors) ** 2 @ weights[:, :, None])[:, :, 0]
+    possible = (values[:, -1] > 0.0) & np.all(power > 0.0, axis=1)
+    power = np.where(possible[:, None], power, math.nan)
     return np.asarray(np.maximum(1.0 - taken / power, 0.0))
 
 
@@ -103,18 +112,39 @@ def _least(left: Array) -> float:
                  * (GRID[1] - GRID[0]))
 
 
+def _spacing(width: float, size: int) -> int:
+    """Samples from each that is kept to the next behind a filter: the last one is kept, too."""
+    most = max(int(width / NARROWEST), 1)
+    return next(every for every in range(most, 0, -1) if (size - 1) % every == 0)
+
+
+def lags_of(every: int) -> Array:
+    """Values of tau (L,), in samples, at which the regression is made."""
+    if every == 1:
+        return np.arange(FIRST_LAG, LAST_LAG + 0.5 * LAG_STEP, LAG_STEP)
+    middle, half = 0.5 * (LAST_LAG + FIRST_LAG), 0.5 * (LAST_LAG - FIRST_LAG)
+    return np.asarray(middle + half * chebyshev.chebpts1(WIDE_LAGS))
+
+
 @cache
-def _finer() -> Array:
-    """What takes values at LAGS to those at GRID, (G, L): the cubic spline through them whose
-    third derivative is the same on both sides of the second and of the last but one."""
-    count = LAGS.size
+def finer_from(every: int) -> Array:
+    """What takes values at those tau to those at GRID, (G, L): a polynomial through all of them,
+    or the cubic spline whose third derivative is the same on both sides of the second and of the
+    last but one."""
+    lags = lags_of(every)
+    count = lags.size
+    if every > 1:
+        half, middle = 0.5 * (LAST_LAG - FIRST_LAG), 0.5 * (LAST_LAG + FIRST_LAG)
+        at, grid = ((each - middle) / half for each in (lags, GRID))
+        return np.asarray(chebyshev.chebvander(grid, count - 1)
+                          @ np.linalg.inv(chebyshev.chebvander(at, count - 1)))
     inner = np.arange(1, count - 1)
     bends, seconds = np.zeros((2, count, count))    # of `bends` @ f'' = `seconds` @ f
     for at, weight, difference in ((-1, 1.0, 6.0), (0, 4.0, -12.0), (1, 1.0, 6.0)):
         bends[inner, inner + at], seconds[inner, inner + at] = weight, difference
     bends[0, :3] = bends[-1, -3:] = 1.0, -2.0, 1.0
     curvature, values = np.linalg.solve(bends, seconds), np.eye(count)
-    place = (GRID - LAGS[0]) / (LAGS[1] - LAGS[0])
+    place = (GRID - lags[0]) / (lags[1] - lags[0])
     left = np.clip(place.astype(int), 0, count - 2)
     after = (place - left)[:, None]
     before = 1.0 - after
@@ -123,18 +153,18 @@ def _finer() -> Array:
                       + (after**3 - after) / 6.0 * curvature[left + 1])
 
 
-def _delayed(u: Waves, width: float, sincs: int) -> Array:
-    """The filtered input at every lag, (L, N)."""
+def delayed_by(lags: Array, u: Waves, width: float, sincs: int = 0, every: int = 1) -> Array:
+    """The filtered input at every lag, (L, N), of samples that lie `every` sample periods apart."""
     spectrum = u.spectrum * np.exp(-0.5 * (u.omega * width) ** 2)
     if sincs:
-        spectrum *= np.sinc(u.omega / (2.0 * np.pi)) ** sincs
-    whole = np.floor(LAGS)
+        spectrum *= np.sinc(u.omega / (2.0 * np.pi * every)) ** sincs
+    whole = np.floor(lags)
     most = int(np.abs(whole).max())
-    moved = {part: _periodic(u.signal_of(spectrum * turns), most, u.size)
-             for part, turns in u.parts_late.items()}
+    moved = {part: _periodic(u.signal_of(spectrum * u.turns(part)), most, u.size)
+             for part in set((lags - whole).tolist())}
     line = u.line[0] + u.line[1] * np.arange(u.size)
     return np.array([moved[lag - samples][most - int(samples):][:u.size]
-                     + (line - u.line[1] * lag) for lag, samples in zip(LAGS, whole, strict=True)])
+                     + (line - u.line[1] * lag) for lag, samples in zip(lags, whole, strict=True)])
 
 
 def _periodic(wave: Array, margin: int, size: int) -> Array:
@@ -159,10 +189,20 @@ class Waves:
         return cls(values.size, line, omega, np.fft.rfft(wave))
 
     @cached_property
-    def parts_late(self) -> dict[float, Complex]:
-        """What delays a spectrum by each part of a sample that LAGS have."""
-        return {part: np.exp(-1j * self.omega * part) for part in set(
-            (LAGS - np.floor(LAGS)).tolist())}
+    def _turns(self) -> dict[float, Complex]:
+        return {}
+
+    def turns(self, part: float) -> Complex:
+        """What delays a spectrum by a part of a sample."""
+        if part not in self._turns:
+            self._turns[part] = np.exp(-1j * self.omega * part)
+        return self._turns[part]
+
+    def every(self, count: int) -> Waves:
+        """Every so many samples of the signal, whose spectrum must have sunk at their rate."""
+        size = (self.size - 1) // count + 1
+        return self if count == 1 else Waves(
+            size, self.line * (1, count), self.omega[:size] * count, self.spectrum[:size] / count)
 
     def signal_of(self, spectrum: Complex) -> Array:
         """The periodic signal (2 N - 2,) of a spectrum."""
@@ -178,12 +218,22 @@ class Motion:
     """An output (N,) that is the position's derivative of some order, and what of it is the same
     behind every filter."""
 
-    def __init__(self, y: Array, derivative: int) -> None:
-        self.waves, self.derivative = Waves.of(y), derivative
-        self.drift = np.linspace(-1.0, 1.0, y.size) ** np.arange(derivative + 1)[:, None]
-        raw = self.moved(0, 1.0)
-        raw -= np.linalg.lstsq(self.drift.T, raw, rcond=None)[0] @ self.drift
-        self.powers = [Waves.of(raw**3), Waves.of(raw**2)]
+    def __init__(self, waves: Waves, derivative: int, powers: Sequence[Waves]) -> None:
+        self.waves, self.derivative, self.powers = waves, derivative, powers
+        self.drift = np.linspace(-1.0, 1.0, waves.size) ** np.arange(derivative + 1)[:, None]
+
+    @classmethod
+    def of(cls, y: Array, derivative: int) -> Motion:
+        """The motion of an output, with square and cube of the position."""
+        plain = cls(Waves.of(y), derivative, ())
+        raw, drift = plain.moved(0, 1.0), plain.drift
+        raw -= np.linalg.solve(drift @ drift.T, drift @ raw) @ drift
+        return cls(plain.waves, derivative, [Waves.of(raw**3), Waves.of(raw**2)])
+
+    def every(self, count: int) -> Motion:
+        """The same at every so many samples."""
+        return self if count == 1 else Motion(self.waves.every(count), self.derivative,
+                                              [each.every(count) for each in self.powers])
 
     def moved(self, order: int, weights: Array | float) -> Array:
         """The position's derivative of some order, integrals up to their initial values."""

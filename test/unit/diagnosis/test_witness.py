@@ -12,7 +12,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dfm_stage.diagnosis import DiagnosisError
+from dfm_stage.diagnosis.black_box import features
 from dfm_stage.diagnosis.force_candidates import Fits
+from dfm_stage.diagnosis.force_domain import RunForces
 from dfm_stage.diagnosis.observation import Observation, in_windows
 from dfm_stage.diagnosis.screen import Hit
 from dfm_stage.diagnosis.search import Search
@@ -133,6 +135,13 @@ def test_a_black_box_sees_what_is_in_no_library():
     assert found.best.of_predictable < 0.9
     assert found.left < 0.3
     assert found.left < 0.7 * math.sqrt(1.0 - found.best.share)
+
+
+def test_a_black_box_is_finite_where_the_stage_stands():
+    time = truth.PERIOD * np.arange(8000)
+    moving = np.where(time < 0.5 * time[-1], np.sin(2.0 * math.pi * time / time[-1]) ** 8, 0.0)
+    run = observed(moving, 1e-4 * moving * np.sin(60.0 * time), noise=0.0)
+    assert all(np.all(np.isfinite(each)) for each in features([RunForces(run, 4.0)]))
 
 
 @pytest.mark.parametrize(("name", "parameters", "alike"), [

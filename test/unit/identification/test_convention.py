@@ -20,7 +20,14 @@ from dfm_stage.identification.convention import (
     find_convention,
     interpolated,
 )
-from dfm_stage.identification.input_timing import GRID, LAGS, Waves, _delayed, _finer
+from dfm_stage.identification.input_timing import (
+    GRID,
+    Motion,
+    Waves,
+    delayed_by,
+    finer_from,
+    lags_of,
+)
 from dfm_stage.identification.source import agreeing
 from dfm_stage.identification.system import System
 from dfm_stage.model import Model, Simulator
@@ -372,14 +379,35 @@ def test_a_servo_s_input_is_held(name: str) -> None:
 
 
 def test_between_lags_values_follow_a_cubic_spline() -> None:
-    values = np.random.default_rng(1).standard_normal(LAGS.size)
-    np.testing.assert_allclose(_finer() @ values, CubicSpline(LAGS, values)(GRID), atol=1e-12)
+    lags = lags_of(1)
+    values = np.random.default_rng(1).standard_normal(lags.size)
+    np.testing.assert_allclose(finer_from(1) @ values, CubicSpline(lags, values)(GRID), atol=1e-12)
+
+
+def test_between_few_lags_a_slow_wave_is_followed() -> None:
+    wave = np.cos(0.5 * np.arange(1, 4)[:, None] * np.concatenate((lags_of(4), GRID)))
+    few, fine = np.split(wave, [lags_of(4).size], axis=1)
+    np.testing.assert_allclose(finer_from(4) @ few.T, fine.T, atol=1e-4)
+    np.testing.assert_allclose(finer_from(4) @ few[0], fine[0], atol=1e-9)
 
 
 def test_the_input_at_every_lag_is_the_whole_one_moved() -> None:
     u = np.random.default_rng(2).standard_normal(601)
-    for lag, moved in zip(LAGS, _delayed(Waves.of(u), 4.0, 1), strict=True):
+    lags = lags_of(1)
+    for lag, moved in zip(lags, delayed_by(lags, Waves.of(u), 4.0, 1), strict=True):
         inner = slice(50, 550)      # away from the ends, which are reflected
         early = Waves.of(interpolated(u, 1, -float(lag)))
-        again = _delayed(early, 4.0, 1)[np.flatnonzero(LAGS == 0.0)[0]]
+        again = delayed_by(np.zeros(1), early, 4.0, 1)[0]
         np.testing.assert_allclose(moved[inner], again[inner], atol=1e-6)
+
+
+def test_every_fourth_sample_behind_a_filter_is_the_same_as_with_all() -> None:
+    u, y = np.random.default_rng(3).standard_normal((2, 2001))
+    lags, width = lags_of(4), 8.0
+    all_ = delayed_by(lags, Waves.of(u), width, 1)[:, ::4]
+    np.testing.assert_allclose(delayed_by(lags / 4, Waves.of(u).every(4), width / 4, 1, 4), all_,
+                               atol=1e-8)
+    motion = Motion.of(np.cumsum(y), 0)
+    linear = np.array([1.0 / 16, 1.0 / 4, 1.0, 1.0])[:, None]    # derivatives by another time
+    np.testing.assert_allclose(linear * motion.every(4).features(width / 4)[:4],
+                               motion.features(width)[:4, ::4], atol=1e-6)
