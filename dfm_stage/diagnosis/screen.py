@@ -338,7 +338,7 @@ def _staircase(position: Array, residual: Array, step: float) -> float:
 
 
 def _best(gram: Array, score: Array) -> tuple[Array, float]:
-    """The sizes (c,) of responses that explain a residual best, and what they take of its power."""
+    """The sizes (c,) of responses that explain a residual best, and what they take of it."""
     norms = np.sqrt(np.diag(gram))
     solved = np.linalg.lstsq(gram / np.outer(norms, norms), score / norms, rcond=1e-9)[0]
     return np.asarray(solved / norms), float(score / norms @ solved)

@@ -135,9 +135,9 @@ def finer_from(every: int) -> Array:
     count = lags.size
     if every > 1:
         half, middle = 0.5 * (LAST_LAG - FIRST_LAG), 0.5 * (LAST_LAG + FIRST_LAG)
-        at, grid = ((each - middle) / half for each in (lags, GRID))
-        return np.asarray(chebyshev.chebvander(grid, count - 1)
-                          @ np.linalg.inv(chebyshev.chebvander(at, count - 1)))
+        few, fine = (chebyshev.chebvander((each - middle) / half, count - 1)
+                     for each in (lags, GRID))
+        return np.asarray(fine @ np.linalg.inv(few))
     inner = np.arange(1, count - 1)
     bends, seconds = np.zeros((2, count, count))    # of `bends` @ f'' = `seconds` @ f
     for at, weight, difference in ((-1, 1.0, 6.0), (0, 4.0, -12.0), (1, 1.0, 6.0)):
@@ -154,7 +154,7 @@ def finer_from(every: int) -> Array:
 
 
 def delayed_by(lags: Array, u: Waves, width: float, sincs: int = 0, every: int = 1) -> Array:
-    """The filtered input at every lag, (L, N), of samples that lie `every` sample periods apart."""
+    """The filtered input at every lag, (L, N); its samples are `every` sample periods apart."""
     spectrum = u.spectrum * np.exp(-0.5 * (u.omega * width) ** 2)
     if sincs:
         spectrum *= np.sinc(u.omega / (2.0 * np.pi * every)) ** sincs
