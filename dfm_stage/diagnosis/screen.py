@@ -176,9 +176,11 @@ class Screen:
         ends = np.cumsum([0, *(len(group) for group in groups)])
         for first, end in pairwise(ends):
             own, moved, score = rows[first:end], followed[first:end], scores[first:end]
-            whole = own @ own.T
-            gram = whole - moved @ moved.T
-            seen = np.diag(gram) > UNSEEN_PART**2 * np.maximum(np.diag(whole), 1e-300)
+            whole = np.einsum("ij,ij->i", own, own)
+            if len(own) > 1:    # products of what is left of several lose what parts these
+                own -= moved @ self.basis.T
+            gram = own @ own.T - (moved @ moved.T if len(own) == 1 else 0.0)
+            seen = np.diag(gram) > UNSEEN_PART**2 * np.maximum(whole, 1e-300)
             if not np.all(known[first:end]):
                 seen[:] = False
             yield Seen(own, gram, score) if np.all(seen) else Seen(

@@ -19,7 +19,7 @@ from dfm_stage.diagnosis.decisions import (
     MOTION_ABOVE,
 )
 
-BINS = 1 << 17
+BINS = 1 << 18
 PADDING = 500
 """Samples by which a filtered signal is continued at its ends."""
 

@@ -63,7 +63,7 @@ def timing(u: Waves, motion: Motion, width: float, sincs: int = 0) -> Timing | N
     every = _spacing(width, u.size)
     inner = slice(-(-cut // every), -(-(u.size - cut) // every))
     lags = lags_of(every)
-    columns = motion.every(every).features(width / every)[:, inner]
+    columns = motion.features(width, every)[:, inner]
     columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=1)), 1e-300)[:, None]
     delayed = delayed_by(lags / every, u.every(every), width / every, sincs, every)[:, inner]
     delayed -= delayed.mean(axis=1, keepdims=True)
@@ -256,12 +256,18 @@ class Motion:
             found.append((waves.spectrum * turns, straight))
         return found
 
-    def features(self, width: float) -> Array:
-        """Filtered motion and usual nonlinear functions of it, (F, N)."""
-        filter_ = np.exp(-0.5 * (self.waves.omega * width) ** 2)
-        x, v, a = (self.moved(order, filter_) for order in range(3))
-        directed = (Waves.of(np.sign(v)), *self.powers, Waves.of(np.abs(v) * v))
-        return np.array([a, v, x, *self.drift, *(each.filtered(filter_) for each in directed)])
+    def features(self, width: float, every: int = 1) -> Array:
+        """Filtered motion and usual nonlinear functions of it, (F, N / every), at every so many
+        samples. The direction and the square of the speed, which no filter has passed yet, are
+        taken of all samples."""
+        few = self.every(every)
+        narrow, wide = (np.exp(-0.5 * (omega * width) ** 2)
+                        for omega in (self.waves.omega, few.waves.omega / every))
+        v = self.moved(1, narrow)
+        directed = (Waves.of(np.sign(v)).every(every), *few.powers,
+                    Waves.of(np.abs(v) * v).every(every))
+        return np.array([few.moved(2, wide), v[::every] * every, few.moved(0, wide), *few.drift,
+                         *(each.filtered(wide) for each in directed)])
 
 
 def livest(u: Array, y: Array) -> tuple[Array, Array]:

@@ -67,6 +67,22 @@ def test_points_simulated_together_respond_as_each_alone(search, name):
             or np.array_equal(alone, response)
 
 
+@pytest.mark.parametrize("name", library_of([ALL]))
+def test_a_gain_is_what_least_squares_take_of_the_residual(search, name):
+    """Of what the free parameters leave, by the projected response at its best multiple."""
+    own = screen(search)
+    if excluded(name, own.model, own.at):
+        pytest.skip("it is no candidate here")
+    for hit in own.hits(name):
+        sizes = np.ones(1) if EFFECTS[name].searched else np.linalg.lstsq(
+            hit.columns, own.residual, rcond=1e-9)[0]
+        left = own.residual - hit.columns @ sizes
+        np.testing.assert_allclose(own.basis.T @ hit.columns, 0.0, atol=1e-9 * np.max(
+            np.linalg.norm(hit.columns, axis=0)))
+        assert own.residual @ own.residual - left @ left == pytest.approx(
+            hit.gain, rel=1e-5, abs=1e-6 * own.residual.size)
+
+
 def test_beside_a_nonlinear_effect_the_best_point_is_among_those_looked_at_closely(search):
     own = screen(search, "cubic_stiffness")
     points = starts("second_mode", own.at)

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lsim
 
-from dfm_stage.identification import Run, Source, identify
+from dfm_stage.identification import Run, Source, identify, input_timing
 from dfm_stage.identification.convention import (
     HELD,
     Convention,
@@ -27,6 +27,7 @@ from dfm_stage.identification.input_timing import (
     delayed_by,
     finer_from,
     lags_of,
+    timing,
 )
 from dfm_stage.identification.source import agreeing
 from dfm_stage.identification.system import System
@@ -402,12 +403,35 @@ def test_the_input_at_every_lag_is_the_whole_one_moved() -> None:
 
 
 def test_every_fourth_sample_behind_a_filter_is_the_same_as_with_all() -> None:
-    u, y = np.random.default_rng(3).standard_normal((2, 2001))
+    u = np.random.default_rng(3).standard_normal(2001)
     lags, width = lags_of(4), 8.0
     all_ = delayed_by(lags, Waves.of(u), width, 1)[:, ::4]
     np.testing.assert_allclose(delayed_by(lags / 4, Waves.of(u).every(4), width / 4, 1, 4), all_,
                                atol=1e-8)
-    motion = Motion.of(np.cumsum(y), 0)
-    linear = np.array([1.0 / 16, 1.0 / 4, 1.0, 1.0])[:, None]    # derivatives by another time
-    np.testing.assert_allclose(linear * motion.every(4).features(width / 4)[:4],
-                               motion.features(width)[:4, ::4], atol=1e-6)
+
+
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+@pytest.mark.parametrize("every", [3, 4])
+def test_every_few_samples_of_a_filtered_motion_are_the_same_as_with_all(
+        derivative: int, every: int) -> None:
+    y = np.cumsum(np.random.default_rng(4).standard_normal(2401))
+    motion = Motion.of(y, derivative)
+    whole, few = motion.features(2.0 * every), motion.features(2.0 * every, every)
+    for one, other in zip(whole[:, ::every], few, strict=True):
+        np.testing.assert_allclose(other / np.linalg.norm(other), one / np.linalg.norm(one),
+                                   atol=1e-6)    # in another unit of time
+
+
+@pytest.mark.parametrize("width", [8.0, 16.0])
+def test_timing_is_the_same_with_few_samples(width: float,
+                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    column, output = recorded("band_limited", 7, noise=1e-5, shift=-0.4)
+    waves, motion = Waves.of(column), Motion.of(output, 0)
+    few = timing(waves, motion, width)
+    monkeypatch.setattr(input_timing, "_spacing", lambda *_: 1)
+    whole = timing(waves, motion, width)
+    assert few is not None
+    assert whole is not None
+    assert few.tau == pytest.approx(whole.tau, abs=0.1 * whole.sigma + 1e-4)
+    assert few.sigma == pytest.approx(whole.sigma, rel=0.05)
+    assert few.left == pytest.approx(whole.left, rel=0.02)
