@@ -274,7 +274,66 @@ def lathe_axis(folder: Path) -> dict[str, Columns]:
                                             ("spiral", "spiral", 0, 10_000))}
 
 
+def digger_boom(folder: Path) -> dict[str, Columns]:
+    """Columns: time, four measured values, four duties (percent), four errors. The stamps are
+    7 ms apart with jitter: even ones of 20 ms instead. The duty counts from its middle and
+    stands as volts."""
+    data = np.loadtxt(folder / "autonomous_1024_1959.csv", delimiter=",", skiprows=1,
+                      usecols=(0, 1, 5))
+    time = np.arange(data[0, 0], data[-1, 0], 0.02)
+    place, duty = (np.interp(time, data[:, 0], data[:, column]) for column in (1, 2))
+    return {part: timed(0.02, input_v=duty[cut] - 7.4745, position_m=0.01 * place[cut])
+            for part, cut in (("first", slice(0, 3200)), ("last", slice(3200, None)))}
+
+
+def piezo_flexure(folder: Path) -> dict[str, Columns]:
+    """First column: voltage, fifth: capacitive sensor (um)."""
+    parts = {}
+    for part, name, cut in (("shrinking", "Test_Vi_Do_Di.dat", slice(2200, 4200)),
+                            ("growing", "Test_Vi_Do_Di.dat", slice(4800, 6800)),
+                            ("bent", "Test_Vi_Do_Di.dat", slice(8600, 10_600)),
+                            ("wide", "Model_Vi_Do.dat", slice(1600, 3200))):
+        volts, micrometres = np.loadtxt(folder / name, usecols=(0, 4), unpack=True)
+        parts[part] = timed(5e-3, input_v=volts[cut], position_m=1e-6 * micrometres[cut])
+    return parts
+
+
+def _stamped(path: Path, stamp: int, value: int) -> tuple[list[int], Array]:
+    """Stamps (ns, whole numbers) and one column of a table."""
+    rows = [line.split(",") for line in path.read_text("ascii").splitlines()[1:]]
+    return [int(row[stamp]) for row in rows], np.array([float(row[value]) for row in rows])
+
+
+def model_car(folder: Path) -> dict[str, Columns]:
+    """Throttle by its own stamps, speed by those of the car; both set on even ones of 20 ms, so
+    that samples which the radio lost are interpolated. Until the car stands for good."""
+    sent, throttle = _stamped(folder / "vehicleCommand.csv", 0, 4)
+    stamps, speed = _stamped(folder / "vehicleState.csv", 2, 9)
+    time = 2.0 + 0.02 * np.arange(3965)
+    throttle, speed = (np.interp(time, 1e-9 * np.array([stamp - stamps[0] for stamp in own]), held)
+                       for own, held in ((sent, throttle), (stamps, speed)))
+    return {part: timed(0.02, input_v=throttle[cut], velocity_m_s=speed[cut])
+            for part, cut in (("reverses", slice(1900, None)), ("forwards", slice(0, 1900)))}
+
+
+def _wheel(path: Path, cut: slice) -> Columns:
+    """Lines of names and values: time (us), PWM, speeds of three wheels (inches/s)."""
+    rows = [line.split(",") for line in path.read_text("ascii").splitlines()]
+    data: Array = np.array([[float(row[3]), float(row[9])] for row in rows
+                            if len(row) == 10 and row[0] == "t"])[cut]
+    return timed(2 * 0.0100925, input_v=12.0 / 255.0 * data[:, 0],
+                 velocity_m_s=0.0254 * data[:, 1])
+
+
+def omni_wheel(folder: Path) -> dict[str, Columns]:
+    """Every second sample, after a gap in the first lines."""
+    return {part: _wheel(folder / f"{name}.csv", slice(first, last, 2))
+            for part, name, first, last in (("stairs", "steps", 311, 10_311),
+                                            ("larger", "steps", 10_311, 15_311),
+                                            ("forward", "forward", 10, 5375))}
+
+
 MOTORS = (hsm150, servo_motor, geared_motor, disc_motor, course_motor, furuta_base, tacho_motor,
           geared_arm, servo_drive, servo_pendulum, torsion_disks, screw_actuator, serial_link,
           ramp_motor, robot_drive, unbalanced_disk, horizontal_arm, driven_disk,
-          hanging_load, aero_pitch, lathe_axis)
+          hanging_load, aero_pitch, lathe_axis, digger_boom, piezo_flexure, model_car, omni_wheel)
