@@ -477,6 +477,10 @@ TRIED_S = decision(
     set_on=RANKED_FORM)
 PERIOD_S = decision(
     "PERIOD_S", 8.0, "s", meaning="Period of a proposed multisine.", set_on=FIRST_FORM)
+PERIOD_SAMPLES = decision(
+    "PERIOD_SAMPLES", 128, "samples", meaning="Fewest samples of such a period: where sampling is "
+    "slow, all times of an experiment are longer.",
+    set_on="derivation: the narrowest band then holds eight odd lines")
 DWELL_S = decision(
     "DWELL_S", 4.0, "s", meaning="Time that a proposed step is held.", set_on=FIRST_FORM)
 DURATION_S = decision(

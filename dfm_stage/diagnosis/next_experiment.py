@@ -21,6 +21,7 @@ from dfm_stage.diagnosis.decisions import (
     LONGEST_S,
     MARGIN,
     PERIOD_S,
+    PERIOD_SAMPLES,
     SAFE,
     TRAVEL,
     TRIED_S,
@@ -50,16 +51,22 @@ def propose(parts: Sequence[str], best: Model, rivals: Sequence[Fit],
         ranked = _ranked(specs, best, rivals, free, travel, weight, noise, runs[0])
         if ranked:
             gain, spec = ranked[0]
-            duration = _duration(gain)
+            duration = _duration(gain, best)
             return Proposal({**spec, "duration_s": duration}, tuple(parts),
-                            gain * duration / DURATION_S)
+                            gain * duration / spec["duration_s"])
     return Proposal(specs[0], tuple(parts))
 
 
-def _duration(gain: float) -> float:
-    """Whole periods (s) in which a `gain` in chi-square per `DURATION_S` reaches the margin."""
-    wanted = SAFE * MARGIN * DURATION_S / max(gain, 1e-9)
-    return PERIOD_S * math.ceil(min(max(wanted, 0.5 * DURATION_S), LONGEST_S) / PERIOD_S)
+def _duration(gain: float, model: Model) -> float:
+    """Whole periods (s) in which a `gain` in chi-square in the usual time reaches the margin."""
+    period, usual, longest = (t * _slower(model) for t in (PERIOD_S, DURATION_S, LONGEST_S))
+    wanted = SAFE * MARGIN * usual / max(gain, 1e-9)
+    return period * math.ceil(min(max(wanted, 0.5 * usual), longest) / period)
+
+
+def _slower(model: Model) -> float:
+    """By how much an experiment takes longer than usual, so that a period has samples enough."""
+    return max(1.0, PERIOD_SAMPLES * model.sample_period / PERIOD_S)
 
 
 def _volts(model: Model, runs: Sequence[Observation]) -> float:
@@ -76,13 +83,17 @@ def _round(value: float) -> float:
 
 def experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
     """Experiments to choose from; the first is the one that shows most where nothing is known."""
-    period, dwell = (round(t / model.sample_period) * model.sample_period  # whole samples
-                     for t in (PERIOD_S, DWELL_S))
-    natural = max(_natural_hz(model), 0.5)
-    nyquist = 0.5 / model.sample_period
-    top = min(max(10.0 * natural, 50.0), 0.8 * nyquist)
-    bands = (("around the resonance", 0.5, top), ("slow", 0.25, max(1.5 * natural, 2.0)),
-             ("up to the highest frequency", natural, 0.8 * nyquist))
+    slower = _slower(model)
+    duration = slower * DURATION_S
+    period, dwell = (round(slower * t / model.sample_period) * model.sample_period
+                     for t in (PERIOD_S, DWELL_S))  # whole samples
+    highest = 0.4 / model.sample_period
+    lowest = min(0.5, 0.1 * highest)
+    natural = min(max(_natural_hz(model), lowest), 0.5 * highest)   # no record shows a faster one
+    top = min(max(10.0 * natural, 50.0), highest)
+    bands = (("around the resonance", lowest, top),
+             ("slow", 0.5 * lowest, max(1.5 * natural, 4.0 * lowest)),
+             ("up to the highest frequency", natural, highest))
     for where, low, high in bands:
         for share in (1.0, 0.3, 0.1):
             size = {1.0: "as large as recorded", 0.3: "a third as large", 0.1: "a tenth as large"}
@@ -90,32 +101,32 @@ def experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
                 f"A multisine with odd lines and detection lines, {where}, {size[share]}.",
                 {"kind": "multisine", "amplitude_v": _round(share * volts), "low_hz": _round(low),
                  "high_hz": _round(high), "period_s": period, "odd": True,
-                 "detection_lines": True})
+                 "detection_lines": True}, duration)
     for share in (1.0, 0.3):
         yield _as_experiment(
             "Steps up and down again, each held.",
             {"kind": "steps", "start_v": 0.0, "step_v": _round(0.5 * share * volts), "count": 2,
-             "down_again": True, "dwell_s": dwell})
+             "down_again": True, "dwell_s": dwell}, duration)
         yield _as_experiment(
             "A sine below the resonance.",
             {"kind": "sine", "amplitude_v": _round(share * volts),
-             "frequency_hz": _round(0.3 * natural)})
+             "frequency_hz": _round(0.3 * natural)}, duration)
 
 
 def _natural_hz(model: Model) -> float:
     return math.sqrt(max(model.base.get("stiffness", 0.0), 0.0) / model.base["mass"]) / math.tau
 
 
-def _as_experiment(why: str, excitation: dict[str, Any]) -> dict[str, Any]:
+def _as_experiment(why: str, excitation: dict[str, Any], duration: float) -> dict[str, Any]:
     return {"name": "next_experiment", "description": why, "mode": "open_loop",
-            "duration_s": DURATION_S, "seed": 1, "axes": {"x": {"excitation": excitation}}}
+            "duration_s": duration, "seed": 1, "axes": {"x": {"excitation": excitation}}}
 
 
 def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
             free: Sequence[Sequence[str]], travel: float, weight: Weight, noise: float,
             like: Observation) -> list[tuple[float, dict[str, Any]]]:
-    """Experiments with the chi-square that they bring in `DURATION_S` between `best` and the
-    rival that is hardest to tell from it, best first."""
+    """Experiments with the chi-square that they bring in their time between `best` and the rival
+    that is hardest to tell from it, best first."""
     weights: Weights = ((weight,),)
     trials = []
     for spec in specs:
@@ -142,7 +153,7 @@ def _ranked(specs: Sequence[dict[str, Any]], best: Model, rivals: Sequence[Fit],
 def _tried(spec: dict[str, Any], model: Model, like: Observation) -> Observation:
     from dfm_stage.trajectory import load_experiment
 
-    asked = load_experiment({**spec, "duration_s": TRIED_S})
+    asked = load_experiment({**spec, "duration_s": TRIED_S * _slower(model)})
     voltage = asked.excitation("x", model.sample_period).voltage
     return Observation("next", voltage, np.zeros(voltage.size), model.sample_period,
                        unit=like.unit, measures=like.measures)
