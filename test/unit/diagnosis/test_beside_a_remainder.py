@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import replace
-from pathlib import Path
 
+import made_evidence as made
 import numpy as np
 import pytest
 
@@ -17,12 +16,6 @@ from dfm_stage.diagnosis.surface import Surface
 from dfm_stage.diagnosis.verdict import fallen, small_parts, verdict
 from dfm_stage.diagnosis.wording import sentence
 
-_spec = importlib.util.spec_from_file_location("remainder_evidence",
-                                               Path(__file__).with_name("made_evidence.py"))
-assert _spec is not None
-assert _spec.loader is not None
-made = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(made)
 left, at, part, found, FRICTION = made.left, made.at, made.part, made.found, made.FRICTION
 
 

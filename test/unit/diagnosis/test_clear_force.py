@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import replace
-from pathlib import Path
 
+import made_evidence as made
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.diagnosis.clear_force import by_force, clear_force
 from dfm_stage.diagnosis.evidence import Heard
@@ -22,19 +22,6 @@ from dfm_stage.diagnosis.witness import Explained, Witness
 from dfm_stage.diagnosis.wording import sentence
 from dfm_stage.identification.quantity import Quantity
 from dfm_stage.model import EFFECTS
-
-_spec = importlib.util.spec_from_file_location("clear_force_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
-_made = importlib.util.spec_from_file_location("clear_force_made",
-                                               Path(__file__).with_name("made_evidence.py"))
-assert _made is not None
-assert _made.loader is not None
-made = importlib.util.module_from_spec(_made)
-_made.loader.exec_module(made)
 
 
 def explained(share: float, *names: str) -> Explained:

@@ -1,13 +1,12 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.cli.diagnose_report import write_report
 from dfm_stage.diagnosis import Diagnosis, DiagnosisError, diagnose, verification
@@ -16,13 +15,6 @@ from dfm_stage.diagnosis.verification import SurrogateTest
 from dfm_stage.identification.periods import Periodicity
 from dfm_stage.model import EFFECTS, save_model
 from dfm_stage.recording import AxisRecord, Record, RecordError
-
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 K3 = 4.0e6
 QUICK = [n for n in EFFECTS if n not in ("hysteresis", "presliding_friction")]

@@ -3,13 +3,13 @@ fifth order, and a force with states of its own. Their records are made by SciPy
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import truth
 from scipy.integrate import solve_ivp
 
 from dfm_stage.cli.diagnose_report import write_report
@@ -19,13 +19,6 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import EFFECTS, Simulator, load_model, save_model
 from dfm_stage.model.registry import load_effect
-
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 HERE = Path(__file__).parent
 FILES = {"quintic_stiffness": HERE.parent / "model" / "quintic_stiffness.py",

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import importlib.util
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import truth
 from scipy.signal import lfilter
 
 from dfm_stage.cli.diagnose_report import write_report
@@ -30,13 +29,6 @@ from dfm_stage.identification.system import System
 from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import Model, Simulator
 from dfm_stage.quantity import Quantity
-
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 FEW = ("cubic_stiffness", "force_constant_droop", "quadratic_damping")
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.diagnosis.force_domain import (
     Linear,
@@ -21,10 +20,6 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.registry import ALL, library_of
 
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).parent / "truth.py")
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 PERIOD, believed = truth.PERIOD, truth.believed
 TIME = PERIOD * np.arange(4000)
 SINE = Observation("sine", np.cos(40.0 * TIME), 1e-4 * np.sin(40.0 * TIME + 0.3), PERIOD)

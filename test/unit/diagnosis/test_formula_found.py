@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.cli import diagnose as command
 from dfm_stage.diagnosis import diagnose, formula_offer
@@ -22,12 +21,6 @@ from dfm_stage.model.formula_text import value
 from dfm_stage.model.registry import effects_of
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 NOTHING_LIKE_IT = ["back_emf", "saturation"]
 BY_TEXT = {term.text: term for term in TERMS}
 SCALES = {"x": 1e-3, "v": 0.1, "1": 1.0}

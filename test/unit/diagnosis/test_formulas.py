@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.cli import diagnose as command
 from dfm_stage.identification import Run, fit_model
@@ -28,7 +29,6 @@ def _loaded(name: str, path: Path) -> object:
     return module
 
 
-truth = _loaded("diagnosis_truth", HERE / "truth.py")
 formulas = _loaded("model_formulas", HERE.parent / "model" / "test_formula.py")
 CABLE = """\
 effects:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import truth
 
 from benchmarks.blind.measured import diagnosed_files
 from benchmarks.corpus.measured import make_case, measured_plan
@@ -28,12 +28,6 @@ from dfm_stage.diagnosis.witness import Explained
 from dfm_stage.model import EFFECTS, Model, load_model
 from dfm_stage.recording import AxisRecord, Provenance, Record, read_record
 
-_spec = importlib.util.spec_from_file_location("grading_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 believed, move, multisine, record = truth.believed, truth.move, truth.multisine, truth.record
 PERIOD = truth.PERIOD
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+import truth
 from scipy.signal import chirp, cont2discrete, dlsim
 
 from dfm_stage.diagnosis import diagnose, grading
@@ -25,13 +24,6 @@ from dfm_stage.diagnosis.verification import SurrogateTest, weights_like
 from dfm_stage.identification.weights import white_weights
 from dfm_stage.model import EFFECTS, Simulator
 from dfm_stage.recording import Record
-
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 QUICK = [n for n in EFFECTS if n not in ("hysteresis", "presliding_friction")]
 

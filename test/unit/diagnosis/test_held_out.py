@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.diagnosis import verification
 from dfm_stage.diagnosis.fit import fit
@@ -25,13 +24,6 @@ from dfm_stage.diagnosis.verification import (
 from dfm_stage.identification.weights import Weight, weights_of
 from dfm_stage.model import Model
 from dfm_stage.trajectory import load_experiment
-
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 K3 = 4e6
 WEIGHT = Weight(np.ones(1), truth.NOISE, "given")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
+import made_evidence as made
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.diagnosis import other_law as module
 from dfm_stage.diagnosis.evidence import OtherLaw
@@ -16,18 +16,6 @@ from dfm_stage.diagnosis.observation import Observation
 from dfm_stage.diagnosis.other_law import with_other_law
 from dfm_stage.model import EFFECTS
 
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
-_made = importlib.util.spec_from_file_location("evidence_made",
-                                               Path(__file__).with_name("made_evidence.py"))
-assert _made is not None
-assert _made.loader is not None
-made = importlib.util.module_from_spec(_made)
-_made.loader.exec_module(made)
 GIVEN = truth.believed().with_parameters({"damping": 4.2, "stiffness": 4100.0})
 FEEDS = (truth.multisine(1), truth.multisine(2, 0.5))
 SQUARE = "a reading that is curved by the square of the position"

@@ -3,27 +3,19 @@ nothing else. Each effect of the library is renamed, where it is named and where
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
+import truth
 
 from dfm_stage.diagnosis import diagnose
 from dfm_stage.identification import Run, fit_model
 from dfm_stage.model import EFFECTS, Model
 from dfm_stage.model.effect import Effect
 from dfm_stage.recording import AxisRecord, Provenance, Record
-
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 NEW = "zzrenamed"     # one word: it reads the same in a sentence
 SAMPLES = 3000

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.diagnosis.candidates import excluded, starts
 from dfm_stage.diagnosis.fit import fit
@@ -16,13 +14,6 @@ from dfm_stage.diagnosis.search import Search
 from dfm_stage.diagnosis.search_decisions import LOOKED_CLOSELY
 from dfm_stage.model import EFFECTS
 from dfm_stage.model.registry import ALL, library_of
-
-_spec = importlib.util.spec_from_file_location("screen_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 HARD, HARDER = 2e9, 1e10
 """Cubic stiffness, N/m^3, that bends the motion by some 10 and 50 %."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.diagnosis import hypothesis
 from dfm_stage.diagnosis.hypothesis import Trial
@@ -18,13 +17,6 @@ from dfm_stage.diagnosis.screen import Hit, Screen, best_of_each
 from dfm_stage.diagnosis.search import Search, _elsewhere
 from dfm_stage.identification.weights import Weight
 from dfm_stage.model import EFFECTS
-
-_spec = importlib.util.spec_from_file_location("memory_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 OTHER = ((Weight(np.ones(1), 1e-6, "given"),),)
 

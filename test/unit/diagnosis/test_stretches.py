@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage.diagnosis import diagnose, stretches
 from dfm_stage.recording import AxisRecord, Provenance, Record
-
-_spec = importlib.util.spec_from_file_location("stretches_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 
 LENGTH = 1000
 DAMPING = 30.0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+import truth
 
 from dfm_stage import files
 from dfm_stage.cli import diagnose
@@ -20,12 +20,6 @@ from dfm_stage.diagnosis.surface import FILE, Surface, binned
 from dfm_stage.diagnosis.wording import missing_force as sentence
 from dfm_stage.model import EFFECTS, save_model
 
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).with_name("truth.py"))
-assert _spec is not None
-assert _spec.loader is not None
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 GIVEN = truth.believed().with_parameters({"damping": 5.0, "stiffness": 4300.0})
 FEEDS = (truth.multisine(1), truth.multisine(2, 0.4))
 

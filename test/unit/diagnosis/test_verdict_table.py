@@ -7,8 +7,8 @@ import importlib.util
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
+import made_evidence as made
 import pytest
 
 from dfm_stage.diagnosis.evidence import (
@@ -34,12 +34,6 @@ from dfm_stage.diagnosis.verdict import (
     verdict,
 )
 
-_spec = importlib.util.spec_from_file_location("verdict_evidence",
-                                               Path(__file__).with_name("made_evidence.py"))
-assert _spec is not None
-assert _spec.loader is not None
-made = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(made)
 NOISE, LEFT, QUIET, COLOURED = made.NOISE, made.LEFT, made.QUIET, made.COLOURED
 left, NO_GAP, CLEAR, case = made.left, made.NO_GAP, made.CLEAR, made.case
 effect, rival, at, part, parts = made.effect, made.rival, made.at, made.part, made.parts

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+import truth
 from scipy.integrate import solve_ivp
 
 from dfm_stage.diagnosis import DiagnosisError
@@ -22,10 +22,6 @@ from dfm_stage.diagnosis.witness import witness
 from dfm_stage.model import EFFECTS, Model, Simulator, load_model
 from dfm_stage.model.registry import ALL, library_of
 
-_spec = importlib.util.spec_from_file_location("diagnosis_truth",
-                                               Path(__file__).parent / "truth.py")
-truth = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(truth)
 LIBRARY = tuple(EFFECTS)
 GIVEN = truth.believed().with_parameters({"damping": 5.0, "stiffness": 4300.0})
 """What its user believes, numbers somewhat wrong."""
