@@ -18,7 +18,7 @@ from dfm_stage.model.effect import Effect
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
 NEW = "zzrenamed"     # one word: it reads the same in a sentence
-SAMPLES = 3000
+SAMPLES = 2000
 BESIDE = ("cubic_stiffness", "quadratic_damping", "coulomb_friction", "transport_delay",
           "second_mode")
 """Candidates beside the one renamed and what shares a class with it: the whole library would only
@@ -41,7 +41,8 @@ def _following(effect: Effect, old: str) -> Effect:
         effect, name=NEW if effect.name == old else effect.name,
         classes=tuple(replace(c, members=tuple(NEW if m == old else m for m in c.members))
                       for c in effect.classes),
-        twins={NEW if n == old else n: convert for n, convert in effect.twins.items()})
+        twins={NEW if n == old else n: convert for n, convert in effect.twins.items()},
+        gives_way_to=tuple(NEW if n == old else n for n in effect.gives_way_to))
 
 
 def rename(old: str) -> None:
@@ -52,8 +53,9 @@ def rename(old: str) -> None:
 
 
 def shaken(effect: Effect) -> dict[str, float]:
-    """Parameters of the effect large enough to be seen."""
-    return {n: 30.0 * prior.typical if n in effect.sizes and not effect.searched else prior.typical
+    """Parameters of the effect large enough to be seen; of a lag, which is soon too large."""
+    factor = 1.0 if effect.searched else 30.0 if effect.late is None else 5.0
+    return {n: factor * prior.typical if n in effect.sizes else prior.typical
             for n, prior in effect.priors.items()}
 
 
