@@ -89,7 +89,7 @@ def experiments(model: Model, volts: float) -> Iterator[dict[str, Any]]:
                      for t in (PERIOD_S, DWELL_S))  # whole samples
     highest = 0.4 / model.sample_period
     lowest = min(0.5, 0.1 * highest)
-    natural = min(max(_natural_hz(model), lowest), 0.5 * highest)   # no record shows a faster one
+    natural = min(max(_natural_hz(model), lowest), 0.5 * highest)   # as fast as a record shows
     top = min(max(10.0 * natural, 50.0), highest)
     bands = (("around the resonance", lowest, top),
              ("slow", 0.5 * lowest, max(1.5 * natural, 4.0 * lowest)),

@@ -14,6 +14,7 @@ from functools import cache, cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from numpy.polynomial.polyutils import mapdomain
 
 from dfm_stage.arrays import Array, Complex
 from dfm_stage.identification.decisions import TIMING_BLOCKS
@@ -26,10 +27,12 @@ FIRST_LAG, LAST_LAG = -1.5, 3.0
 LAG_STEP = 0.25
 """Spacing of the tau (samples) at which the regression is made; it is smooth in between."""
 WIDE_LAGS = 10
-"""How many tau do behind filters for which samples are left out."""
+"""Number of these tau behind filters so wide that samples are left out."""
 GRID = np.arange(FIRST_LAG, LAST_LAG + 0.005, 0.01)
+UNIT = -1.0, 1.0
+"""Domain of the Chebyshev polynomials."""
 NARROWEST = 2.0
-"""Width of a filter in the samples that are kept: what it passes they hold to 3e-9."""
+"""Least width of a filter in samples that are kept: above half their rate it passes 3e-9."""
 TAIL = 6.0
 """Widths of a filter after which its response is over."""
 FEWEST = 20
@@ -89,8 +92,8 @@ def _left(gram: Array, cross: Array, power: Array) -> Array:
     """Share of the input's power that regressions with products (K, F, F) and (K, G, F) leave at
     each tau of the grid, (K, G); NaN of one that has no power."""
     values, vectors = np.linalg.eigh(gram)
-    weights = np.where(values > RANK * values[:, -1:], 1.0 / np.where(values == 0.0, 1.0, values),
-                       0.0)
+    kept = values > RANK * values[:, -1:]
+    weights = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
     taken = ((cross @ vectors) ** 2 @ weights[:, :, None])[:, :, 0]
     possible = (values[:, -1] > 0.0) & np.all(power > 0.0, axis=1)
     power = np.where(possible[:, None], power, math.nan)
@@ -113,7 +116,7 @@ def _least(left: Array) -> float:
 
 
 def _spacing(width: float, size: int) -> int:
-    """Samples from each that is kept to the next behind a filter: the last one is kept, too."""
+    """Samples from one that is kept to the next behind a filter, so that first and last are."""
     most = max(int(width / NARROWEST), 1)
     return next(every for every in range(most, 0, -1) if (size - 1) % every == 0)
 
@@ -122,8 +125,7 @@ def lags_of(every: int) -> Array:
     """Values of tau (L,), in samples, at which the regression is made."""
     if every == 1:
         return np.arange(FIRST_LAG, LAST_LAG + 0.5 * LAG_STEP, LAG_STEP)
-    middle, half = 0.5 * (LAST_LAG + FIRST_LAG), 0.5 * (LAST_LAG - FIRST_LAG)
-    return np.asarray(middle + half * chebyshev.chebpts1(WIDE_LAGS))
+    return np.asarray(mapdomain(chebyshev.chebpts1(WIDE_LAGS), UNIT, (FIRST_LAG, LAST_LAG)))
 
 
 @cache
@@ -134,8 +136,7 @@ def finer_from(every: int) -> Array:
     lags = lags_of(every)
     count = lags.size
     if every > 1:
-        half, middle = 0.5 * (LAST_LAG - FIRST_LAG), 0.5 * (LAST_LAG + FIRST_LAG)
-        few, fine = (chebyshev.chebvander((each - middle) / half, count - 1)
+        few, fine = (chebyshev.chebvander(mapdomain(each, (FIRST_LAG, LAST_LAG), UNIT), count - 1)
                      for each in (lags, GRID))
         return np.asarray(fine @ np.linalg.inv(few))
     inner = np.arange(1, count - 1)
