@@ -18,7 +18,7 @@ from dfm_stage.model.effect import Effect
 from dfm_stage.recording import AxisRecord, Provenance, Record
 
 NEW = "zzrenamed"     # one word: it reads the same in a sentence
-SAMPLES = 2000
+SAMPLES = 3000
 BESIDE = ("cubic_stiffness", "quadratic_damping", "coulomb_friction", "transport_delay",
           "second_mode")
 """Candidates beside the one renamed and what shares a class with it: the whole library would only
